@@ -54,7 +54,7 @@ Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
 MotionReader = Callable[[], Motion]
 """The results of a `PoseReader` and a `VelocityReader`, read together."""
 Gain = Sequence[float] | None
-"""The gain of a spring, one per joint; None if a motor is no spring, or does not damp."""
+"""The gain of a spring, one per joint; None if a motor is not a spring, or does not damp."""
 MotorWriter = Callable[[Sequence[float]], object]
 """Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
 
@@ -268,7 +268,7 @@ class Engine(Bindable, Protocol):
         `reset` and the first step.
 
         Followers are the joints with `<mimic>` (`RobotModel.followers`). An engine that simulates them has
-        "mimic" among its capabilities; others get no such world.
+        "mimic" among its capabilities; others do not get such a world.
         """
 
     def choose(self, body: str, variant: str) -> None:

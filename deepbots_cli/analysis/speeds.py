@@ -4,7 +4,7 @@ Wheels on flat ground limit the speed of their robot, and motors the speed of th
 no faster than its two bodies move, so the sum of its changes over an episode is at most speed times time.
 
 The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show
-that a required return is out of reach, and is no bound for statistics; `returns.return_range` is.
+that a required return is out of reach, and is not a bound for statistics; `returns.return_range` is.
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ class LocalProcesses:
 
 
 class LocalCalls:
-    """Calls of functions, each in a process that makes no other one meanwhile."""
+    """Calls of functions, each in a process that does not start another one meanwhile."""
 
     def __init__(self, processes: LocalProcesses) -> None:
         self._processes = processes

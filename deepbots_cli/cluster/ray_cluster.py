@@ -343,14 +343,14 @@ def _check_address(address: str) -> None:
     """Check that an address is one, and that a cluster answers there.
 
     Raises:
-        UsageError: It is no address, or no cluster answers there.
+        UsageError: It is not an address, or no cluster answers there.
     """
     if address == "auto":
         return
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(
-            f"'{address}' is no address of a Ray cluster; write HOST:PORT, such as 10.0.0.5:6379, or auto"
+            f"'{address}' is not an address of a Ray cluster; write HOST:PORT, such as 10.0.0.5:6379, or auto"
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), _ADDRESS_TIMEOUT_S).close()

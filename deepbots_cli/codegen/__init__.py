@@ -65,7 +65,8 @@ calls `_advance`, which observes. `add` does not change worlds whose episode has
 of each single world in turn.
 """
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
-# The group is empty for parts that are no names: quotes, comments, numbers, attributes and the keywords of calls.
+# The group is empty for parts that are not names: quotes, comments, numbers, attributes and the keywords of
+# calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
 _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
@@ -83,7 +84,7 @@ def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[st
 
     Raises:
         BatchError: A batch cannot run the scenario; the message gives the reasons.
-        ValueError: A name is no identifier of the language, which is a fault of the compiler.
+        ValueError: A name is not an identifier of the language, which is a fault of the compiler.
     """
     for name in _names(scenario):
         if not _NAME.fullmatch(name):

@@ -455,7 +455,7 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
     it is.
 
     Raises:
-        _DifferentShapesError: They are no such.
+        _DifferentShapesError: They cannot be the same operation.
     """
     names = {tree.op for tree in operations}
     if len(operations) == len(trees) and len(names) == 1:

@@ -541,7 +541,8 @@ def _root_of(
 
 
 def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
-    """Return `truncation` as it is for an agent: a limit that is no success of the agent is a plain limit."""
+    """Return `truncation` as it is for an agent: a limit that is not a success of the agent is a plain
+    limit."""
     entries = {}
     for name, entry in limits.entries.items():
         limit = entry.value.get("limit") if isinstance(entry.value, MappingNode) else None

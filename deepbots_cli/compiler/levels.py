@@ -202,7 +202,7 @@ class _LevelsReader(NamespaceReader):
         low, high = bounds
         if not (low.is_integer() and high.is_integer() and 0 <= low <= high < self._levels.levels):
             remedy = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
-            self._values.add("DB105", text.span, f"`start` is {text.text}, which is no level", remedy)
+            self._values.add("DB105", text.span, f"`start` is {text.text}, which is not a level", remedy)
             return None
         return int(low), int(high)
 

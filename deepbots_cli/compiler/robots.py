@@ -158,7 +158,7 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, noun: str, n
             else choices_help(pattern, names)
         )
         if ".*" in pattern:
-            remedy = f"patterns are no regular expressions: `*` stands for any characters; {remedy}"
+            remedy = f"patterns are not regular expressions: `*` stands for any characters; {remedy}"
         fix = Fix.replacing(span, pattern, suggestion, safe=False) if suggestion else None
         values.add("DB206", span, f"`{pattern}` matches no {noun}", remedy, fix=fix)
 
@@ -644,7 +644,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
         values.add(
             "DB301",
             values.field(spec, "urdf").span,
-            f"`{spec.urdf}` is no robot file",
+            f"`{spec.urdf}` is not a robot file",
             "write the path of a URDF file, or the name of a shipped robot, such as `cartpole`",
         )
         return None

@@ -617,7 +617,7 @@ def _owner(path: NodePath, field: str) -> OfSensor:
 def _with_period(
     faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, timestep: float
 ) -> NoiseModel | None:
-    """Return the errors with the period of the sensor, in timesteps; DB308 for a period that is no whole
+    """Return the errors with the period of the sensor, in timesteps; DB308 for a period that is not a whole
     number of them."""
     seconds = namespace.fields.fixed(spec, "period")
     values = namespace.values

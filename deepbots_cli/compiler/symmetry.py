@@ -38,7 +38,7 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     if symmetry_spec is None or agent.training is None:
         return None
     if namespace.values.findings.errors:
-        return None  # a name that another mistake has left out is no mistake of the symmetry
+        return None  # a name that another mistake has left out is not a mistake of the symmetry
     reader = _SymmetryReader(symmetry_spec, namespace.values, _acted_before(agent))
     if not reader.is_inverse:
         return None
@@ -155,7 +155,7 @@ class _SymmetryReader:
         return Mirror(tuple(sources), tuple(factors), tuple(offsets))
 
     def _reason_against(self, number: RangedName, image_number: RangedName) -> str:
-        """Return why two numbers are no mirror images of each other; empty if they may be."""
+        """Return why two numbers are not mirror images of each other; empty if they may be."""
         if (number.unit, number.is_truth) != (image_number.unit, image_number.is_truth):
             return f"`{image_number.name}` is another kind of value"
         if self._changes_sign(number.name) != self._changes_sign(image_number.name):

@@ -61,7 +61,7 @@ _DEFINED_UNDER = {
 }
 """The place of definitions, by their name in findings."""
 ANY_NAME = "*"
-"""The placeholder for all names: the names of a section that is no mapping are unknown."""
+"""The placeholder for all names: the names of a section that is not a mapping are unknown."""
 
 _NAME_SECTIONS = frozenset({"parameters", "augment", "signals", "success", "failure"})
 _MAX_KEY_DISTANCE = 200
@@ -335,7 +335,7 @@ class ValueReader:
             if code == "DB503" and any(
                 word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
             ):
-                return  # a definition has the name of a unit, which is no name
+                return  # a definition has the name of a unit, which is not a name
             is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"

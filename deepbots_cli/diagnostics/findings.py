@@ -211,7 +211,7 @@ def describe_exception(error: BaseException) -> str:
     return f"{type(error).__name__}{f': {message}' if message else ''} ({place})"
 
 
-class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is no error
+class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is not an error
     """The signal that a list of findings has reached its limit; `finding` did not fit."""
 
     def __init__(self, finding: Finding) -> None:

@@ -431,7 +431,9 @@ def _read(_name: str, value: Any) -> Iterator[tuple[str, Rule]]:
         if not isinstance(rule, Rule) or rule.check is None or not rule.about:
             raise ValueError(f"{rule!r} is not a Rule with `check` and `about`")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
-            raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
+            raise ValueError(
+                f"the code {rule.code!r} does not consist of capital letters and digits, or begins with DB"
+            )
         if rule.name in {entry.name for entry in _CATALOG}:
             raise ValueError(f"the name {rule.name!r} is taken")
         yield rule.code, rule

@@ -663,8 +663,8 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
 
 
 def help_for_key(key: ScalarNode) -> str:
-    """Return the help for a key that is no text; a number without a colon is the rest of a value that a comma
-    cuts."""
+    """Return the help for a key that is not text; a number without a colon is the rest of a value that a
+    comma cuts."""
     if not key.text:
         return "write `name: value`"
     if not _HAS_COLON.match(key.span.source.text, key.span.end):
@@ -680,7 +680,7 @@ _YAML11 = {
     **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
 }
 # Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24
-# characters is no number.
+# characters is not a number.
 _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")

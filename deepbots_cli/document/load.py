@@ -164,7 +164,7 @@ def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
     """Return the folders of `--allow-path`, links followed.
 
     Raises:
-        UsageError: One of them is no folder.
+        UsageError: One of them is not a folder.
     """
     folders = [Path(path) for path in ((paths,) if isinstance(paths, (str, Path)) else paths)]
     for folder in folders:

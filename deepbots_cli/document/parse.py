@@ -278,7 +278,7 @@ class _Builder:
         )
 
     def key(self, event: Event, depth: int) -> ScalarNode | None:
-        """Return a key; None with a finding if it is no name."""
+        """Return a key; None with a finding if it is not a name."""
         if not isinstance(event, ScalarEvent):
             span = self.span(event)
             if not isinstance(event, AliasEvent):

@@ -138,7 +138,7 @@ def _plugin_engine(entry: EntryPoint) -> EngineFactory:
     try:
         factory = entry.load()
         if not callable(factory):
-            raise TypeError("it makes no engine")
+            raise TypeError("it does not make an engine")
     except Exception as error:  # the import of another package may raise anything
         if isinstance(error, ModuleNotFoundError) and error.name in _OF_EXTRA_SIM:
             raise

@@ -393,7 +393,7 @@ class _Checker:
         )
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
-        """Return the error for a name that is no value: a part of the world, a function, or unknown."""
+        """Return the error for a name that is not a value: a part of the world, a function, or unknown."""
         scope = self._scope
         name = node.dotted
         subject = scope.subject(name)

@@ -458,7 +458,7 @@ class _Parser:
     # names, nesting, faults
 
     def _name_ahead(self) -> bool:
-        """Return whether there is a name here that is no word of the grammar and calls no function."""
+        """Return whether there is a name here that is not a word of the grammar and calls no function."""
         return self._peek.kind == "NAME" and self._peek.text not in KEYWORDS and self._ahead.text != "("
 
     def _name(self) -> Name:

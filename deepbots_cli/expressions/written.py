@@ -45,7 +45,7 @@ def units_in(text: str) -> Iterator[Unit]:
 
 
 def _unit(text: str) -> Unit | None:
-    """Return `deg/s` as a unit; None if a word is no unit."""
+    """Return `deg/s` as a unit; None if a word is not a unit."""
     unit = ONE
     divides = False
     for word in re.split(r"([*/])", text):

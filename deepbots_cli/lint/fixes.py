@@ -51,7 +51,7 @@ class Rewrite:
 class LintResult:
     """The findings of a scenario and the files that it was read from, its own first.
 
-    `root` is None if the text is no YAML; `compiled` is true if lint rules have run.
+    `root` is None if the text is not YAML; `compiled` is true if lint rules have run.
     """
 
     findings: Sequence[Finding]

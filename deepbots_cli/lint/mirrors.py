@@ -67,7 +67,7 @@ class MirrorPlane(NamedTuple):
 
     def sign(self, first: JointPlace, second: JointPlace) -> int | None:
         """Return the sign with which the position of a joint is that of its mirror image; None if their axes
-        are no mirror images of each other.
+        are not mirror images of each other.
 
         A rotation is mirrored in the other direction than a vector.
         """

@@ -283,7 +283,7 @@ def encode(entry: Entry) -> bytes:
 
 
 def decode(line: bytes) -> Entry | None:
-    """Return the entry of a line; None if the line is cut off or is no entry."""
+    """Return the entry of a line; None if the line is cut off or is not an entry."""
     try:
         kind, fields = _LINE.validate_json(line)
         return _adapter(kind).validate_python(fields) if kind in _KINDS else None

@@ -306,7 +306,7 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
             return is_off(above)
         case Operation(operator="add" | "sub", args=args):
             return all(map(is_off, args))
-        case Invocation(args=args) if len(args) > 1:  # the 0 in `min(x, 0)` is no factor
+        case Invocation(args=args) if len(args) > 1:  # the 0 in `min(x, 0)` is not a factor
             return any(is_off(part) for part in args if not isinstance(part, Constant))
     return any(map(is_off, children(node)))
 

@@ -174,7 +174,8 @@ def _limited(findings: list[Finding]) -> list[Finding]:
 
 @dataclass(frozen=True)
 class SimulationFindings:
-    """The findings of a simulation; `incomplete` is the reason why it ended early, if that is no finding."""
+    """The findings of a simulation; `incomplete` is the reason why it ended early, if that is not a
+    finding."""
 
     findings: list[Finding]
     incomplete: str | None = None

@@ -58,7 +58,7 @@ def settings(folder: Path | None = None) -> Settings:
     """Return the settings of the project that contains `folder`, by default the working directory.
 
     Raises:
-        UsageError: A file is no TOML, or has an unknown key or value; says which, and what was probably
+        UsageError: A file is not TOML, or has an unknown key or value; says which, and what was probably
             meant.
     """
     root = files.project_root(folder or Path.cwd())

@@ -174,9 +174,9 @@ _CRASHES = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"}
 class Limits(NamedTuple):
     """Limits of the process.
 
-    Ordinary scenarios take 1 to 8 s of CPU time; reaching `cpu` or `wall` is no finding. A single step, reset
-    or construction of the world that takes longer than `step_seconds` is taken for an endless loop. A world
-    of 500 bodies takes 0.6 GB of address space, most of it for libraries.
+    Ordinary scenarios take 1 to 8 s of CPU time; reaching `cpu` or `wall` is not a finding. A single step,
+    reset or construction of the world that takes longer than `step_seconds` is taken for an endless loop. A
+    world of 500 bodies takes 0.6 GB of address space, most of it for libraries.
     """
 
     cpu: int = 120

@@ -597,7 +597,7 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
     """Serve one client over standard input and output or a local port until it exits; return the exit code.
 
     Raises:
-        UsageError: The port is not available, or an allowed path is no folder.
+        UsageError: The port is not available, or an allowed path is not a folder.
     """
     # pygls logs tracebacks to standard error; the client gets the messages as answers.
     logging.getLogger("pygls").setLevel(logging.CRITICAL + 1)

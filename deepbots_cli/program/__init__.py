@@ -18,7 +18,7 @@ world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
 task.py          agents, endings, training, evaluation
 levels.py        levels of a curriculum, and how a world changes its own
-members.py       several agents, and the places of each in the program of all
+members.py       several agents, and where the program of all has the parts of each
 resets.py        placements, randomized parameters
 identity.py      canonical JSON, digests, interfaces
 draws.py         the draws of a reset, by name

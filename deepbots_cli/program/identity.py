@@ -55,7 +55,7 @@ def task_digest(program: Program) -> str:
 
 
 def record_members(part: object) -> dict[str, Any] | None:
-    """Return the members of a record by name, as they count for the digest; None if it is no record. For a
+    """Return the members of a record by name, as they count for the digest; None if it is not a record. For a
     path, the suffix counts."""
     if isinstance(part, Scalar):
         return part._asdict()

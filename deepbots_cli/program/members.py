@@ -1,4 +1,4 @@
-"""The agents of a scenario with several of them, and the places of each in the program of all.
+"""The agents of a scenario with several of them, and where the program of all has the parts of each agent.
 
 The program of all agents has a single agent, whose action, observation and reward are those of the agents in
 a row, under the names `hunter__gas` of `gas` of the agent `hunter`. One supervisor therefore steps the world

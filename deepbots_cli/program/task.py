@@ -194,7 +194,7 @@ class ImageObservation(Observation):
 
     @property
     def key(self) -> str:
-        """The key in the observation space; torch takes no dots."""
+        """The key in the observation space; torch does not allow dots."""
         return self.name.replace(".", "_")
 
     @property
@@ -310,7 +310,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Truncation:
-    """Limits that are no part of the task: agent steps, simulated seconds."""
+    """Limits that are not part of the task: agent steps, simulated seconds."""
 
     max_steps: int | None = None
     max_time: float | None = None
@@ -418,8 +418,8 @@ class ScenarioTest:
     """Episodes without a trained policy, and the expected results.
 
     The driver is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest
-    number of steps of an episode. Of several agents, `agent` is the one whose results are expected; `drivers`
-    has the name of the driver of each, unless all act by a sequence of actions.
+    number of steps of an episode. With several agents, `agent` is the one whose results are expected;
+    `drivers` has the name of the driver of each, unless all act by a sequence of actions.
     """
 
     name: str

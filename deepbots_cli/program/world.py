@@ -200,7 +200,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class ObjectBody:
-    """A body that is no robot. Mass in kg; a fixed one never moves, one that is not solid is only seen.
+    """A body that is not a robot. Mass in kg; a fixed one never moves, one that is not solid is only seen.
 
     A pooled one is absent after a reset, until it is placed. With `variants` it takes the form of one of
     them, of the first unless another is chosen, and its own shape, mass, color, friction and `fixed` mean

@@ -99,10 +99,10 @@ def _input(holder: ElementTree.Element, semantic: str) -> _Input:
 
 
 def _count(element: ElementTree.Element, name: str, default: int) -> int:
-    """Return an attribute that counts. Raises: FaultyColladaError: It is no number from 0 to a billion."""
+    """Return an attribute that counts. Raises: FaultyColladaError: It is not a number from 0 to a billion."""
     text = element.attrib.get(name, str(default)).strip()
     if not re.fullmatch("[0-9]{1,9}", text):
-        raise FaultyColladaError(f"the {name} of a <{element.tag}> of the COLLADA file is no number")
+        raise FaultyColladaError(f"the {name} of a <{element.tag}> of the COLLADA file is not a number")
     return int(text)
 
 
@@ -122,5 +122,5 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
     try:
         corners = array("q", map(int, tokens[offset::stride]))
     except (ValueError, OverflowError) as error:
-        raise FaultyColladaError("an index of the COLLADA file is no number") from error
+        raise FaultyColladaError("an index of the COLLADA file is not a number") from error
     return corners

@@ -268,8 +268,8 @@ class RobotModel:
 
     @property
     def end_link(self) -> str:
-        """The link that the most moving joints carry: of an arm, its hand or a finger; of several the last
-        one."""
+        """The link that the most moving joints carry, such as the hand or a finger of an arm; the last one of
+        several."""
         carried = {self.root: 0}
         waiting = [self.root]
         for parent in waiting:

@@ -35,7 +35,7 @@ Payloads = Mapping[str, bytes]
 
 
 class RecordingError(UsageError):
-    """The error for a recording that cannot be read: it is no recording, cut short, damaged, or of another
+    """The error for a recording that cannot be read: it is not a recording, cut short, damaged, or of another
     version."""
 
 

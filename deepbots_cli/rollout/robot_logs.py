@@ -140,7 +140,7 @@ def is_robot_log(path: Path) -> bool:
             return any(
                 isinstance(record, records.Metadata) and record.name == "deepbots_robot" for record in first
             )
-    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
+    except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is not an MCAP file
         return False
 
 

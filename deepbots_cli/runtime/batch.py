@@ -214,7 +214,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def step(self, action: Any) -> BatchStep:
         """Advance all worlds by one step; episodes that end are followed by new ones at once.
 
-        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and
+        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It starts again, and
         is reported in `losses` and as a warning.
 
         Raises:

@@ -168,7 +168,7 @@ def test_a_draw_is_repeated_after_each_period(cart: Make, period: str, every: in
     assert ticks == list(range(1 + every, 201, every))
 
 
-def test_a_period_that_is_no_multiple_of_the_timestep_is_kept_on_average(cart: Make) -> None:
+def test_a_period_that_is_not_a_multiple_of_the_timestep_is_kept_on_average(cart: Make) -> None:
     ticks = ticks_of_changes(drawn_values(cart, "w: uniform(0 .. 1) every 50 ms"))
     assert ticks == [1 + -(-number * 5 // 2) for number in range(1, 80)]
 

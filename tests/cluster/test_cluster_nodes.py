@@ -148,5 +148,5 @@ def test_a_node_without_deepbots_is_refused(
 def test_an_address_at_which_nobody_answers_is_refused() -> None:
     with pytest.raises(UsageError, match=r"nobody answers at 127\.0\.0\.1:9"), Cluster(address="127.0.0.1:9"):
         pass
-    with pytest.raises(UsageError, match="is no address of a Ray cluster"), Cluster(address="nowhere"):
+    with pytest.raises(UsageError, match="is not an address of a Ray cluster"), Cluster(address="nowhere"):
         pass

@@ -177,7 +177,7 @@ def test_unusual_values_in_any_place_give_a_world_that_runs_or_are_refused(opene
 @pytest.mark.parametrize(
     "name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"]
 )
-def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
+def test_a_name_that_is_not_an_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
     program = api.compile("cartpole").program
     with pytest.raises(ValueError, match="name"):

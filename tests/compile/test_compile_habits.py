@@ -63,7 +63,7 @@ def test_a_word_for_inverse_kinematics_is_corrected_to_cartesian(workshop, head,
     assert not finding.fix.safe
 
 
-def test_synonyms_name_words_of_the_language_and_are_no_words_themselves():
+def test_synonyms_name_words_of_the_language_and_are_not_words_themselves():
     words = {*ACTUATORS, *SENSORS, *OBJECTS, *TILES, *ENGINES, "any"}
     assert words.issuperset(synonyms().words)
     for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS), tuple(TILES)):

@@ -143,7 +143,7 @@ def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
     assert workshop.codes(rail(*edits, ("reward:", "augment: [lean]\nreward:"))) == []
 
 
-def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:
+def test_groups_of_links_are_not_joints(workshop, cartpole) -> None:
     text = cartpole(
         ("    sensors:", "    groups: {upper: [pole, tip]}\n    sensors:"), ("[wheel_*]", "upper")
     )

@@ -179,7 +179,7 @@ def test_the_json_form_is_versioned_and_complete() -> None:
     }
 
 
-def test_no_findings_are_no_text_but_still_json() -> None:
+def test_no_findings_are_not_text_but_still_json() -> None:
     assert render([]) == render([], "concise") == ""
     assert json.loads(render([], "json")) == {
         "version": 1,

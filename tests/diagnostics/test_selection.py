@@ -186,6 +186,6 @@ def test_one_comment_serves_all_warnings_of_its_line() -> None:
     assert suppress([warning(source, "on"), warning(source, "off")], [source]) == ([], [])
 
 
-def test_text_that_only_mentions_the_words_is_no_comment() -> None:
+def test_text_that_only_mentions_the_words_is_not_a_comment() -> None:
     source = Source("a.yaml", "a: x#deepbots: ignore[DB003]\n")
     assert suppress([], [source]) == ([], [])

@@ -73,7 +73,7 @@ def test_an_equals_sign_becomes_the_colon_of_a_key(wrong: str) -> None:
     assert _corrected(TEXT.replace(f"{right}\n", f"{wrong}\n")) == TEXT
 
 
-def test_a_comparison_is_no_assignment() -> None:
+def test_a_comparison_is_not_an_assignment() -> None:
     text = TEXT.replace("> fall_angle", "== fall_angle").replace("< 1 deg", "<= 1 deg")
     assert not [each for each in findings_of(text) if each.severity == "error"]
 

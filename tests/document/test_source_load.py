@@ -59,7 +59,7 @@ def test_a_missing_file_a_folder_and_a_pipe_are_wrong_usage(tmp_path: Path) -> N
         (b"- a\n- b", "DB103", (1, 1)),
     ],
 )
-def test_a_file_that_is_no_scenario_gets_one_finding_at_the_place(
+def test_a_file_that_is_not_a_scenario_gets_one_finding_at_the_place(
     tmp_path: Path, content: bytes, code: str, where: tuple[int, int]
 ) -> None:
     path = tmp_path / "a.yaml"
@@ -245,7 +245,7 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])
-def test_an_unknown_name_is_no_shipped_file(name: str) -> None:
+def test_an_unknown_name_is_not_a_shipped_file(name: str) -> None:
     assert shipped.scenario_path(name) is None
     assert shipped.robot_path(name) is None
 

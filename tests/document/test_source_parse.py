@@ -190,7 +190,7 @@ def test_any_amount_of_repetition_ends_in_one_finding(text: str) -> None:
     assert only_finding(text).code in ("DB001", "DB005")
 
 
-def test_a_number_with_a_comma_in_braces_is_no_key_to_be_quoted() -> None:
+def test_a_number_with_a_comma_in_braces_is_not_a_key_to_be_quoted() -> None:
     (finding,) = read("{max_steps: 2,000}")[1]
     assert (finding.code, finding.span.text) == ("DB001", "2,000")
     assert finding.help == "write a decimal point, `2.000`, or group the digits, `2_000`"

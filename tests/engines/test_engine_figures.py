@@ -127,7 +127,7 @@ def test_the_torque_of_a_motor_falls_with_its_speed(
 
 
 def test_a_motor_approaches_its_no_load_speed_by_an_exponential(engine_name, worlds, build):
-    """Its torque is renewed in each engine step of one timestep, and with the next episode begins anew."""
+    """Its torque is renewed in each engine step of one timestep, and starts again with the next episode."""
     engine = build(engine_name, worlds.rotor(timestep=0.2, substeps=2000))
     curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
     drive = engine.torque_motor("robot", ["hinge"], [100.0], **curve)

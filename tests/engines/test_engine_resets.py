@@ -1,4 +1,4 @@
-"""Resets are clean: what walks on springs and has had its figures varied begins anew, to the last bit."""
+"""Resets are clean: what walks on springs and has had its figures varied starts again, to the last bit."""
 
 from __future__ import annotations
 

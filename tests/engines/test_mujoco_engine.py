@@ -37,7 +37,7 @@ from tests.robots.meshes import ball
 HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
 
 
-def test_a_mesh_is_no_ground_and_the_message_says_what_to_do():
+def test_a_mesh_is_not_ground_and_the_message_says_what_to_do():
     with pytest.raises(EngineError, match=r"convex hull.*terrain of heights.*`pybullet`"):
         create("mujoco", WorldModel(0.02, 1, terrain=Terrain(Mesh("ground.stl", "00"))))
 

@@ -209,7 +209,7 @@ BROKEN = [
         MODULE.replace("interval=", 'array="foo(x)", interval='),
         "the array of 'double' contains foo; write it with functions of np",
     ),
-    ("unfinished:FUNCTIONS", MODULE.replace('"2*x"', '"2 *"'), "is no Python expression"),
+    ("unfinished:FUNCTIONS", MODULE.replace('"2*x"', '"2 *"'), "is not a Python expression"),
     ("comparing:FUNCTIONS", MODULE.replace('"2*x"', '"x > 1"'), "gives a truth value; write boolean=True"),
 ]
 
@@ -235,6 +235,6 @@ def test_a_broken_function_of_another_package_is_one_warning(linted, target, rea
     assert reason in warning
 
 
-def test_a_broken_function_of_another_package_is_no_matter_where_it_is_not_used(tmp_path):
+def test_a_broken_function_of_another_package_does_not_matter_where_it_is_not_used(tmp_path):
     install(tmp_path, MODULE, "no_such_module:FUNCTIONS")
     assert deepbots(tmp_path, "", "lint", str(ROOT / "scenarios" / "cartpole.yaml")).stderr == ""

@@ -49,7 +49,7 @@ def test_findings_are_the_same_on_every_run(simulated_findings: Probed) -> None:
     assert first
 
 
-def test_what_a_case_shows_is_no_constant(simulated_findings: Probed) -> None:
+def test_a_value_that_a_case_changes_is_not_a_constant(simulated_findings: Probed) -> None:
     still = "parameters: {lit: 1}\naugment: {shown: lit / 2}\nobservation: {shown: 0 .. 2}\n"
     assert [finding.code for finding in simulated_findings(still)] == ["DB608"]
     assert simulated_findings(still + "evaluation: {cases: {drawn: {set: {lit: uniform(1 .. 2)}}}}\n") == []

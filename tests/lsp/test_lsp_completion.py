@@ -45,7 +45,7 @@ def test_a_place_is_offered_what_fits_and_nothing_else(typing, old, new, offered
         "reward: }\nreward:\n  progress: |\n    delta(me¦",
     ],
 )
-def test_a_document_that_is_no_yaml_at_the_moment_is_completed_from_what_was_known(typing, broken):
+def test_a_document_that_is_not_yaml_at_the_moment_is_completed_from_what_was_known(typing, broken):
     assert {"metric", "reach", "delta("} <= set(typing("reward:      {progress: delta(metric)}", broken))
 
 

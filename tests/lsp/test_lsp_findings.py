@@ -221,7 +221,7 @@ def test_a_document_without_a_file_is_linted_in_the_folder_of_the_editor(client)
     client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
 
-def test_two_documents_that_are_no_files_yet_have_findings_of_their_own(client):
+def test_two_documents_that_are_not_files_yet_have_findings_of_their_own(client):
     texts = {"untitled:One": "deepbots: 1\nwrold: {}\n", "untitled:Two": "deepbots: 1\nrobot: {}\n"}
     for uri, text in texts.items():
         client.notify(

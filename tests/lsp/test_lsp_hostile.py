@@ -33,7 +33,7 @@ ASKED_OF_A_PLACE = ("completion", "hover", "definition")
 def answer_all(workspace: Workspace, document: Document, position: Position) -> None:
     """Every request at one place; nothing may be raised."""
     view = workspace.view(document.uri, position)
-    if view is None:  # a slip in the key `deepbots`: what is left is no scenario
+    if view is None:  # a slip in the key `deepbots`: what is left is not a scenario
         assert not document.is_scenario
         return
     for item in completion(view).items:

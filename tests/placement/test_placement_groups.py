@@ -48,7 +48,7 @@ def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
     assert set(counts) == {0, 1, 2, 3, 4}
 
 
-def test_absent_copies_touch_nothing_and_are_no_gap(make: Make) -> None:
+def test_absent_copies_touch_nothing_and_are_not_a_gap(make: Make) -> None:
     environment = make(GROUPED, "reset.layout=row", "parameters.crates=2")
     observation, _ = environment.reset(seed=0)
     assert in_units(observation)["things"] == pytest.approx(0.0, abs=1e-6)

@@ -80,7 +80,7 @@ def test_pictures_that_were_given_out_do_not_change(small: Make) -> None:
 
 
 @pytest.mark.parametrize("entry", ["0 .. 255", "{range: auto, noise: 0.1}", "{range: auto, history: 1000}"])
-def test_what_is_no_use_for_a_picture_is_a_finding(small: Make, entry: str) -> None:
+def test_an_entry_that_is_useless_for_a_picture_is_a_finding(small: Make, entry: str) -> None:
     with pytest.raises(ScenarioError):
         look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={frame_stack: 20}")
 

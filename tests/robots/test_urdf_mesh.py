@@ -145,7 +145,7 @@ CONTENTS = {
         sheets("e.dae", 1).replace(b"0 2</p>", b"0 -9</p>"),
         "has vertex -9, but there are only 3 vertices",
     ),
-    "f.dae": (sheets("f.dae", 1).replace(b"<p>", b"<p>0 x "), "an index of the COLLADA file is no number"),
+    "f.dae": (sheets("f.dae", 1).replace(b"<p>", b"<p>0 x "), "an index of the COLLADA file is not a number"),
     "g.dae": (
         sheets("g.dae", 1).replace(b'<triangles count="1"', b'<triangles count="99999999"'),
         "has fewer triangles than its count",
@@ -214,7 +214,7 @@ def test_sheets_below_one_another_are_refused_where_the_scale_puts_them_into_one
         assert isinstance(loaded, meshes.UnusableMesh) == refused
 
 
-def test_many_triangles_that_do_not_cover_each_other_are_no_fault(tmp_path: Path):
+def test_many_triangles_that_do_not_cover_each_other_are_not_a_fault(tmp_path: Path):
     (tmp_path / "ball.obj").write_bytes(ball(0.2, 60))
     assert robot_with(tmp_path, "ball.obj")[1] == []
     n = 120
@@ -281,7 +281,7 @@ def test_a_mesh_that_is_not_there_is_an_error_at_its_name(tmp_path: Path, filena
     assert expected in robot_with(tmp_path, filename)[1][0]
 
 
-def test_a_folder_or_a_pipe_is_no_mesh(tmp_path: Path):
+def test_a_folder_or_a_pipe_is_not_a_mesh(tmp_path: Path):
     (tmp_path / "d.obj").mkdir()
     os.mkfifo(tmp_path / "p.obj")
     for name in ("d.obj", "p.obj"):

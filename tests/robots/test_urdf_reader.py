@@ -315,7 +315,7 @@ def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
 @pytest.mark.parametrize(
     "limit", ['lower="0" upper="0"', 'lower="1" upper="-1"', 'lower="-1e16" upper="1e16"', ""]
 )
-def test_limits_of_a_continuous_joint_that_mean_none_are_no_fault(read_text, limit):
+def test_limits_of_a_continuous_joint_that_mean_none_are_not_a_fault(read_text, limit):
     _, findings = read_text(broken("revolute", "continuous").replace('lower="-1" upper="2"', limit))
     assert findings == []
 

@@ -67,7 +67,7 @@ def test_a_helper_computes_what_the_function_says(helper: str) -> None:
         assert getattr(formulas, helper)(*args) == scalar_function(function.name)(*args)
 
 
-def test_what_is_no_number_is_never_scaled() -> None:
+def test_a_value_that_is_not_a_number_is_never_scaled() -> None:
     for use in (
         lambda x: formulas.scale(x, -1.0, 1.0),
         lambda x: formulas.scale_each([0.0, x], 0.0, 3.0),

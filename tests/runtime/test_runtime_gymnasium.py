@@ -64,7 +64,7 @@ def test_several_environments_of_a_scenario_of_ones_own_are_made_by_its_path(min
     vector.close()
 
 
-def test_to_name_no_scenario_is_an_error_that_shows_how() -> None:
+def test_a_missing_scenario_is_an_error_that_shows_how() -> None:
     with pytest.raises(UsageError, match=r"needs a scenario: gymnasium\.make"):
         gymnasium.make(ANY)
 

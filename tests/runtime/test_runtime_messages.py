@@ -161,7 +161,7 @@ def test_the_error_of_a_value_of_the_wrong_kind_names_its_field(
         "," * 1000,
     ],
 )
-def test_data_that_is_no_message_is_refused_in_words(format: str, message: object) -> None:
+def test_data_that_is_not_a_message_is_refused_in_words(format: str, message: object) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert isinstance(layout_error(LAYOUT, format, message, 1), MessageError)
     assert len(str(layout_error(LAYOUT, format, message, 1))) < 400

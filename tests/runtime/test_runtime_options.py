@@ -139,7 +139,7 @@ def test_an_option_that_the_episode_could_not_have_drawn_is_refused(
         env.reset(options=options)
 
 
-def test_options_that_are_no_mapping_are_refused(env: Supervisor) -> None:
+def test_options_that_are_not_a_mapping_are_refused(env: Supervisor) -> None:
     with pytest.raises(UsageError, match="options of reset must be a mapping from names to values, not list"):
         env.reset(options=["mark"])  # type: ignore[arg-type]
 

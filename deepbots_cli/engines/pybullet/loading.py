@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 PARKING_SPACING_M = 1000.0  # m between bodies that are parked
 DEFAULT_CONTACT_ERP = 0.08  # the share of a penetration that PyBullet removes in a physics step by default
 CONTACT_DISTANCE_M = 1e-4
-"""The distance (m) beyond which surfaces are no contact for the solver.
+"""The distance (m) beyond which surfaces do not touch for the solver.
 
 PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a rolling wheel
 keeps points that carry nothing, and the solver iterates over all of them. With this limit a step of CartPole

@@ -1,4 +1,4 @@
-"""The operators of scalar trees, in the form of functions. They are no functions of the language."""
+"""The operators of scalar trees, in the form of functions. They are not functions of the language."""
 
 from __future__ import annotations
 

@@ -58,7 +58,9 @@ def _require_usable(function: object) -> None:
 def _require_usable_params(name: str, params: tuple[Param, ...]) -> None:
     for param in params:
         if not param.name.isidentifier() or keyword.iskeyword(param.name):
-            raise ValueError(f"the argument {param.name!r} of {name!r} is no identifier; choose another name")
+            raise ValueError(
+                f"the argument {param.name!r} of {name!r} is not an identifier; choose another name"
+            )
         if param.form not in _FORMS:
             form = param.form.name
             raise ValueError(f"{name!r} cannot take the form {form}; write Form.VALUE or Form.RANGE")
@@ -76,7 +78,7 @@ def _require_usable_python(function: Function, field: str, allowed: Collection[s
     try:
         printed(template(text), dict.fromkeys(function.arguments, Code("x")))
     except SyntaxError as error:
-        raise ValueError(f"the {field} of {name!r} is no Python expression") from error
+        raise ValueError(f"the {field} of {name!r} is not a Python expression") from error
     names = names_in(text)
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].variadic and not function.arguments[-1].startswith("*"):
@@ -106,7 +108,9 @@ def _require_usable_result(function: Function) -> None:
     if isinstance(value, bool) and not (function.boolean or function.accepts_truths):
         raise ValueError(f"the python of {name!r} gives a truth value; write boolean=True")
     if function.boolean and not isinstance(value, bool | None):
-        raise ValueError(f"the python of {name!r} gives no truth value; write a comparison, or boolean=False")
+        raise ValueError(
+            f"the python of {name!r} does not give a truth value; write a comparison, or boolean=False"
+        )
     intervals = [function.interval(*[sample] * len(samples)) for sample in (EVERYTHING, iv.TRUTH)]
     if not all(isinstance(interval, Interval) for interval in intervals) or not isinstance(
         function.result(LENGTH), Dimension
