@@ -415,7 +415,7 @@ def _role_kinds(group: str) -> dict[str, Any]:
             str | None,
             option(
                 "--agent NAME",
-                "Of several agents, the one that is trained, evaluated or driven; by default all.",
+                "With several agents, the one that is trained, evaluated or driven; by default all.",
                 group,
             ),
         ],

@@ -1,4 +1,4 @@
-"""Exit codes: an exception becomes a code and a line on stderr. Output without a reader is no error."""
+"""Exit codes: an exception becomes a code and a line on stderr. Output without a reader is not an error."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.note("interrupted")
         return INTERRUPTED
     except OSError as error:
-        # The system names no file where writing fails, in contrast to opening.
+        # The system does not name the file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
         terminal.print_error(

@@ -447,8 +447,8 @@ def group_text(group: GroupResult) -> str:
 
 
 def solved_by(result: EvaluationResult) -> bool | None:
-    """Return whether a run is solved: by its verdict, or by the evaluation if it is no usual one of the
-    run."""
+    """Return whether a run is solved: by its verdict, or by the evaluation if it is not a usual one of
+    the run."""
     if result.circumstances:
         return result.solved
     return run_verdict(result.run, RunRecord.read(result.run)).solved

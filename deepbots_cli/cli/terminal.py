@@ -62,7 +62,7 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     """Context with a function that shows the numbers of completed and of all items, again from 1 for the next
     row of them.
 
-    Unless `always`, there is at most one line in 10 s if standard error is no terminal.
+    Unless `always`, there is at most one line in 10 s if standard error is not a terminal.
     """
     bar: ProgressBar | None = None
     shown_at = time.perf_counter()

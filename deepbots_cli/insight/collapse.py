@@ -183,7 +183,7 @@ def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
         for suspect in causes
         if suspect is not None and suspect.weight >= SUSPECTED and suspect.now != suspect.advised
     ]
-    by_path: dict[str, Suspect] = {}  # of several reasons for a change of one setting, the strongest
+    by_path: dict[str, Suspect] = {}  # the strongest of several reasons for a change of one setting
     for suspect in sorted(candidates, key=lambda suspect: -suspect.weight):
         by_path.setdefault(suspect.path, suspect)
     return list(by_path.values())
@@ -434,7 +434,7 @@ def _rows(evidence: TrainingEvidence) -> int:
 
 
 def _value_at(evidence: TrainingEvidence, name: str, steps: float) -> float | None:
-    """Return a hyperparameter after so many steps; None where it is no number."""
+    """Return a hyperparameter after so many steps; None where it is not a number."""
     value = evidence.settings.get(name)
     if isinstance(value, Schedule):
         return value.at(evidence.progress(steps))

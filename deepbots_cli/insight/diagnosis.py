@@ -199,8 +199,8 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
 
 
 def _settings_of_agent(evidence: TrainingEvidence, statement: Statement) -> Mapping[str, str]:
-    """Return the advised settings: of several agents, in the section of the one that they are for, unless all
-    agents share them."""
+    """Return the advised settings: with several agents, in the section of the one that they are for, unless
+    all agents share them."""
     section, shared = f"agents.{evidence.agent}.", {TOTAL_TIMESTEPS, *(f"train.{key}" for key in SHARED)}
     result = evidence.run.record.result
     if not evidence.agent or (result is not None and result.ratings):  # agents of self-play share a policy

@@ -175,7 +175,7 @@ def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
     result = None if evidence.earlier_solved is None else evidence.earlier_solved[0].record.result
     if evidence.earlier_solved is None or result is None:
         return {**length, "likelihood": 0.5, "finding": "The training is short"}
-    if result.steps <= evidence.steps:  # then the length is no cause
+    if result.steps <= evidence.steps:  # then the length is not a cause
         return None
     earlier = display_path(evidence.earlier_solved[0].path)
     finding = f"The training is shorter than {earlier}, which made {result.steps:,} steps and was solved"

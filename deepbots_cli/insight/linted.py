@@ -94,7 +94,7 @@ def _compiled(run: Run, source: Source, overrides: Sequence[str]) -> Compiled | 
 
 
 def _digest(path: Path) -> str | None:
-    """Return the digest of a file as in a record; None if it is no file, or too large for a scenario."""
+    """Return the digest of a file as in a record; None if it is not a file, or too large for a scenario."""
     try:
         return hashlib.sha256(read_at_most(path, MAX_BYTES + 1)).hexdigest() if path.is_file() else None
     except OSError:

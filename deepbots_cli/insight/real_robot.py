@@ -412,7 +412,7 @@ class RobotEpisodes:
 
     def _exchange(self) -> None:
         """Make a step of the robot: send the commands, and wait for its next measurements. Nothing changes if
-        it begins anew."""
+        it starts again."""
         action = (
             {} if isinstance(self._action, dict) else {ACTION: np.asarray(self._action, float).reshape(-1)}
         )

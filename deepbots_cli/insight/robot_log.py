@@ -50,9 +50,9 @@ class LoggedEvent(NamedTuple):
 class LoggedEpisode:
     """An episode of a log.
 
-    `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since
-    the beginning of the log, `seconds` the time until the last step of the policy, `answers` are answer times
-    in s, of the steps that answer a new value.
+    `number` counts the episodes of the log: a robot that restarts counts from the start. `begun` is in s
+    since the beginning of the log, `seconds` the time until the last step of the policy, `answers` are answer
+    times in s, of the steps that answer a new value.
     """
 
     number: int
@@ -198,7 +198,7 @@ def compare_log(
 
     Raises:
         MissingExtraError: The extra that exports a policy, or the one that reads a log, is not installed.
-        UsageError: The file is no such log, is too short, or has other fields than the policy.
+        UsageError: The file is not such a log, is too short, or has other fields than the policy.
     """
     try:
         from deepbots_cli.insight.export.control import ControlStep

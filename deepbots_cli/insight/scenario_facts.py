@@ -49,7 +49,7 @@ class ScenarioFacts:
         return max((entry.history for entry in self.program.agent.observation), default=1)
 
     def is_measured(self, number: ObservedNumber) -> bool:
-        """Return whether a number of the observation may differ in each step: it is no parameter, and no
+        """Return whether a number of the observation may differ in each step: it is not a parameter, and no
         value that depends on parameters alone."""
         entry = next(entry for entry in self.program.agent.observation if entry.name == number.name)
         known_when = entry.value.typed.type.known

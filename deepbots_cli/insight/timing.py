@@ -23,7 +23,7 @@ def timing(scenario: Program) -> list[Mapping[str, object]]:
     """Return, for step n of the agent, from 0, the physics step from which its action acts, and the one after
     which each observation is measured.
 
-    Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value
+    Physics steps count from 1 in each episode. An observation is as old as the oldest value
     that it is computed from: routes, `timing: delayed`, the latency of sensors and `previous` add to its age.
     Other functions with a memory (`delta`, `low_pass`) have the age of their argument. The age varies where a
     delay is drawn, messages may be lost, or a sensor measures less often than the supervisor.

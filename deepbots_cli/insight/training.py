@@ -76,7 +76,7 @@ class TrainingEvidence:
     `final_episodes` are those of the evaluation that `verdict` quotes, and `failed` are the first ones of
     them without success, repeated.
 
-    Of several agents that learned, the evidence is about one, `agent`: its returns, successes, curves and
+    If several agents learned, the evidence is about one, `agent`: its returns, successes, curves and
     actions, beside the policies of the others. `rivals` are the successes of the others in `all_episodes`, by
     name, if the agents compete.
     """
@@ -263,7 +263,7 @@ class TrainingEvidence:
     def earlier_solved(self) -> tuple[Run, list[ChangedValue]] | None:
         """The nearest earlier run that solved the scenario, and what has changed since; None without one."""
         try:
-            # Of several agents, the evidence is about the scenario of one of them.
+            # With several agents, the evidence is about the scenario of one of them.
             return nearest_solved(Run.open(self.run.path) if self.agent else self.run)
         except (DeepbotsError, OSError):
             return None
@@ -336,7 +336,7 @@ def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
 
 
 def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
-    """Return the command that trains the scenario of a run anew, with its seed, options and `--set`, and
+    """Return the command that trains the scenario of a run again, with its seed, options and `--set`, and
     further assignments."""
     record, settings = run.record, dict[str, str]()
     for text in (*changed_settings(record.command), *assignments):

@@ -112,7 +112,7 @@ class Campaign(ABC, Generic[R]):
         """Open a campaign that exists.
 
         Raises:
-            RunError: The folder is no such campaign, its record is damaged, or another version of deepbots
+            RunError: The folder is not such a campaign, its record is damaged, or another version of deepbots
                 wrote it.
         """
         folder = Source.open(path, Permissions(), cls.kind).path

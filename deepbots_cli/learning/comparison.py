@@ -422,7 +422,7 @@ def evaluate_group(
             scenario of the group.
 
     Raises:
-        RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
+        RunError: The folder is not a group, or none of its runs has a model; else as for `evaluate`.
     """
     members = _open_runs(Group.open(group), options.pop("model", "best"))
     judged = None if scenario is None else api.compile(scenario)

@@ -160,7 +160,7 @@ def read_log(path: Path) -> Iterator[dict[str, str]]:
     few columns are left out.
 
     Raises:
-        RunError: The file is not a regular file, is too large, or is no log of episodes.
+        RunError: The file is not a regular file, is too large, or is not a log of episodes.
     """
     with _opened_log(path) as stream:
         if stream is None:
@@ -177,7 +177,7 @@ def read_log_tail(path: Path, size: int) -> list[dict[str, str]]:
     """Read the lines in the last `size` bytes of a `monitor.csv`, as `read_log` does.
 
     Raises:
-        RunError: The file is not a regular file, or is no log of episodes.
+        RunError: The file is not a regular file, or is not a log of episodes.
     """
     with _opened_log(path) as stream:
         if stream is None:
@@ -233,7 +233,7 @@ def _read_header(path: Path, stream: BinaryIO) -> list[str]:
     names = header[1].strip().split(",") if len(header) == 2 else []
     if names and not {*_LEAST_COLUMNS} <= {*names}:
         least = ", ".join(_LEAST_COLUMNS)
-        raise RunError(f"{path} is no log of episodes: the names of its columns must include {least}")
+        raise RunError(f"{path} is not a log of episodes: the names of its columns must include {least}")
     return names
 
 
@@ -274,7 +274,7 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
     without one), and of the `returns` and `successes` of their episodes, as numbers.
 
     Raises:
-        RunError: The file is no regular file, too large, or damaged.
+        RunError: The file is not a regular file, too large, or damaged.
     """
     path = run / "evaluations" / "training.jsonl"
     evaluations: list[dict[str, Any]] = []

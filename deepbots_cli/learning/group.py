@@ -301,7 +301,7 @@ def resume_group(
     continue too.
 
     Raises:
-        RunError: The folder is no group, or is damaged.
+        RunError: The folder is not a group, or is damaged.
         UsageError: Another training uses the group, or a callback or logger does not exist.
     """
     resumed = Group.open(group)

@@ -63,7 +63,7 @@ class JournalFile(JournalFileBackend):
         """Yield the entries after so many lines.
 
         Raises:
-            ValueError: A line is no JSON.
+            ValueError: A line is not JSON.
             RunError: There are too many entries about one trial.
         """
         self._line = log_number_from + 1
@@ -83,7 +83,8 @@ class JournalFile(JournalFileBackend):
         self._line = None
 
     def _check_last_line(self) -> None:
-        """Check the last line, because Optuna leaves out a last line that is no JSON, even if it is complete.
+        """Check the last line, because Optuna leaves out a last line that is not JSON, even if it is
+        complete.
 
         Raises:
             ValueError: It is such a line.
@@ -91,7 +92,7 @@ class JournalFile(JournalFileBackend):
         with self._path.open("rb") as file:
             file.seek(max(0, _end_of_entries(file) - _LAST_BYTES))
             *_, last, _ = [b"", *file.read().split(b"\n")]
-        # A longer line was cut by this reading, so that it is no JSON.
+        # A longer line was cut by this reading, so that it is not JSON.
         if last and len(last) < _LAST_BYTES:
             json.loads(last)
 
@@ -125,7 +126,7 @@ class JournalFile(JournalFileBackend):
         try:
             yield
         except _ERRORS as error:
-            where = "" if self._line is None else f": line {self._line} is no entry of Optuna"
+            where = "" if self._line is None else f": line {self._line} is not an entry of Optuna"
             raise RunError(f"{self._path} is damaged, or was not written by deepbots{where}") from error
         except OSError as error:
             raise RunError(f"{self._path} cannot be read: {error.strerror}") from error

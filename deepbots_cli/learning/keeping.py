@@ -101,7 +101,8 @@ def keep(
             )
         if ref.is_named and not has_model(folder, ref.name):
             raise RunError(
-                f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip"
+                f"{ref.path} is not a model that can be kept; names are such as last.zip and"
+                " step-000020000.zip"
             )
         program = run.program
         before = result.best_model

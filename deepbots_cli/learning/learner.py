@@ -413,7 +413,7 @@ def class_of(training: Training) -> type[Learner]:
     """Return the learner class of the algorithm that the scenario names.
 
     Raises:
-        UsageError: The class of another package cannot be imported, or is no learner.
+        UsageError: The class of another package cannot be imported, or is not a learner.
     """
     if training.agents:
         has_self_play = any(agent_training.self_play is not None for _, agent_training in training.agents)

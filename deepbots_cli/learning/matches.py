@@ -116,7 +116,7 @@ def play_matches(
         on_episode: Called after each episode with the number of finished episodes, and of all.
 
     Raises:
-        RunError: One of these is no run, or is damaged.
+        RunError: One of these is not a run, or is damaged.
         ScenarioError: The scenario has findings at error level.
         UsageError: The scenario does not have two agents, or the agents of a run are others.
     """

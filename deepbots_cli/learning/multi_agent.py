@@ -374,7 +374,7 @@ def has_agents(path: Path) -> bool:
     """Return whether a file is a model of several agents.
 
     Raises:
-        RunError: The file is no model.
+        RunError: The file is not a model.
     """
     try:
         with zipfile.ZipFile(path) as archive, archive.open(_DATA) as member:

@@ -261,7 +261,7 @@ class Shortlist:
         copy_model(self.model(candidate), self._run.model("best"))
 
     def _remove_others(self) -> None:
-        """Remove the files of models that are no candidates any more."""
+        """Remove the files of models that are not candidates any more."""
         models = {self.model(candidate) for candidate in self.candidates}
         for path in self._run.model("best").parent.glob("candidate-*.zip"):
             if path not in models and re.fullmatch(r"candidate-[0-9]{12}\.zip", path.name):

@@ -201,7 +201,7 @@ class Run:
             write_record(path, record)
             return Run(path, record, compiled)
         except BaseException as error:
-            # This includes Ctrl-C. Half a directory is no run, and would block the next one.
+            # This includes Ctrl-C. Half a directory is not a run, and would block the next one.
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
                 raise StorageError(unwritable_message(path, error)) from error

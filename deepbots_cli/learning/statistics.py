@@ -133,7 +133,7 @@ def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tup
     "Estimating means of bounded random variables by betting", J. R. Stat. Soc. B 86, 2024). If the true mean
     is not above `mean`, the first exceeds log(1 / a) after any number of values with a probability of at most
     a. This holds for any distribution within the bounds, also if most values are equal. Values without a
-    lower bound are no evidence of a mean above, and values without an upper bound none of a mean below.
+    lower bound are not evidence of a mean above, and values without an upper bound none of a mean below.
     """
     low, high = bounds
     return _capital([value - mean for value in values], mean - low), _capital(

@@ -42,7 +42,7 @@ class Plan:
     """The plan of a teacher for the next fragment.
 
     Attributes:
-        lesson: The lesson for the collector; None when the teacher is done, or is no script.
+        lesson: The lesson for the collector; None when the teacher is done, or is not a script.
         weight: The weight of the imitation loss.
         only: Whether the policy only imitates.
     """

@@ -304,7 +304,7 @@ def resume(
         UsageError: The run has already reached its total, or another training uses it.
     """
     path = Source.open(run, Permissions(), SourceKind.RUN).path
-    # A folder that is no run is refused as such, even if a training is at work in it.
+    # A folder that is not a run is refused as such, even if a training is at work in it.
     RunRecord.read(path)
     with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.

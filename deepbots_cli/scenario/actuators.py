@@ -212,7 +212,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
     """Yield the class that an entry point names.
 
     Raises:
-        ValueError: It is no class of an actuator kind, or lacks something.
+        ValueError: It is not a class of an actuator kind, or lacks something.
     """
     if not (isinstance(kind, type) and issubclass(kind, JointActuator)):
         raise ValueError(f"{kind!r} is not a subclass of JointActuator")

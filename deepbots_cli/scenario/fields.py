@@ -210,7 +210,7 @@ def check_bounds(
 
 
 def count_literal(text: str) -> int | None:
-    """Return how many numbers a literal such as `1 1 m` contains; None if `text` is no literal, as `1 1
+    """Return how many numbers a literal such as `1 1 m` contains; None if `text` is not a literal, as `1 1
     scale` with a parameter."""
     words = text.split()
     numbers = next((i for i, word in enumerate(words) if not re.fullmatch(_NUMBER, word)), len(words))

@@ -361,14 +361,14 @@ class ScenarioTest(Section):
     )
 
     agent: AgentName | None = None
-    """Of several agents, the one whose results are expected, and whose names conditions may use. Default: the
-    first one."""
+    """With several agents, the one whose results are expected, and whose names conditions may use. Default:
+    the first one."""
     driver: Annotated[dict[AgentName, Annotated[str, Reference("driver")]] | DriverName, FORMS] | None = None
     """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice);
     or who acts for each of several agents."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
-    """Actions of the first steps; the episode stops after the last of them. Of several agents, the action of
-    each: `{hunter: {gas: 1}, prey: {gas: 0}}`; an agent without one does nothing in this step."""
+    """Actions of the first steps; the episode stops after the last of them. With several agents, the action
+    of each: `{hunter: {gas: 1}, prey: {gas: 0}}`; an agent without one does nothing in this step."""
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1
     """Number of episodes."""
     seed: Annotated[int, WholeNumber(0, 1_000_000_000)] = 0

@@ -89,7 +89,7 @@ def read_range(text: str) -> SearchSpace:
     """Return the range that a text writes.
 
     Raises:
-        PydanticCustomError: It is no range of numbers, or is empty.
+        PydanticCustomError: It is not a range of numbers, or is empty.
     """
     field = SearchField()
     marked = _LOG.fullmatch(text)

@@ -484,7 +484,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
     """Yield the class that an entry point names.
 
     Raises:
-        ValueError: It is no class of a sensor kind, or lacks something.
+        ValueError: It is not a class of a sensor kind, or lacks something.
     """
     if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
         raise ValueError(f"{kind!r} is not a subclass of JointSensor, LinkSensor or ContactSensor")

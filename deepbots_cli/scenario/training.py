@@ -199,7 +199,7 @@ class Training(Section):
     self_play: SelfPlay | None = None
     """Train one policy for two equal agents, against itself and past versions of itself."""
     turns: Annotated[int, WholeNumber(1, 10**12)] | None = None
-    """Of several agents that are trained together: number of timesteps for which one of them learns, before
+    """With several agents that are trained together: number of timesteps for which one of them learns, before
     it is the turn of the next one. Default: all learn all the time."""
     symmetry: Symmetry | None = None
     """The mirror symmetry of the task: the policy also learns from the mirror image of each step."""
@@ -519,7 +519,7 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """Yield the model that an entry point names.
 
     Raises:
-        ValueError: It is no model of an algorithm, or lacks something.
+        ValueError: It is not a model of an algorithm, or lacks something.
     """
     if not (isinstance(model, type) and issubclass(model, Training)):
         built_in = ", ".join(built_in.__name__ for built_in in _BUILT_IN)

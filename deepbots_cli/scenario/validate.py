@@ -417,7 +417,8 @@ def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[
 
 
 def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePath | None:
-    """Return the first key on the path that is a section which the file lacks, where its name is no key."""
+    """Return the first key on the path that is a section which the file lacks, where its name is not a
+    key."""
     for depth in range(1, len(path)):
         key, here = path[depth], path[: depth + 1]
         if (

@@ -87,7 +87,7 @@ def test_a_rival_that_is_only_better_is_not_too_strong(hopeless: Path, own: floa
     assert "rival_too_strong" not in [each.cause for each in diagnose(planted)]
 
 
-def test_a_rival_that_got_better_is_no_fall_of_the_policy(hopeless: Path) -> None:
+def test_a_rival_that_got_better_is_not_a_fall_of_the_policy(hopeless: Path) -> None:
     training = evidence_of(hopeless, "right")
     count = len(training.all_episodes)
     training.all_episodes.successes = np.arange(count) < count / 2
@@ -125,7 +125,7 @@ def test_strategies_that_go_round_in_a_circle_are_a_cause(hopeless: Path) -> Non
         (),
     ],
 )
-def test_games_without_a_circle_are_no_cause(hopeless: Path, games: tuple[PoolGames, ...]) -> None:
+def test_games_without_a_circle_are_not_a_cause(hopeless: Path, games: tuple[PoolGames, ...]) -> None:
     assert "strategies_cycle" not in [each.cause for each in diagnose(with_games(hopeless, *games))]
 
 

@@ -414,7 +414,7 @@ def test_findings_count_when_nobody_reads_them(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="a shell's redirections")
 @pytest.mark.parametrize("closed", [">&-", "2>&- >/dev/null", ">&- 2>&-"])
 @pytest.mark.parametrize("verb", few(["--help", "scenarios"], "--help"))
-def test_streams_that_were_closed_from_the_start_are_no_failure(verb, closed):
+def test_streams_that_were_closed_from_the_start_are_not_a_failure(verb, closed):
     assert _in_shell(f"(deepbots {verb} {closed}; echo $? >&9) 9>&1") == "0\n"
 
 

@@ -144,7 +144,7 @@ REORDERED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("old", REORDERED, ids=["reward", "signals", "coordinates"])
-def test_the_order_of_keys_is_no_difference_in_the_task(deepbots, tmp_path, old):
+def test_the_order_of_keys_is_not_a_difference_in_the_task(deepbots, tmp_path, old):
     deepbots("new", "find_ball", "--from", "find_ball", "--json")
     text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
     assert old in text

@@ -1,5 +1,5 @@
-"""Messages of commands about mistakes that are no mistakes of a scenario. Each test is named after the report
-of a user."""
+"""Messages of commands about mistakes that are not mistakes of a scenario. Each test is named after the
+report of a user."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_inspect_has_ranges_in_si_units_as_json(deepbots):
     assert '"low": -0.3490658503988659' in deepbots("inspect", "cartpole", "--json").out
 
 
-def test_a_robot_on_a_large_field_is_no_dot(tmp_path):
+def test_a_robot_on_a_large_field_is_not_a_dot(tmp_path):
     field = "deepbots: 1\nextends: quadruped\nname: Field\n"
     field += "world: {terrain: {type: formula, heights: 1 cm * sin(x / m * 90 deg), size: 40 40 m}}\n"
     (tmp_path / "field.yaml").write_text(field)

@@ -362,7 +362,7 @@ def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_o
     assert (tmp_path / "mine.schema.json").exists()
 
 
-def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_to_write_into(
+def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_not_a_folder_to_write_into(
     deepbots, tmp_path
 ):
     both = deepbots("new", "mine", "--template", "pit", "--urdf", "rover")
@@ -433,7 +433,7 @@ def test_a_world_of_webots_becomes_a_scenario_and_says_what_is_left(deepbots, tm
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--webots", "gone.wbt"], "gone.wbt is no world"),
+        (["--webots", "gone.wbt"], "gone.wbt is not a world"),
         (["--webots", "roller.wbt", "--protos", "gone"], "there is no such folder"),
         (["--webots", "roller.wbt", "--urdf", "epuck"], "cannot be combined"),
         (["--urdf", "epuck", "--protos", "."], "--protos goes with --webots"),

@@ -310,7 +310,7 @@ def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_
     assert f"It is the copy that the training read: {own} was changed since then." in copy.advice
 
 
-def test_lint_is_no_likely_cause_where_the_training_shows_the_opposite(tmp_path):
+def test_lint_is_not_a_likely_cause_where_the_training_shows_the_opposite(tmp_path):
     """ "Avoiding the success pays more" was the first cause of a training whose successes returned 383, and
     the others 117."""
     run = train_shuttle(tmp_path, "reward.stay=1")
@@ -372,7 +372,7 @@ def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path
 # The observation
 
 
-def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_path):
+def test_a_parameter_in_the_observation_is_not_a_sensor_that_detects_nothing(tmp_path):
     """`vx` always 0.5 m/s."""
     training = read_training(
         Run.open(train_shuttle(tmp_path, "augment.wish=speed", "observation.wish=0 .. 1 m/s"))

@@ -52,7 +52,7 @@ def test_what_changed_since_a_solved_run_is_named_with_its_places(solved, tmp_pa
     shown = capsys.readouterr().out
     causes = _causes(run, capsys)
     (cause,) = (cause for cause in causes if cause["cause"] == "changed_since_solved")
-    # The earlier run needed no more steps, so the length of the training is no cause.
+    # The earlier run needed no more steps, so the length of the training is not a cause.
     assert "too_few_steps" not in {other["cause"] for other in causes}
     lines = HARD.splitlines()
     places = [f"mine.yaml:{lines.index(line) + 1}" for line in ("  bonus: 0.001", "  near:  0.1 mm")]

@@ -129,7 +129,7 @@ def test_with_usual_settings_the_advice_is_smaller_updates(short):
     assert first.settings == {"train.learning_rate": "0.005 -> 0.0005"}
 
 
-def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(short):
+def test_a_success_that_is_given_up_for_more_reward_is_not_a_matter_of_settings(short):
     """As where a policy learns to stay beside the mark, which pays more than the mark."""
     training = _fallen(
         short, "train.n_epochs=100", scenario="pit_escape", means=(1, 3, 9, 9, 9, 10, 20, 30, 31, 34)

@@ -346,7 +346,7 @@ def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_
     )
 
 
-def test_a_discount_factor_is_no_cause_where_no_reward_comes_late(tmp_path):
+def test_a_discount_factor_is_not_a_cause_where_no_reward_comes_late(tmp_path):
     half = outcomes(400, 0.5, 0.5)
     flat = {"returns": returns_of(half, 0), "lengths": np.full(400, 60), "success": half}
     late = train_shuttle(tmp_path / "late", "train.gamma=0.85")

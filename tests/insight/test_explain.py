@@ -181,7 +181,7 @@ def test_an_episode_that_is_another_one_here_is_refused(recording):
         list(trace_recorded(opened, [swapped]))
 
 
-def test_an_argument_that_is_no_episode_is_refused_in_a_sentence(recording, tmp_path, capsys):
+def test_an_argument_that_is_not_an_episode_is_refused_in_a_sentence(recording, tmp_path, capsys):
     for shown, words in [
         (str(tmp_path), "is not a run"),
         ("nothing.mcap", "no file, folder or shipped scenario"),

@@ -198,7 +198,7 @@ def build(program: Program, *, render_mode: str | None = None) -> CartPole:
 
 
 class Failing(CartPole):
-    """Gives rewards that are no numbers after a while."""
+    """Gives rewards that are not numbers after a while."""
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observation, _, terminated, truncated, info = super().step(action)

@@ -76,7 +76,7 @@ def test_two_evaluations_are_few_also_where_they_are_the_last_quarter():
     assert decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3]), "success_rate") is not None
 
 
-def test_a_harder_stage_of_the_curriculum_is_no_fall():
+def test_a_harder_stage_of_the_curriculum_is_not_a_fall():
     easy = _evaluations([0.9, 1.0, 1.0, 1.0], stage="easy")
     hard = _evaluations([0.1, 0.2, 0.2, 0.3], stage="hard", every=10_000)
     assert decline([*easy, *hard], "success_rate") is None
@@ -86,7 +86,7 @@ def test_a_harder_stage_of_the_curriculum_is_no_fall():
     assert fall.best_steps == 40_000
 
 
-def test_small_differences_between_nearly_perfect_returns_are_no_fall():
+def test_small_differences_between_nearly_perfect_returns_are_not_a_fall():
     evaluations = _evaluations([0.0, 1.0, 1.0, 1.0, 1.0])
     for number, each in enumerate(evaluations[1:]):
         each["returns"] = [200.0 - 0.3 * number] * 20

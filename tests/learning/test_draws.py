@@ -127,7 +127,7 @@ def test_a_value_that_is_best_in_its_middle_has_no_trend() -> None:
     assert _named(_from(values, [0.25 <= value < 0.75 for value in values])) == []
 
 
-def test_a_rare_option_and_a_rare_failure_that_meet_once_are_no_effect() -> None:
+def test_a_rare_option_and_a_rare_failure_that_meet_once_are_not_an_effect() -> None:
     # One of 5 starts of 500 that drew 1 fails, and 9 others: by chance, this happens in 9.7 % of evaluations.
     values = [1.0] * 5 + [0.0] * 495
     effect = _from(values, [number not in (0, *range(100, 109)) for number in range(500)]).values["value"]
@@ -196,7 +196,7 @@ def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
     assert sorted(drawn_effects(done).values) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
 
 
-def test_a_draw_that_is_no_number_in_a_damaged_log_is_left_out() -> None:
+def test_a_draw_that_is_not_a_number_in_a_damaged_log_is_left_out() -> None:
     done = [
         Episode(0.0, 1, k >= 5, None, drawn={"mixed": ["a", 1.0][k % 2], "nan": float("nan"), "x": float(k)})
         for k in range(10)

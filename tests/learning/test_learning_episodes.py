@@ -42,7 +42,7 @@ def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:
     assert tally.close({}).total_return == 1.0
 
 
-def test_a_reward_that_is_no_number_is_refused_with_the_term_at_fault() -> None:
+def test_a_reward_that_is_not_a_number_is_refused_with_the_term_at_fault() -> None:
     with pytest.raises(DeepbotsError, match=r"step 1 .*\(cost\)"):
         EpisodeAccumulator().add(math.nan, {"reward_terms": {"alive": 1.0, "cost": math.nan}})
 

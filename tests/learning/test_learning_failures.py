@@ -254,7 +254,7 @@ def test_a_kept_episode_without_its_run_is_refused(
     assert "copy the file into the folder `failures` of the run" in capsys.readouterr().err
 
 
-def test_a_scenario_in_json_is_no_kept_episode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scenario_in_json_is_not_a_kept_episode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scenario = tmp_path / "mine.json"
     scenario.write_text('{"deepbots": 1, "extends": "cartpole", "name": "Mine"}')
     assert main(["try", str(scenario), "--episodes", "1"]) == 0

@@ -86,7 +86,7 @@ STATES: dict[str, Callable[[State], object]] = {
     ),
     "a generator of Python that is cut short": lambda state: state.update(python=[3, [1, 2, 3], None]),
     "an evaluation in the future": lambda state: state["callback"].update(evaluated_at=10**9),
-    "a candidate whose return is no number": lambda state: state["callback"].update(
+    "a candidate whose return is not a number": lambda state: state["callback"].update(
         candidates=[{"steps": 4, "episodes": 20, "success_rate": 0.5, "mean_return": float("nan")}]
     ),
     "segments of a replay buffer in disorder": lambda state: state.update(segments=[[0, 10**12], [5, 6]]),
@@ -113,7 +113,7 @@ ARRAYS: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "three million actions": lambda run: {"actions/0": np.zeros(3_000_000, np.int64)},
     "actions of text": lambda run: {"actions/0": np.full(5, "forward")},
     "actions that the scenario does not have": lambda run: {"actions/0": np.full(5, 99)},
-    "actions that are no numbers": lambda run: {"actions/0": np.full(5, np.nan)},
+    "actions that are not numbers": lambda run: {"actions/0": np.full(5, np.nan)},
     "an array of another shape": lambda run: {"torch": np.zeros((2, 2528), np.uint8)},
     "an array of another type": lambda run: {"torch": np.zeros(5056, np.int64)},
     "an array with a name of its own": lambda run: {"more": np.zeros(3)},

@@ -379,7 +379,7 @@ def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -
     assert list_runs(run_copy.parent / "nowhere") == []
 
 
-def test_a_log_that_is_no_text_is_listed_without_it(run_copy: Path) -> None:
+def test_a_log_that_is_not_text_is_listed_without_it(run_copy: Path) -> None:
     (run_copy / "monitor.csv").write_bytes(b"#\xff\n\xff\xfe\n" + bytes(range(256)) * 10)
     record = json.loads((run_copy / "run.json").read_text())
     (run_copy / "run.json").write_text(json.dumps(record | {"result": None}))

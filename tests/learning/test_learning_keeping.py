@@ -154,7 +154,7 @@ def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
     assert stand_in.tree_digest(run.path / "models") == digest
 
 
-def test_a_file_that_is_no_model_is_not_kept(run: Run) -> None:
+def test_a_file_that_is_not_a_model_is_not_kept(run: Run) -> None:
     run.model("step-000000001").write_bytes(b"nothing")
     before = bytes_of(run, "best")
     with pytest.raises(RunError, match="is damaged, or was not written by deepbots"):

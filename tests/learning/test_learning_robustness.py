@@ -223,7 +223,7 @@ def side(**levels: tuple[float, float, float]) -> Side:
     )
 
 
-def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_threshold() -> None:
+def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_not_a_threshold() -> None:
     close = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
     assert close.verdict == (
         "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within"

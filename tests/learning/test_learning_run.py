@@ -67,7 +67,7 @@ def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
     assert new_directory(None, tmp_path / "new" / "runs", "Cart Pole", 0).is_dir()
 
 
-def test_a_folder_that_is_no_run_is_refused_in_one_sentence(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
     for name, reason in (
@@ -323,7 +323,7 @@ def test_a_run_with_any_run_json_opens_or_is_refused_in_a_sentence(
         b" " * 5_000_000,
     ],
 )
-def test_what_is_no_record_or_no_scenario_is_refused(run_copy: Path, content: bytes) -> None:
+def test_content_that_is_not_a_record_or_not_a_scenario_is_refused(run_copy: Path, content: bytes) -> None:
     for name in ("run.json", "resolved.yaml"):
         shutil.copy(run_copy / name, run_copy / "kept")
         (run_copy / name).write_bytes(content)

@@ -380,7 +380,7 @@ def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
 
-def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
+def test_a_reward_that_is_not_a_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
     with pytest.raises(DeepbotsError, match="center"):
         short(tmp_path, build=lambda program, render_mode=None: stand_in.Failing(program, render_mode))
     run = next(tmp_path.iterdir())

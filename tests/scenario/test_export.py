@@ -205,7 +205,7 @@ def test_every_kind_is_listed_and_has_its_condition(schema: Json, key: str, kind
 
 
 @pytest.mark.parametrize("line", ["total_timesteps: 100_000", "learning_rate: 1_000", "n_steps: 1_024"])
-def test_numbers_in_groups_of_three_which_editors_take_for_text_are_no_mistake(
+def test_numbers_in_groups_of_three_which_editors_take_for_text_are_not_a_mistake(
     validator: jsonschema.Draft202012Validator, line: str
 ) -> None:
     scenario: Any = data(CARTPOLE)

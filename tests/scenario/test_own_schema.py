@@ -137,7 +137,7 @@ def test_each_robot_has_its_own_names(own: Own) -> None:
     assert set(listed(schema, "JointSensor.cart", "joint")) == set(JOINTS)
 
 
-def test_a_robot_that_is_added_later_is_no_mistake(own: Own) -> None:
+def test_a_robot_that_is_added_later_is_not_a_mistake(own: Own) -> None:
     later = CARTPOLE.replace(
         "robots:\n",
         "robots:\n  rolling: {urdf: rover, sensors: {turn: {type: joint_position, joint: other}}}\n",
@@ -145,7 +145,7 @@ def test_a_robot_that_is_added_later_is_no_mistake(own: Own) -> None:
     assert faults(own(CARTPOLE), data(later)) == []
 
 
-def test_names_that_are_added_later_are_no_mistake(own: Own) -> None:
+def test_names_that_are_added_later_are_not_a_mistake(own: Own) -> None:
     later = CARTPOLE.replace("    apply: {", "    emit: [pole_angle, turn]\n    apply: {").replace(
         "  cart.pole", "  cart.turn: auto\n  cart.pole"
     )
@@ -172,7 +172,7 @@ def test_a_fault_is_reported_once_and_in_its_place(own: Own, old: str, new: str,
         "rear",
     ],
 )
-def test_patterns_and_groups_are_no_mistake(own: Own, patterns: str) -> None:
+def test_patterns_and_groups_are_not_a_mistake(own: Own, patterns: str) -> None:
     text = CARTPOLE.replace("    apply:", "    groups: {rear: [wheel_rear_*]}\n    apply:").replace(
         "[wheel_*]", patterns
     )
@@ -208,7 +208,7 @@ def test_a_joint_that_does_not_exist_leaves_the_others_listed(own: Own) -> None:
     assert list(listed(schema, "JointSensor.cart", "joint")) == JOINTS
 
 
-def test_where_a_robot_could_not_be_read_the_names_of_all_are_no_mistake(own: Own) -> None:
+def test_where_a_robot_could_not_be_read_the_names_of_all_are_not_a_mistake(own: Own) -> None:
     schema = own(CARTPOLE.replace("robots:\n", "robots:\n  other: {urdf: nowhere}\n"))
     later = CARTPOLE.replace("cart.pole_hinge: uniform", "other.hinge: uniform")
     assert faults(schema, data(later)) == []

@@ -178,7 +178,7 @@ def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Che
     assert set(scenario.train.hyperparameters) == set(train) - {"algorithm", "total_timesteps"}
 
 
-def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
+def test_what_is_said_elsewhere_is_not_a_hyperparameter() -> None:
     assert not [
         name
         for name in SET_ELSEWHERE_HELP

@@ -216,7 +216,7 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
     assert "chose its best model by return\n" in capsys.readouterr().err  # there is nothing to choose
 
 
-def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:
+def test_a_study_is_not_a_run_and_the_message_names_a_trial(whole: Study) -> None:
     with pytest.raises(
         RunError, match=r"is a study of `deepbots tune`.*name one of its trials, such as .*/trial-0"
     ):
@@ -365,7 +365,7 @@ def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path
         journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
     with pytest.raises(
         UsageError,
-        match=r"journal.log is damaged, or was not written by deepbots: line 2 is no entry of Optuna$",
+        match=r"journal.log is damaged, or was not written by deepbots: line 2 is not an entry of Optuna$",
     ):
         study.trials()
 

@@ -344,7 +344,7 @@ def test_endings_are_shares_of_episodes(runs):
     assert [area.get_label() for area in figure.axes[3].collections] == ["crashed", "found"]
 
 
-def test_a_part_of_the_training_with_one_episode_is_no_spike_of_endings(runs):
+def test_a_part_of_the_training_with_one_episode_is_not_a_spike_of_endings(runs):
     lines = [
         f"1,10,0.1,{n},{n if n < 99 else 900 + n},0.1,{int(n == 99)},{'found' if n == 99 else 'crashed'},"
         for n in range(100)
@@ -440,13 +440,13 @@ def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("#{}\na,b\n1,2\n", "is no log of episodes: the names of its columns must include r, l, t"),
+        ("#{}\na,b\n1,2\n", "is not a log of episodes: the names of its columns must include r, l, t"),
         ("#{}\nr,l,t\n" + "1,1,1\n" * 1_000_001, "has more than 1,000,000 episodes"),
         ("#{}\nr,l,t\n" + "1" * 300_000, "it has a line of more than 262,144 bytes"),
         ('#{}\nr,l,t\n1,1,"' + "1\n" * 100_000, "field larger than field limit"),
     ],
 )
-def test_a_file_that_is_no_log_of_episodes_is_refused_in_a_sentence(tmp_path, text, message):
+def test_a_file_that_is_not_a_log_of_episodes_is_refused_in_a_sentence(tmp_path, text, message):
     (tmp_path / "monitor.csv").write_text(text)
     with pytest.raises(RunError, match=message):
         list(read_log(tmp_path / "monitor.csv"))

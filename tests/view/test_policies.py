@@ -98,7 +98,7 @@ def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
     run = Run.open(_trained(tmp_path, "cartpole"))
     run.monitor.write_text("#\nr,l,steps,is_success,ended_by\nx,1,1,0,fallen\n")
     with closing(Page(Showing(str(run.path)), port=0)) as page:
-        assert "monitor.csv is no log of episodes" in page.panel.training.text.content
+        assert "monitor.csv is not a log of episodes" in page.panel.training.text.content
         assert page.player.driver_name == POLICY
 
 

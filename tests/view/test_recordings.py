@@ -316,7 +316,7 @@ def test_an_impossible_action_is_refused_in_a_sentence(find_ball, tmp_path, caps
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
 
 
-def test_a_pipe_is_no_recording(tmp_path):
+def test_a_pipe_is_not_a_recording(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
     with pytest.raises(RecordingError, match="not a regular file"):
         Recording.read(tmp_path / "pipe.mcap")

@@ -73,7 +73,7 @@ def test_a_target_that_moves_is_followed():
     assert trajectories.has_moved(positions["", "agent"])
 
 
-def test_a_wall_that_a_failure_reads_is_no_target():
+def test_a_wall_that_a_failure_reads_is_not_a_target():
     overrides = ["objects.post={shape: box, size: 5 5 5 cm, fixed: true}", "reset.place.post={x: 0.3 m, y:"
                                                                            " 0.3 m}",
                  "termination.failure.hit=contact(cart, post)", "reward.hit=-5 when hit"]  # fmt: skip

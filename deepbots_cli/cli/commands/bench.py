@@ -181,7 +181,7 @@ def counts(text: str, option: str = "--worlds") -> list[int]:
     """Parse the numbers in `1,16,64`.
 
     Raises:
-        UsageError: A part is no whole number from 1.
+        UsageError: A part is not a whole number from 1.
     """
     parts = text.split(",")
     # `isdigit` also accepts digits such as ², which `int` refuses.

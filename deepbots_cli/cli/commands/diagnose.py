@@ -79,7 +79,7 @@ def command(
     ] = False,
     agent: Annotated[
         str | None,
-        option("--agent NAME", "Of several agents that learned, explain only this one; by default each."),
+        option("--agent NAME", "If several agents learned, explain only this one; by default each."),
     ] = None,
     allow_code: AllowCode = False,
 ) -> None:

@@ -56,7 +56,7 @@ def command(
     force: Force = False,
     agent: Annotated[
         str | None,
-        option("--agent NAME", "Of several agents that a run trained, the one whose policy to export."),
+        option("--agent NAME", "If a run trained several agents, the one whose policy to export."),
     ] = None,
     last: Annotated[
         bool, option("--last", "Export the last model instead of the best one.", ADVANCED)

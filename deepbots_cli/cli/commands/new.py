@@ -197,7 +197,7 @@ def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
         UsageError: There is no such file or folder, or no valid scenario comes out.
     """
     if world.suffix != ".wbt" or not world.is_file():
-        raise UsageError(f"{world} is no world; name a file that ends in .wbt")
+        raise UsageError(f"{world} is not a world; name a file that ends in .wbt")
     for folder in library:
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")

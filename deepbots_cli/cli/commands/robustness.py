@@ -107,7 +107,7 @@ def command(
     """Evaluate a policy under changed conditions."""
     ref = ModelRef.open(run, permissions, model="last" if last else "best")
     gates = Gates(min_success, min_return, False)
-    if not ref.run.program.members:  # of several agents, --agent names the one that is evaluated
+    if not ref.run.program.members:  # with several agents, --agent names the one that is evaluated
         gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness

@@ -57,7 +57,7 @@ def command(
         int | None, integer("--steps N", "End after this number of basic time steps; by default, never.")
     ] = None,
     timeout: Annotated[
-        float, option("--timeout SECONDS", "End if a controller makes no step for this time.", min=0.1)
+        float, option("--timeout SECONDS", "End if a controller does not step for this time.", min=0.1)
     ] = 600.0,
     fast: Annotated[
         bool | None,
@@ -151,7 +151,7 @@ def check_world(path: Path) -> None:
     if path.suffix == ".wbt" and path.is_file():
         return
     if path.exists() and not path.is_dir():
-        raise UsageError(f"{path} is no world; name a file that ends in .wbt")
+        raise UsageError(f"{path} is not a world; name a file that ends in .wbt")
     folder = path if path.is_dir() else path.parent
     worlds = sorted(world.name for world in (*folder.glob("*.wbt"), *folder.glob("worlds/*.wbt")))[
         :_MAX_NAMED

@@ -364,8 +364,8 @@ class Build:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether the base is to be fixed: the root is no body, or all of the robot is one limb that reaches
-        out of its foot."""
+        """Whether the base is to be fixed: the root is not a body, or all of the robot is one limb that
+        reaches out of its foot."""
         if self.wheels or self.rotors:
             return False
         if self.model.root == "world" or not any(self.model.link(name).inertial for name in self.trunk):

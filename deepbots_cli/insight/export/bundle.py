@@ -267,7 +267,7 @@ def read_bundle(folder: Path) -> BundleInfo:
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
-        RunError: The folder is no bundle, or one of its files is damaged, of another format or not the one
+        RunError: The folder is not a bundle, or one of its files is damaged, of another format or not the one
             that was exported.
     """
     try:

@@ -102,7 +102,7 @@ def _targets(
     """Return the commands of an action, scaled from their ranges to [-1, 1]: float32 [1, n].
 
     Raises:
-        UsageError: The commands are no sum of multiples of the action, or depend on more than the chosen
+        UsageError: The commands are not a sum of multiples of the action, or depend on more than the chosen
             option.
     """
     # A range without a width has nothing to divide by.

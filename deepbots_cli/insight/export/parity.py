@@ -83,10 +83,10 @@ class Comparison:
             expected = clipped(step.commands[output.name], output)
             apart = float(np.max(np.abs(commands[output.name] - expected) / self._spans[output.name]))
             self.worst = max(self.worst, apart)
-            if not apart <= TOLERANCE:  # also where it is no number
+            if not apart <= TOLERANCE:  # also where it is not a number
                 numbers = f"{commands[output.name].tolist()} instead of {expected.tolist()}"
                 raise UsageError(
-                    f"the exported policy commands '{output.name}' otherwise than the scenario: {numbers};"
+                    f"the exported policy does not command '{output.name}' as the scenario does: {numbers};"
                     " please report this"
                 )
         self.steps += 1
@@ -136,7 +136,8 @@ def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engi
 
 
 class _Rows:
-    """The recorded steps. An episode is cut where two options are equally good, or a command is no number."""
+    """The recorded steps. An episode is cut where two options are equally good, or a command is not a
+    number."""
 
     def __init__(self, bundle: Bundle) -> None:
         self._choices = bundle.info.choices

@@ -160,7 +160,7 @@ def asymmetric(policy: type, columns: Sequence[int]) -> type:
     """Return the class of a policy whose critic sees all columns of an observation.
 
     Raises:
-        TypeError: `policy` is no policy class of Stable-Baselines3 or sb3-contrib with a critic of its own.
+        TypeError: `policy` is not a policy class of Stable-Baselines3 or sb3-contrib with its own critic.
     """
     if hasattr(policy, "make_actor"):
         mixin: type = _OffPolicy

@@ -225,7 +225,7 @@ def _package(algorithm: str) -> str:
 def library_defaults(algorithm: str) -> Mapping[str, object] | None:
     """Return the defaults in the signature of the algorithm's class; None where the library is not installed.
 
-    A default that is no literal is given as its text.
+    A default that is not a literal is given as its text.
     """
     spec = find_spec(_package(algorithm))
     if spec is None or spec.origin is None:
