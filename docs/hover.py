@@ -51,7 +51,8 @@ def _titles(text: str) -> list[str]:
 
 
 def _described(text: str) -> Iterator[tuple[int, str]]:
-    """Where each key of the language begins, and its description; nothing for a text that is no scenario."""
+    """Where each key of the language begins, and its description; nothing for a text that is not a
+    scenario."""
     root = parse(Source("example.yaml", text), Findings())
     if root is None:
         return

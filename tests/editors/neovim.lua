@@ -10,7 +10,7 @@ local function wait(what, condition)
     vim.defer_fn(function() coroutine.resume(here) end, 20)
     coroutine.yield()
   end
-  error("waited in vain for " .. what)
+  error("timed out waiting for " .. what)
 end
 
 local function text() return table.concat(vim.api.nvim_buf_get_lines(0, 0, -1, false), "\n") end

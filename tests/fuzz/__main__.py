@@ -64,7 +64,7 @@ def block(bench: Workbench, start: int, end: int, keep: Path) -> int:
     sampled: dict[int, str] = {}
     for number in range(start, end):
         if number % 200 == 0:
-            gc.collect()  # what one look leaves behind is no part of the memory of the next
+            gc.collect()  # what one look leaves behind is not part of the memory of the next
         try:
             findings = bench.examine(number)
         except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for

@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 @dataclass(frozen=True)
 class Outcome:
     """What became of a hostile file: the codes found at error level, CPU seconds, the exit code, what was
-    opened that is no business of it.
+    opened that is none of its business.
 
     `memory` is the peak of the process so far, in bytes.
     """

@@ -159,7 +159,7 @@ def test_bars_and_baselines_refer_to_parts_of_their_experiment():
             }
         for *agent, option, name in (baseline.options for baseline in experiment.baselines):
             assert option == "--driver"
-            if agent:  # of several agents, one with a script of this name
+            if agent:  # one of several agents, with a script of this name
                 program = measure.compiled(experiment.scenario)
                 assert program.members[agent[1]].program.script(name)
                 continue

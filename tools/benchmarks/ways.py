@@ -43,7 +43,7 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
     first = np.nonzero((starts.ravel() < paths.UNREACHABLE_LENGTH) & ~blocked.ravel())[0]
     edges.append(
         (np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12))
-    )  # 0 is no edge
+    )  # 0 is not an edge
     here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
     lengths = dijkstra(graph, directed=False, indices=blocked.size)[:-1]

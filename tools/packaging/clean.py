@@ -55,7 +55,7 @@ print(json.dumps(commands))
 def build(sources: Path, folder: Path) -> Path:
     """The wheel that the files of the sdist of `sources` alone make."""
     folder.mkdir(parents=True, exist_ok=True)
-    # -P: the folder of deepbots-robot is a package, whose modules are no modules of Hatchling.
+    # -P: the folder of deepbots-robot is a package, whose modules are not modules of Hatchling.
     build = [sys.executable, "-P", "-m", "hatchling", "build", "-d", str(folder), "-t"]
     _run([*build, "sdist"], sources)
     (sdist,) = folder.glob("*.tar.gz")

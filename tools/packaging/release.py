@@ -82,7 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--fetch", action="store_true", help="pip installs what the wheels need, instead of lending it"
     )
     parser.add_argument(
-        "--draft", action="store_true", help="build into `dist` although the state is no release"
+        "--draft", action="store_true", help="build into `dist` although the state is not a release"
     )
     options = parser.parse_args(arguments)
     repository = options.repository.rstrip("/")

@@ -322,7 +322,7 @@ class Bar:
     """A figure and what is asked of it, in every seed or of the mean or median of the seeds.
 
     Of a bar for all seeds, `misses` seeds may miss it. A stretch bar goes beyond what is asked, and to miss
-    it is no failure. `words` replaces the words of the figure.
+    it is not a failure. `words` replaces the words of the figure.
     """
 
     figure: Figure

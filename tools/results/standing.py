@@ -31,7 +31,7 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """Reached or missed; a stretch bar that is not reached is no failure."""
+        """Reached or missed; a stretch bar that is not reached is not a failure."""
         if self.status == "not measured":
             return self.status
         if self.bar.stretch:
