@@ -192,7 +192,7 @@ def _regular_file(folder: Path, name: str) -> Path:
         if path.is_symlink():
             raise BundleError(f"{name} is reached through a symbolic link")
     if not path.is_file():
-        raise BundleError(f"{name} is {'no regular file' if os.path.lexists(path) else 'missing'}")
+        raise BundleError(f"{name} is {'not a regular file' if os.path.lexists(path) else 'missing'}")
     return path
 
 

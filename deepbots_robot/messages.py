@@ -71,7 +71,7 @@ def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
         field = fields.get(name)
         if field is not None and field.is_picture != isinstance(value, bytes):
             return Arrival(
-                message.robot, problem=f"{name} is {'a picture' if field.is_picture else 'no picture'}"
+                message.robot, problem=f"{name} is {'a picture' if field.is_picture else 'not a picture'}"
             )
         values[name] = (
             array.reshape(field.shape) if field is not None and array.size == field.count else array

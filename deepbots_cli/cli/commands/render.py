@@ -99,7 +99,7 @@ def point(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise typer.BadParameter(f"'{text}' is not a point; write x,y,z in m, such as 1,-0.5,0.8") from None
     if not all(abs(part) < 1e6 for part in (x, y, z)):
-        raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or no number")
+        raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or not a number")
     return x, y, z
 
 
