@@ -64,7 +64,7 @@ def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(f
 @pytest.mark.parametrize("ratio", [0.5, 1.5, 0.0, -1.0, float("nan"), float("inf")])
 def test_another_rate_is_refused(folder: Path, ratio: float) -> None:
     loaded = deepbots_robot.load(folder)
-    with pytest.raises(BundleError, match="no whole multiple"):
+    with pytest.raises(BundleError, match="not a whole multiple"):
         loaded.start(ratio * loaded.info.rate_hz)
 
 
