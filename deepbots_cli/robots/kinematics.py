@@ -76,7 +76,7 @@ def placed(
 
 
 def solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
-    """Return the collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
+    """Return the collision shapes that are not meshes, in the frame of the root, with all joints at 0."""
     return [
         (shape, frame)
         for shape, frame in placed(model, lambda link: link.collisions)
