@@ -59,7 +59,7 @@ POLICIES = {
     "quadrotor": Clip(1, render="--seconds 6 --from 0.9,-0.9,1.4 --at 0,0,1 --size 400x267"),
     "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
     "quadruped_rough": Clip(
-        112, render="--case up --episode 1 --follow dog --seconds 6 --speed 2 --size 300x200"
+        134, render="--case up --episode 1 --follow dog --seconds 6 --speed 2 --size 300x200"
     ),
     "see_ball": Clip(1, render="--speed 3"),
     "sumo": Clip(1, render="--seconds 6 --from 0,-1.1,1 --at 0,0,0 --size 400x267"),
