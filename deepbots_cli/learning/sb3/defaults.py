@@ -215,10 +215,11 @@ def library_of(algorithm: str) -> str:
 
 
 def _package(algorithm: str) -> str:
-    """Return the package that has the algorithm. `rsl_rl.PPO` names it, because deepbots has the class that
-    its model imports."""
+    """Return the package that has the algorithm; Stable-Baselines3 for one of a plug-in. `rsl_rl.PPO` names
+    it, because deepbots has the class that its model imports."""
     imported = ALGORITHMS[algorithm].import_path.partition(":")[0]
-    return algorithm.rpartition(".")[0] or imported
+    package = algorithm.rpartition(".")[0] or imported
+    return package if package in _LIBRARY_TITLES else "stable_baselines3"
 
 
 @cache
