@@ -46,7 +46,7 @@ class Clip(NamedTuple):
 
 POLICIES = {
     "balancer": Clip(1, "--engine mujoco", "--seconds 4 --size 300x200"),
-    "biped": Clip(101, render="--case forward --episode 2 --seconds 2.4 --size 300x200"),
+    "biped": Clip(121, render="--case forward --episode 2 --seconds 2.4 --size 300x200"),
     "carry": Clip(101, render="--episode 1 --from 0,-1.9,1.7 --at -0.05,0,0 --size 400x267"),
     "cartpole": Clip(0, render="--seconds 5"),
     "find_and_avoid": Clip(1, render="--speed 3"),
