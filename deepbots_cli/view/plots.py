@@ -174,9 +174,8 @@ def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog
 def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
     teacher = teacher_of(path)
-    recorded = (
-        "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
-    )  # a recording is not part of the scenario
+    # A recording is not part of the scenario.
+    recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
     settings = short_settings(changed_settings(record.command))
     log = TrainingLog(
         path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher
