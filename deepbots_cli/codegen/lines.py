@@ -74,9 +74,10 @@ def wrap_line(line: str) -> list[str]:
 def _head_and_body(statement: re.Match[str]) -> tuple[str, str]:
     """Return what stays before the brackets that a long statement gets, and what is in them."""
     head, body = statement["head"], statement["body"]
-    if body.startswith("not ") and _loosest_operators(body) not in _LOOSER_THAN_NOT:
+    negations = re.match("(?:not )+", body)
+    if negations is not None and _loosest_operators(body) not in _LOOSER_THAN_NOT:
         # Of `not a + b < c`, the piece `(not a + b)` would compare the negation.
-        return f"{head}not ", body.removeprefix("not ")
+        return head + negations[0], body[negations.end() :]
     return head, body
 
 

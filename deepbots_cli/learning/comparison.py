@@ -202,7 +202,8 @@ class GroupDifference:
             return f"{self.group}: cannot be compared, because {reason}"
         low, high = difference.interval
         if low == high == 0:
-            return f"{self.group}: the same {words} in every {'run' if self.between_seeds else 'episode'}"
+            each = "run" if self.between_seeds else "episode"
+            return f"{self.group}: the same {words} as {self.first} in every {each}"
         if compared == "success_rate":
             size, interval = f"{abs(difference.mean) * 100:.1f} points", f"{low:+.1%} .. {high:+.1%}"
         else:

@@ -79,7 +79,7 @@ def explanation(word: str, *, only_concepts: bool = False) -> str:
         return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
     if not explained.entries and (related := related_entries(word)):
         nearest, *others = related
-        more = f"\n\nSee also: {', '.join(map(_link, others))}" if others else ""
+        more = f"\n\nFurther entries: {', '.join(map(_link, others))}" if others else ""
         return f"The entry that is nearest to these words:\n\n{explanation(nearest)}{more}"
     if not explained.entries:
         return _with_links(unknown_word_message(word))
@@ -148,7 +148,8 @@ def _with_links(text: str, itself: str = "") -> str:
 
 
 def _link(word: str) -> str:
-    return f"[{word}]({_LINK}{urllib.parse.quote(word)})"
+    text = word.replace("_", "\\_")  # which would be emphasis
+    return f"[{text}]({_LINK}{urllib.parse.quote(word)})"
 
 
 def _page(name: str, anchor: str) -> str:

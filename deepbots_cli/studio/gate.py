@@ -42,7 +42,7 @@ html:root[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --m
 @media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
 .mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }
 .mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
-div:has(> div > .tabler-icon-cloud-check) { display: none !important; }
+@media (min-width: 36.01em) { div:has(> div > .tabler-icon-cloud-check) { display: none !important; } }
 html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
   display: grid; place-items: center; font: 15px sans-serif; color: var(--mantine-color-dimmed); }
 html.waits::after { content: ""; position: fixed; inset: 0 0 5rem; margin: auto; z-index: 9999; width: 1.6rem;
@@ -63,8 +63,7 @@ addEventListener("keydown", (event) => {
 });
 const begin = Date.now();
 const look = setInterval(() => {
-  const text = document.body?.innerText ?? "";
-  const waits = (!text || /Inactive|Connecting/.test(text)) && Date.now() - begin < 60000;
+  const waits = !document.querySelector(".tabler-icon-cloud-check") && Date.now() - begin < 60000;
   document.documentElement.classList.toggle("waits", waits);
   if (!waits) clearInterval(look);
 }, 150);</script>"""
@@ -72,7 +71,8 @@ const look = setInterval(() => {
 
 - its ground, which would be white before anything is drawn;
 - no notice of viser that the browser draws by software: it covers the robot;
-- no head of the controls while they are connected: the page has the name of the scenario already;
+- no head of the controls while they are connected, because the page has the name of the scenario already; in a
+  narrow window, it opens and closes them;
 - labels of enough contrast, and a place for the scroll bar beside the buttons;
 - the dark colors of `studio.css`, in which the floor of the scene does not glare;
 - the keys that lead out of the page, and those of the editor;

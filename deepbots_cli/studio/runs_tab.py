@@ -346,7 +346,7 @@ class RunsTab:
             show()
 
         def train() -> None:
-            session.use_file_for(values)
+            session.training_options["--timesteps"] = ""  # which would override the file
             self._train()
 
         bar = ui.element("div").classes("studio-bar")
@@ -357,6 +357,7 @@ class RunsTab:
         path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
         task = self._session.commands.run(command, path)
         if path is not None:
+            self._session.training_options["--timesteps"] = ""  # which were too few
             self._show_tab("Train")
         else:
             output.clear()
@@ -382,9 +383,12 @@ def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _unbroken(text: object) -> str:
-    """Return a text in which the two values of a change stay in one line."""
+    """Return a text in which the two values of a change stay in one line, and signs at their numbers and
+    names."""
     return re.sub(
-        r"(?<=\de-)(?=\d)|(?<=--)(?=\w)", "\u2060", str(text or "").replace(" -> ", "\u00a0→\u00a0")
+        r"(?<=\de-)(?=\d)|(?<![\w-])-+",
+        lambda signs: "".join(f"{sign}\u2060" for sign in signs[0]) or "\u2060",
+        str(text or "").replace(" -> ", "\u00a0→\u00a0"),
     )
 
 

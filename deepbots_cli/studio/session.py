@@ -226,7 +226,8 @@ class Session:
             name for (path, name), text in now.items() if self._written.get((path, name), text) != text
         }
         self._written = now
-        if not self.following.leave(self.current):
+        # The robot of a run stays until the text has no errors.
+        if self.language.has_errors(self.current) or not self.following.leave(self.current):
             self.robot.save(tuple(changed))
 
     def _saved_parameters(self) -> dict[tuple[Path, str], str]:
@@ -239,11 +240,6 @@ class Session:
                 text = self.files[path].saved if path in self.files else read_text(path)[0]
                 parameters.update({(path, name): value for name, value in written_parameters(text).items()})
         return parameters
-
-    def use_file_for(self, values: Mapping[str, str]) -> None:
-        """Forget the options of the next training that would override values of the file."""
-        if "train.total_timesteps" in values:
-            self.training_options["--timesteps"] = ""
 
     def write_values(self, values: Mapping[str, str]) -> list[int]:
         """Write values into the text of the current scenario, by the path of each, such as `train.gamma`.
@@ -266,7 +262,8 @@ class Session:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             file.edit([edit])
             lines.append(file.text.count("\n", 0, edit.start))
-        self.use_file_for(values)
+        if "train.total_timesteps" in values:
+            self.training_options["--timesteps"] = ""
         if file.text == before:
             raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)

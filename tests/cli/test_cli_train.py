@@ -333,7 +333,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     shutil.copytree("mine", "other")
     ran = deepbots("compare", "mine", "other", "--episodes", "3")
     assert ran.code == 0, ran.err
-    assert "other: the same mean return in every episode" in ran.out
+    assert "other: the same mean return as mine in every episode" in ran.out
     assert "each group has one run" in ran.out
     report = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
     assert report["differences"][0]["mean_return"] == {

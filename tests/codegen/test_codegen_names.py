@@ -203,6 +203,7 @@ LINES = {
     "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",
     "comparison": f"value = {' + '.join(LONG)} < {' - '.join(LONG)}",
     "negated comparison": f"if not {' + '.join(LONG)} < 1.5 and not {' * '.join(LONG)} == 2.0:",
+    "negations": f"if not not not {' + '.join(LONG)} < 1.5:",
     "definition": f"def apply(self, {', '.join(f'a_long_name_{number}: Any' for number in range(20))}) ->"
     " None:",
     "comment": f"table = {{{', '.join(f'{number}: 1.0' for number in range(30))}}}  # {', '.join(LONG)}",

@@ -171,6 +171,17 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
         assert not page.tab.errors
 
 
+@pytest.mark.parametrize("width", [1000, 480])
+def test_a_narrow_page_shows_the_robot_and_its_controls(folder, new_tab, width):
+    with served(folder, "mine.yaml") as studio:
+        page = StudioTab(new_tab(), studio.address, width, 800)
+        page.wait(RUNS, 60)
+        frame = "document.querySelector('.studio-frame').contentDocument"
+        page.wait(f"{frame}?.body?.innerText.includes('pause')", 60)
+        page.wait(f"!{frame}.documentElement.classList.contains('waits')")
+        assert not page.tab.errors
+
+
 def test_what_has_the_keyboard_is_outlined(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)
