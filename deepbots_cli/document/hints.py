@@ -373,14 +373,32 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         return problem.finding(
             "this line belongs to the value above, so it cannot begin with a key", remedy, at, length
         )
-    if misplaced := _value_out_of_place(problem, line, above):
-        return misplaced
+    if explained := _value_and_block(problem, above) or _value_out_of_place(problem, line, above):
+        return explained
     line_text = problem.rest_of_line(problem.line_start).strip()[:_MAX_SHOWN]
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     remedy = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
         headline, remedy, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
+    )
+
+
+def _value_and_block(problem: _Problem, above: _Line) -> Finding | None:
+    """Report the line above, a key with a value, if an empty line before it shows that it begins a section."""
+    if not problem.source.text.endswith("\n\n", 0, above.start):
+        return None
+    line = problem.rest_of_line(above.start)
+    value = above.start + line.index(":", above.indent + len(above.key)) + 1
+    end = above.start + len(line)
+    fix = Fix((Edit(Span(problem.source, value, end), ""),), safe=False)
+    remedy = f"a key has either a value or an indented block of keys; write `{above.key}:`"
+    return problem.finding(
+        f"{above.name} has a value, and a block below it",
+        remedy,
+        above.start + above.indent,
+        len(above.key),
+        fix,
     )
 
 

@@ -30,7 +30,7 @@ class RunChanges:
 
     def __init__(self) -> None:
         self._started: dict[Path, float] = {}
-        self._texts: dict[tuple[Path, str, Path, str], str] = {}
+        self._texts: dict[tuple[object, ...], str] = {}
 
     def read(self, runs: Sequence[ListedRun]) -> dict[Path, RunChange]:
         """Return the change of each single run; call it in a thread."""
@@ -48,7 +48,8 @@ class RunChanges:
         return changes
 
     def _compared(self, before: ListedRun, run: ListedRun, opened: dict[Path, Run]) -> str:
-        key = (before.path, before.digest, run.path, run.digest)
+        # A resumed training has more timesteps.
+        key = tuple((side.path, side.digest, side.total_timesteps) for side in (before, run))
         if key not in self._texts:
             try:
                 self._texts[key] = self._text(before, run, opened)

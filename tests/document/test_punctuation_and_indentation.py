@@ -103,6 +103,16 @@ def test_a_tab_becomes_spaces() -> None:
     assert _corrected(TEXT.replace("  alive:", "\talive:")) == TEXT
 
 
+def test_a_value_above_the_block_of_a_section_is_removed() -> None:
+    right = "world:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
+    text = TEXT.replace("world: {timestep: 32 ms, substeps: 4}\n", f"\n{right}")
+    assert text != TEXT
+    wrong = text.replace("\nworld:", "\nworld: +")
+    (finding,) = findings_of(wrong)
+    assert finding.headline == "`world` has a value, and a block below it"
+    assert _corrected(wrong) == text
+
+
 def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved() -> None:
     right = "world:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
     text = TEXT.replace("world: {timestep: 32 ms, substeps: 4}\n", right)
