@@ -134,6 +134,12 @@ export default {
       }),
     ];
     this.view = new CM.EditorView({ parent: this.$el, extensions: this.extensions });
+    // A finding that appears below the text must not cover the line that is being written.
+    this.resized = new ResizeObserver(() => {
+      const { head } = this.view.state.selection.main;
+      if (this.view.hasFocus) this.view.dispatch({ effects: CM.EditorView.scrollIntoView(head, { yMargin: 24 }) });
+    });
+    this.resized.observe(this.view.scrollDOM);
     this.lost = () => { this.offlineTimer = setTimeout(() => this.setOffline(true), OFFLINE_AFTER_MS); };
     this.found = () => { clearTimeout(this.offlineTimer); this.setOffline(false); };
     this.hidden = () => { if (this.text() != this.base) this.keep(); };
@@ -151,6 +157,7 @@ export default {
     window.socket?.off("connect", this.found);
     window.removeEventListener("pagehide", this.hidden);
     window.removeEventListener("keydown", this.keyElsewhere, true);
+    this.resized.disconnect();
     this.view.destroy();
   },
   methods: {

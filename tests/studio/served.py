@@ -110,7 +110,8 @@ class StudioTab:
     def click_line(self, begin: str) -> None:
         """Put the cursor at the end of the first visible line that begins so."""
         script = """(() => { const line = [...document.querySelectorAll('.cm-line')].find(
-            line => line.innerText.startsWith(%s)); line.scrollIntoView({block: 'nearest'});
+            line => line.innerText.startsWith(%s)); line?.scrollIntoView({block: 'nearest'});
+            if (!line) return null;  // the page loads
             document.querySelector('.cm-scroller').scrollLeft = 0;
             const range = document.createRange(); range.selectNodeContents(line);
             const box = range.getBoundingClientRect(); return [box.x + 2, box.y + box.height / 2]; })()"""

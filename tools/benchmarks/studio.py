@@ -103,7 +103,7 @@ def wait(page: StudioTab, script: str, seconds: float, what: str) -> None:
 
 def wait_for_robot(page: StudioTab) -> None:
     status = "document.querySelector('.studio-robot .studio-status').innerText"
-    wait(page, f"/^(runs the saved|driven by a script)/.test({status})", 90, "running robot on the page")
+    wait(page, f"/^driven by/.test({status})", 90, "running robot on the page")
 
 
 def keystrokes(page: StudioTab, count: int) -> list[float]:
@@ -246,7 +246,7 @@ async def curve_delays(folder: Path, steps: int) -> list[float]:
     watching = asyncio.create_task(session.run_forever())
     delays: list[float] = []
     words = ["train", "mine.yaml", "--run", "runs/a", "--timesteps", str(steps)]
-    task = session.commands.run(words, "train", Path("runs/a"))
+    task = session.commands.run(words, Path("runs/a"))
     try:
         log = folder / "runs" / "a" / "monitor.csv"
         shown, waiting_since = session.commands.training.curves if session.commands.training else None, 0.0
