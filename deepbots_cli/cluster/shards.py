@@ -56,8 +56,10 @@ class ShardWorker:
         self._shards: dict[int, Any] = {}
 
     def unmet(self, requirements: Requirements, digest: str) -> str | None:
-        """Return what keeps this process from working on the run, as a sentence; None if nothing does. `digest`
-        is that of the program of the run."""
+        """Return what keeps this process from working on the run, as a sentence; None if nothing does.
+
+        `digest` is that of the program of the run.
+        """
         reason = requirements.unmet()
         if reason is None and Run.open(self._path).digest != digest:
             host = socket.gethostname()

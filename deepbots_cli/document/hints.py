@@ -385,7 +385,7 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
 
 
 def _value_and_block(problem: _Problem, above: _Line) -> Finding | None:
-    """Report the line above, a key with a value, if an empty line before it shows that it begins a section."""
+    """Report the line above, a key with a value, if an empty line before it shows that a section begins."""
     if not problem.source.text.endswith("\n\n", 0, above.start):
         return None
     line = problem.rest_of_line(above.start)

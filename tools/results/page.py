@@ -53,7 +53,7 @@ Success, or mean return (without %), held out; median CPU of trainings.
 METHOD = """\
 ## Method
 
-- **Seeds** from 101 on are reported; they chose nothing.
+- **Seeds** that are reported, from 101 on, chose nothing.
 - **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.

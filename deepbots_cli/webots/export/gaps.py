@@ -125,12 +125,13 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
     for actuator in robot.actuators:
         if not isinstance(actuator, Motor):
             gaps.miss(
-                f"The actuator {actuator.name} of {robot.name} cannot be exported: it is not a motor of a joint."
+                f"The actuator {actuator.name} of {robot.name} cannot be exported: it is not a motor of a"
+                " joint."
             )
         elif actuator.stiffness is not None or actuator.no_load_speed is not None:
             gaps.miss(
-                f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no stiffness,"
-                " and no torque that falls with their speed."
+                f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no"
+                " stiffness, and no torque that falls with their speed."
             )
     if not (robot.to_route.perfect and robot.from_route.perfect):
         gaps.differ("Latency, loss and range of messages are left out.")

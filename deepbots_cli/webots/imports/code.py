@@ -87,7 +87,7 @@ class Code:
         return result
 
     def resolve(self, target: str) -> tuple[ModuleCode, str] | None:
-        """Return the module of the project in which an imported name such as `package.module.Class` is defined,
+        """Return the module of the project that defines an imported name such as `package.module.Class`,
         with its name there; "" for the module itself, None for a name of another package."""
         source, _, name = target.rpartition(".")
         if module := self.modules.get(source.rpartition(".")[2]):
