@@ -446,7 +446,7 @@ def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, s
 
 def _policies_of_run(run: Path, agent: str) -> dict[str, str]:
     """Return the model of a run of all agents as the driver of each other agent; empty for any other run."""
-    from deepbots_cli.learning.run import ModelRef
+    from deepbots_cli.learning.runs.run import ModelRef
     from deepbots_cli.rollout.source import SourceKind, folder_kind
 
     if folder_kind(run) is not SourceKind.RUN and run.suffix != ".zip":

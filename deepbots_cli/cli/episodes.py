@@ -12,7 +12,7 @@ from deepbots_cli import rollout
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.learning.episodes import Summary, agent_scores
+from deepbots_cli.learning.runs.episodes import Summary, agent_scores
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.episode import own_episode
 

@@ -9,7 +9,7 @@ from deepbots_cli.cli import records
 from deepbots_cli.cli.tables import table
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.matches import Match, MatchTable
+    from deepbots_cli.learning.agents.matches import Match, MatchTable
 
 
 def match_lines(result: MatchTable) -> Iterator[str]:

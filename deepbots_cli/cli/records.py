@@ -17,23 +17,23 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.episodes import Scores, Summary, agents_text
-from deepbots_cli.learning.records import (
+from deepbots_cli.learning.runs.episodes import Scores, Summary, agents_text
+from deepbots_cli.learning.runs.records import (
     PATIENCE,
     EvaluationRecord,
     RunRecord,
     TrainingResult,
     in_parentheses,
 )
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.statistics import Interval, episodes_above
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.statistics import Interval, episodes_above
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
+    from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
     from deepbots_cli.learning.evaluation import EvaluationResult
-    from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness, Side
     from deepbots_cli.view.frames import WorldFrame

@@ -15,7 +15,7 @@ from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.group import RetryAttempt
+from deepbots_cli.learning.campaigns.group import RetryAttempt
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.retry import Attempted, RetriedTraining

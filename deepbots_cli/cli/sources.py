@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind

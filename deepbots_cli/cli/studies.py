@@ -15,8 +15,8 @@ from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.study import Study, StudyReporter, StudyTrial, TrialProgress
-from deepbots_cli.learning.trials import run_study
+from deepbots_cli.learning.campaigns.study import Study, StudyReporter, StudyTrial, TrialProgress
+from deepbots_cli.learning.campaigns.trials import run_study
 from deepbots_cli.words import counted
 
 _MAX_SHOWN = 10

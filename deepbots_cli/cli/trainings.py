@@ -18,18 +18,18 @@ from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import report
-from deepbots_cli.learning.decline import decline_of
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.runs.decline import decline_of
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
     from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.executor import Executor
-    from deepbots_cli.learning.group import GroupTraining
 
 
 def announce_seed(seed: int, number: int, count: int) -> None:

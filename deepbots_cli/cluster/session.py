@@ -18,7 +18,7 @@ from deepbots_cli.learning.executor import CallOptions, Item, Result
 
 if TYPE_CHECKING:  # these modules import torch, which tests of scenarios do not need
     from deepbots_cli.learning.environments import WorldFactory
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.program.task import Training
     from deepbots_cli.rollout.collector import ShardPool
 

@@ -21,8 +21,8 @@ from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Requirements, WorkerLos
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning.directories import WORKERS_FOLDER
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.directories import WORKERS_FOLDER
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Order, RunningEpisode, ShardResult
 from deepbots_cli.rollout.worlds import Array
 

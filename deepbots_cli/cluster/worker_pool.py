@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.records import versions
+from deepbots_cli.learning.runs.records import versions
 
 MAX_LOSSES = 3
 """The number of workers that may be lost in one fragment of a shard, or in one call."""

@@ -86,10 +86,10 @@ from deepbots_cli.insight.training import (
     run_probes,
     training_command,
 )
-from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.agents.multi_agent import SHARED
 from deepbots_cli.learning.failures import Failure
-from deepbots_cli.learning.multi_agent import SHARED
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import SAME_OBSERVATION
 

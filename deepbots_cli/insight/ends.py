@@ -13,8 +13,8 @@ from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise, usual_settings
-from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.learning.runs.order import measure_of
 
 TOTAL_TIMESTEPS = "train.total_timesteps"
 """The setting whose new value continues a training. A new value of another setting begins another

@@ -30,7 +30,7 @@ from deepbots_cli.insight.statements import (
     statements_about,
 )
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.learning.episodes import agent_returns
+from deepbots_cli.learning.runs.episodes import agent_returns
 
 
 def explain(trace: Trace) -> list[Statement]:

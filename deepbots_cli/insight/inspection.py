@@ -24,9 +24,9 @@ from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.expressions.text import formula_text
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.insight.timing import timing
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effective_hyperparameters
-from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import RandomizedParameter
 from deepbots_cli.program.robots import (

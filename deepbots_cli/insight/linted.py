@@ -18,8 +18,8 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.records import changed_settings
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.records import changed_settings
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 _CODE = Permissions(code=True)

@@ -20,7 +20,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
 from deepbots_cli.insight.world_changes import Act, Array
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver

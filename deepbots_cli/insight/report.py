@@ -38,13 +38,13 @@ from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import read_trainings
-from deepbots_cli.learning.directories import is_training
-from deepbots_cli.learning.draws import draw_labels, drawn_effects
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
-from deepbots_cli.learning.statistics import UNBOUNDED, mean_interval
-from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.runs.directories import is_training
+from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
+from deepbots_cli.learning.runs.records import EvaluationWithEpisodes, in_parentheses
+from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
+from deepbots_cli.learning.runs.statistics import UNBOUNDED, mean_interval
+from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode

@@ -29,13 +29,13 @@ from deepbots_cli.insight.diagnosis import CERTAIN, causes_after
 from deepbots_cli.insight.ends import TOTAL_TIMESTEPS
 from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.statements import Statement
-from deepbots_cli.learning.campaign import evaluate_once, train_member
-from deepbots_cli.learning.directories import new_directory, run_lock
+from deepbots_cli.learning.campaigns.campaign import evaluate_once, train_member
+from deepbots_cli.learning.campaigns.group import MAX_RETRIES, Group, RetryAttempt, new_record
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
-from deepbots_cli.learning.records import RunRecord, TrainingOptions, TrainingResult, changed_settings
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.verdict import RunVerdict
+from deepbots_cli.learning.runs.directories import new_directory, run_lock
+from deepbots_cli.learning.runs.records import RunRecord, TrainingOptions, TrainingResult, changed_settings
+from deepbots_cli.learning.runs.verdict import RunVerdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 OnAttempt = Callable[[Path, RetryAttempt], object]

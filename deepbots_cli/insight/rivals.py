@@ -11,8 +11,8 @@ import numpy as np
 
 from deepbots_cli.insight.statements import Numbers, Percentage, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
-from deepbots_cli.learning.records import PoolGames
-from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.learning.runs.records import PoolGames
+from deepbots_cli.learning.runs.statistics import wilson
 
 _HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
 """The success rates at and below which an agent hardly succeeds, and from which a rival nearly always

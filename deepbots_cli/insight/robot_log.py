@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.rollout.robot_logs import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
-from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.learning.runs.statistics import wilson
 from deepbots_cli.words import sentence_list
 
 Numbers = Mapping[str, Any]

@@ -19,8 +19,8 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.insight.figures import new_figure
 from deepbots_cli.insight.report import svg_uri, write_figure_files
 from deepbots_cli.insight.templates import render_template
-from deepbots_cli.learning.statistics import mean_interval
-from deepbots_cli.learning.study import Journal, Study, StudyTrial
+from deepbots_cli.learning.campaigns.study import Journal, Study, StudyTrial
+from deepbots_cli.learning.runs.statistics import mean_interval
 from deepbots_cli.view.frames import COLORS
 from deepbots_cli.view.plots import THEMES, style_panel
 

@@ -30,7 +30,7 @@ from deepbots_cli.insight.conditions import (
     instrument_program,
 )
 from deepbots_cli.learning import failures
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, play, steps
 from deepbots_cli.rollout.drivers import sequence_driver

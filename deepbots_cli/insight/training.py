@@ -27,16 +27,16 @@ from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_s
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
-from deepbots_cli.learning.changes import ChangedValue, nearest_solved
-from deepbots_cli.learning.decline import Decline, decline
-from deepbots_cli.learning.directories import is_training
-from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
-from deepbots_cli.learning.order import measure_of
-from deepbots_cli.learning.records import changed_settings
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
+from deepbots_cli.learning.runs.decline import Decline, decline
+from deepbots_cli.learning.runs.directories import is_training
+from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.order import measure_of
+from deepbots_cli.learning.runs.records import changed_settings
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
-from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action

@@ -63,7 +63,7 @@ from deepbots_cli.learning.robustness import (
     masses,
     plans,
 )
-from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.runs.run import ModelName, Run
 
 T = TypeVar("T")
 

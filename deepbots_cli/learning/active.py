@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.held_out import Evaluator
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.curriculum import Curriculum
+from deepbots_cli.learning.runs.episodes import Statistics
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.signals import Interruption
 
 if TYPE_CHECKING:

@@ -15,15 +15,15 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.learning.active import OFF_POLICY_FACTOR, ActiveTraining
-from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.confirmations import Confirmations
-from deepbots_cli.learning.episodes import Summary, agent_returns
 from deepbots_cli.learning.held_out import play_script
-from deepbots_cli.learning.order import SHORTLIST, Candidate
-from deepbots_cli.learning.records import PATIENCE
 from deepbots_cli.learning.report import LINE_INTERVAL_S, TrainingProgress
+from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE
+from deepbots_cli.learning.runs.episodes import Summary, agent_returns
+from deepbots_cli.learning.runs.order import SHORTLIST, Candidate
+from deepbots_cli.learning.runs.records import PATIENCE
 from deepbots_cli.learning.scalars import Scalars
-from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
+from deepbots_cli.learning.teaching.teacher import Plan, TeacherState, Teaching
 from deepbots_cli.learning.training_evaluations import URGENT_SHARE, TrainingEvaluations
 
 if TYPE_CHECKING:

@@ -25,10 +25,10 @@ from pydantic import BaseModel, Field, NonNegativeInt, model_validator
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState
-from deepbots_cli.learning.curriculum import CurriculumState
-from deepbots_cli.learning.directories import read_json
-from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.curriculum import CurriculumState
+from deepbots_cli.learning.runs.directories import read_json
+from deepbots_cli.learning.runs.episodes import StatisticsState
+from deepbots_cli.learning.runs.run import Run
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]

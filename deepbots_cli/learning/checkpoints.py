@@ -41,7 +41,7 @@ from deepbots_cli.learning.checkpoint_files import (
     write_arrays,
 )
 from deepbots_cli.learning.learner import Learner
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.rollout.collector import ShardState
 from deepbots_cli.runtime.batch import EpisodeHistory

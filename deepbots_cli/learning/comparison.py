@@ -17,16 +17,16 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
-from deepbots_cli.learning.changes import written_scenario
-from deepbots_cli.learning.directories import run_folders
+from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
 from deepbots_cli.learning.executor import SERIAL, Executor, results
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.order import Measure, measure_of
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
-from deepbots_cli.learning.statistics import (
+from deepbots_cli.learning.runs.changes import written_scenario
+from deepbots_cli.learning.runs.directories import run_folders
+from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.order import Measure, measure_of
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.statistics import (
     Difference,
     Interval,
     compare_episodes,
@@ -34,7 +34,7 @@ from deepbots_cli.learning.statistics import (
     interquartile_mean,
     mean_interval,
 )
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.program.identity import timing_differences
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation_rule import COST_SHARE, Confirmation
-from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.held_out import confirmation_root
 from deepbots_cli.learning.report import Activity
-from deepbots_cli.learning.statistics import Interval
+from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE, Confirmation
+from deepbots_cli.learning.runs.episodes import Summary
+from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.rollout import Episode, Start
 
 CONFIRMATION_PART = 40

@@ -21,20 +21,20 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
+from deepbots_cli.learning.agents.rivals import model_of
 from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
-from deepbots_cli.learning.confirmation_rule import error_level
-from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary, agent_scores
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
-from deepbots_cli.learning.rivals import model_of
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.confirmation_rule import error_level
+from deepbots_cli.learning.runs.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
+from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary, agent_scores
+from deepbots_cli.learning.runs.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED
+from deepbots_cli.learning.runs.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED
-from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Episode, Start, play

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from deepbots_cli.learning.environments import WorldFactory
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.program.task import Training
     from deepbots_cli.rollout.collector import ShardPool
 

@@ -32,9 +32,9 @@ from deepbots_cli.errors import (
     RunError,
     UsageError,
 )
-from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.directories import read_json, write_numbered
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.curriculum import Curriculum
+from deepbots_cli.learning.runs.directories import read_json, write_numbered
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver

@@ -14,7 +14,7 @@ from deepbots_cli.api import build_batch
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import FailureRecorder
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, Start, play

@@ -18,20 +18,20 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.calls import Counter
-from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.learner import steps_of
-from deepbots_cli.learning.order import (
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.order import (
     Candidate,
     Measure,
     copy_model,
     measure_of,
     play_off,
 )
-from deepbots_cli.learning.records import BestModel
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, has_model
+from deepbots_cli.learning.runs.records import BestModel
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, has_model
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 

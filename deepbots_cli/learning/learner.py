@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
     from deepbots_cli.learning.callbacks import TrainingCallback
-    from deepbots_cli.learning.demonstrations import Demonstrations
-    from deepbots_cli.learning.policy_teacher import PolicyTeacher
-    from deepbots_cli.learning.records import PoolGames, Rating
+    from deepbots_cli.learning.runs.records import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
-    from deepbots_cli.learning.teacher import Plan
+    from deepbots_cli.learning.teaching.demonstrations import Demonstrations
+    from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
+    from deepbots_cli.learning.teaching.teacher import Plan
 
 _MAX_DATA_BYTES = 8_000_000
 # By whether the algorithm is on-policy; imported when it is used.
@@ -54,8 +54,8 @@ _SB3_LEARNERS = {
 }
 # By whether agents share a policy that plays against itself.
 _MULTI_AGENT_LEARNERS = {
-    False: "deepbots_cli.learning.multi_agent:MultiAgentLearner",
-    True: "deepbots_cli.learning.self_play:SelfPlayLearner",
+    False: "deepbots_cli.learning.agents.multi_agent:MultiAgentLearner",
+    True: "deepbots_cli.learning.agents.self_play:SelfPlayLearner",
 }
 
 

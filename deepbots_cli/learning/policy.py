@@ -13,7 +13,7 @@ import numpy as np
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import Learner
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.shards import random_numbers_kept
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from deepbots_cli.display import Display
 from deepbots_cli.learning.calls import Watcher
-from deepbots_cli.learning.episodes import agents_text
-from deepbots_cli.learning.order import Candidate, Measure
-from deepbots_cli.learning.records import TrainingResult
+from deepbots_cli.learning.runs.episodes import agents_text
+from deepbots_cli.learning.runs.order import Candidate, Measure
+from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:

@@ -32,11 +32,11 @@ from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_p
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
-from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor, results
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
-from deepbots_cli.learning.statistics import Interval
+from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 from deepbots_cli.words import sentence_list

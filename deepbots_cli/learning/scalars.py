@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.episodes import Summary, agent_returns
-from deepbots_cli.learning.teacher import Plan, Teaching
+from deepbots_cli.learning.runs.episodes import Summary, agent_returns
+from deepbots_cli.learning.teaching.teacher import Plan, Teaching
 
 
 class Scalars:

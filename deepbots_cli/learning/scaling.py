@@ -15,8 +15,8 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import ScenarioError
-from deepbots_cli.learning.episodes import MAX_STEPS
 from deepbots_cli.learning.executor import SERIAL, Executor
+from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.training import train
 from deepbots_cli.learning.training_loop import Iteration
 from deepbots_cli.rollout.collector import CollectTimes

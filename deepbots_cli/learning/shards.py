@@ -22,12 +22,12 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.curriculum import Curriculum
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program import Program
 from deepbots_cli.program.levels import LIMITS, SUCCESS

@@ -19,18 +19,18 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.agents.rivals import model_of
 from deepbots_cli.learning.callbacks import OnEvaluation
 from deepbots_cli.learning.checkpoint_files import latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
-from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.demonstrations import demonstrate, read_recording
-from deepbots_cli.learning.directories import new_directory, run_lock
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
-from deepbots_cli.learning.episodes import MAX_STEPS, Summary
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds, play_script
-from deepbots_cli.learning.policy_teacher import PolicyTeacher, copy_teacher
-from deepbots_cli.learning.records import (
+from deepbots_cli.learning.report import Reporter, reporter
+from deepbots_cli.learning.runs.curriculum import Curriculum
+from deepbots_cli.learning.runs.directories import new_directory, run_lock
+from deepbots_cli.learning.runs.episodes import MAX_STEPS, Summary
+from deepbots_cli.learning.runs.records import (
     FORMAT,
     RunRecord,
     TrainingOptions,
@@ -38,10 +38,10 @@ from deepbots_cli.learning.records import (
     timestamp,
     versions,
 )
-from deepbots_cli.learning.report import Reporter, reporter
-from deepbots_cli.learning.rivals import model_of
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
+from deepbots_cli.learning.teaching.demonstrations import demonstrate, read_recording
+from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher, copy_teacher
 from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training

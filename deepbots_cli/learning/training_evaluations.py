@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation_rule import COST_SHARE
-from deepbots_cli.learning.episodes import AGENTS_COLUMN, Summary, agents_line
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
-from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes
 from deepbots_cli.learning.report import Activity
-from deepbots_cli.learning.statistics import Interval
+from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE
+from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, Summary, agents_line
+from deepbots_cli.learning.runs.order import Candidate, Shortlist, measure_of, most_episodes
+from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.rollout import Episode
 
 if TYPE_CHECKING:

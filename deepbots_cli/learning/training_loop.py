@@ -21,16 +21,15 @@ from deepbots_cli.learning.callbacks import OnEvaluation, TrainingCallback
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.confirmations import Confirmed
-from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate
 from deepbots_cli.learning.environments import WorldFactory, stepping_text
-from deepbots_cli.learning.episodes import EpisodeLog, Statistics, agent_returns
 from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import Executor
 from deepbots_cli.learning.held_out import Evaluator
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.policy_teacher import PolicyTeacher
-from deepbots_cli.learning.records import (
+from deepbots_cli.learning.report import Reporter
+from deepbots_cli.learning.runs.curriculum import Curriculum
+from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, agent_returns
+from deepbots_cli.learning.runs.records import (
     BestModel,
     ChosenBy,
     PoolGames,
@@ -40,13 +39,14 @@ from deepbots_cli.learning.records import (
     TrainingResult,
     write_record,
 )
-from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.signals import signals_handled
-from deepbots_cli.learning.teacher import Teaching
+from deepbots_cli.learning.teaching.demonstrations import Demonstrations, demonstrate
+from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
+from deepbots_cli.learning.teaching.teacher import Teaching
 from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.changes import changed_values, started
-from deepbots_cli.learning.listing import ListedRun
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.campaigns.listing import ListedRun
+from deepbots_cli.learning.runs.changes import changed_values, started
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 
 _MAX_RUNS = 40
 """The number of runs, the newest ones, that are compared: a comparison compiles both scenarios."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.listing import read_listed
+from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.tasks import Task, Tasks
 from deepbots_cli.studio.trainings import WatchedTraining, result_text

@@ -19,7 +19,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.insight.inspection import Tables
-from deepbots_cli.learning.listing import ListedRun, list_runs
+from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
 from deepbots_cli.studio.files import Drafts, OpenFile, read_text

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from deepbots_cli.cli import main as deepbots
-from deepbots_cli.learning.directories import run_lock, write_text
+from deepbots_cli.learning.runs.directories import run_lock, write_text
 from deepbots_cli.studio.tasks import EXIT_NAME, LOG_NAME, TASK_NAME, TaskRecord
 
 

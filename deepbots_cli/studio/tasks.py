@@ -22,7 +22,7 @@ from pydantic import BaseModel, Field
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning.directories import is_training, read_json
+from deepbots_cli.learning.runs.directories import is_training, read_json
 from deepbots_cli.processes import python_command, python_environment
 
 TASK_NAME, LOG_NAME, EXIT_NAME = "task.json", "log", "exit"

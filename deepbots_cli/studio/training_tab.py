@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import ui
 
-from deepbots_cli.learning.listing import ListedRun
+from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.charts import training_chart
 from deepbots_cli.studio.layout import ICONS

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.listing import ListedRun, read_listed
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.plots import TrainingLog, read_logs
 

@@ -15,9 +15,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.files import file_stamps
-from deepbots_cli.learning.episodes import read_log_tail
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.episodes import read_log_tail
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import RANDOM, ZERO

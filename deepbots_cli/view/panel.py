@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.runtime.overview import follows_robot
 from deepbots_cli.view import panel_html, plots
 from deepbots_cli.view.episodes import Player

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.learning.decline import Decline, decline_of
-from deepbots_cli.learning.directories import run_folders
-from deepbots_cli.learning.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
-from deepbots_cli.learning.listing import teacher_of
-from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
-from deepbots_cli.learning.verdict import quoted_evaluation
+from deepbots_cli.learning.campaigns.listing import teacher_of
+from deepbots_cli.learning.runs.decline import Decline, decline_of
+from deepbots_cli.learning.runs.directories import run_folders
+from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
+from deepbots_cli.learning.runs.records import EvaluationRecord, RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
+from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.view.frames import COLORS
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.learning.runs.statistics import wilson
 from figures.drawing import Drawing
 
 EPISODES = (10, 30, 100, 300, 1000)

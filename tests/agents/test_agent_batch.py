@@ -15,7 +15,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.held_out import EvaluationWorlds
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from tests.agents.test_agents import SEVERAL

@@ -16,8 +16,8 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
-from deepbots_cli.learning.records import PoolGames
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.records import PoolGames
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player

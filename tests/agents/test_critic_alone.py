@@ -10,7 +10,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from tests.agents.carts import CARTS
 
 CRITIC = CARTS.replace(

@@ -17,9 +17,9 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.multi_agent import own_model
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector

@@ -14,9 +14,9 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, ScenarioError, UsageError
+from deepbots_cli.learning.agents.matches import play_matches
 from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.matches import play_matches
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import self_play
+from deepbots_cli.learning.agents import self_play
+from deepbots_cli.learning.agents.self_play import SelfPlayLearner, Sides, SidesCollector
 from deepbots_cli.learning.checkpoint_files import latest_checkpoint
 from deepbots_cli.learning.evaluation import load_model
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollector
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.agents import SeatLayout

@@ -14,7 +14,7 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
 from deepbots_cli.rollout.worlds import Worlds

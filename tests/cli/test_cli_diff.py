@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.runs.records import RunRecord
 from tests.few import few
 
 SINGLE = [

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.cli import main
-from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.runs.records import RunRecord
 from tests.cli.conftest import Deepbots
 
 TINY = (

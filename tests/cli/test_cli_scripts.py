@@ -11,7 +11,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.terminal import ProgressBar
-from deepbots_cli.learning.statistics import mean_interval, wilson
+from deepbots_cli.learning.runs.statistics import mean_interval, wilson
 
 BASE = Path(__file__).parents[1] / "golden" / "lint" / "cartpole.yaml"
 SCRIPTED = """\

@@ -26,8 +26,8 @@ from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.cli.conftest import Ran
 
 FAST = (

@@ -11,7 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
-from deepbots_cli.learning.draws import draw_labels, drawn_effects
+from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
 from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
 from deepbots_cli.view import panel_html

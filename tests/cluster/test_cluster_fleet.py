@@ -22,10 +22,10 @@ from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
+from deepbots_cli.learning.campaigns.group import GroupTraining
 from deepbots_cli.learning.executor import SERIAL
-from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress
+from deepbots_cli.learning.runs.records import TrainingResult
 
 SEEDS = (0, 1, 2)
 

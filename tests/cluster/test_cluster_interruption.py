@@ -16,8 +16,8 @@ from test_cluster_shards import children, workers
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.learning import resume, resume_group, train, train_group
+from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.group import Group
 from tests.cluster.calls import square
 from tests.few import few
 from tests.learning.interruption import At, outcome

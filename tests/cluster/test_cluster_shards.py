@@ -24,7 +24,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from tests.cluster.calls import Echo
 from tests.learning.interruption import At
 

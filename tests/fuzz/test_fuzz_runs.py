@@ -15,7 +15,7 @@ from stand_in import hyper
 
 from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program.task import Network, Solved, Training
 from tests.fuzz.run_files import files_of, problems
 

@@ -21,7 +21,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 
 LIST = Path(__file__).with_name("broken.yaml")
 BROKEN = yaml.safe_load(LIST.read_text("utf-8"))

@@ -30,8 +30,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.training import read_training
 from deepbots_cli.learning import train
-from deepbots_cli.learning.episodes import read_evaluations
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.run import Run
 
 SHORT = ("truncation.max_steps=100", "solved=mean_return >= 97 over 100 episodes")
 """A CartPole of half the length, which is evaluated twice as often."""

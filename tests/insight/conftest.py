@@ -8,7 +8,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from tests.insight.logs import train_shuttle
 
 

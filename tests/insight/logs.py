@@ -11,7 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 
 SHUTTLE = Path(__file__).with_name("shuttle.yaml")
 

@@ -25,9 +25,9 @@ from deepbots_cli.insight.statements import Statement, quantity_text
 from deepbots_cli.insight.trace import Trace, TraceRecorder
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
-from deepbots_cli.learning.episodes import SolvedAt
-from deepbots_cli.learning.records import BestModel
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.episodes import SolvedAt
+from deepbots_cli.learning.runs.records import BestModel
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout import Episode
 from tests.insight.logs import (
     SHUTTLE,

@@ -19,8 +19,8 @@ from deepbots_cli.document import shipped
 from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
-from deepbots_cli.learning.decline import Decline
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.decline import Decline
+from deepbots_cli.learning.runs.run import Run
 from tests.few import few
 from tests.insight.collapses import CASES, has_fallen, named, trained
 

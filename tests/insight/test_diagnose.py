@@ -27,12 +27,12 @@ from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
 from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
-from deepbots_cli.learning.directories import run_lock
-from deepbots_cli.learning.episodes import SolvedAt
-from deepbots_cli.learning.group import GroupRecord
-from deepbots_cli.learning.records import EvaluationRecord
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
+from deepbots_cli.learning.campaigns.group import GroupRecord
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.episodes import SolvedAt
+from deepbots_cli.learning.runs.records import EvaluationRecord
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
 from tests.insight.logs import causes_of, evaluations_with, outcomes, returns_of, train_shuttle, with_logs

@@ -18,8 +18,8 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.insight.figures import lessons, outline, trajectories
 from deepbots_cli.insight.report import Report
-from deepbots_cli.learning.group import GroupRecord
-from deepbots_cli.learning.statistics import mean_interval
+from deepbots_cli.learning.campaigns.group import GroupRecord
+from deepbots_cli.learning.runs.statistics import mean_interval
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.rollout import Episode
 from deepbots_cli.view.plots import StageStart

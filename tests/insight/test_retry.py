@@ -17,11 +17,11 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.report import Report
 from deepbots_cli.insight.retry import _is_worse, next_attempt, resume_retries, train_with_retries
 from deepbots_cli.insight.statements import Statement
+from deepbots_cli.learning.campaigns.group import Group, RetryAttempt, resume_group
+from deepbots_cli.learning.campaigns.listing import list_runs
 from deepbots_cli.learning.comparison import evaluate_group
-from deepbots_cli.learning.group import Group, RetryAttempt, resume_group
-from deepbots_cli.learning.listing import list_runs
-from deepbots_cli.learning.records import EvaluationRecord, RunRecord
-from deepbots_cli.learning.verdict import RunVerdict
+from deepbots_cli.learning.runs.records import EvaluationRecord, RunRecord
+from deepbots_cli.learning.runs.verdict import RunVerdict
 
 SCENARIO = """\
 deepbots: 1

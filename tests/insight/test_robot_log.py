@@ -18,7 +18,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout import robot_logs
 from deepbots_cli.rollout.robot_logs import RobotLog
 from deepbots_cli.view.episodes import Showing

@@ -18,7 +18,7 @@ from deepbots_cli.insight.transfer import Gate, Transfer, _names, _works, transf
 from deepbots_cli.insight.world_comparison import WorldComparison, _Kind, _tried, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 from tests.few import few

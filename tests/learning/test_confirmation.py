@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from deepbots_cli.learning.confirmation_rule import (
+from deepbots_cli.learning.confirmations import CONFIRMATION_PART
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES
+from deepbots_cli.learning.runs.confirmation_rule import (
     COST_SHARE,
     FALSE_STOPS,
     MARGIN,
@@ -20,8 +22,6 @@ from deepbots_cli.learning.confirmation_rule import (
     lower_bound,
     required_successes,
 )
-from deepbots_cli.learning.confirmations import CONFIRMATION_PART
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 

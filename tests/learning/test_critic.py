@@ -15,7 +15,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export import bundle
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.learner import Setup, create
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import networks
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import Network, Training

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.decline import decline, paired
-from deepbots_cli.learning.episodes import read_evaluations
+from deepbots_cli.learning.runs.decline import decline, paired
+from deepbots_cli.learning.runs.episodes import read_evaluations
 from tests.few import few
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from deepbots_cli import compile
-from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.episodes import Statistics, StatisticsState
-from deepbots_cli.learning.generations import Generations
+from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
+from deepbots_cli.learning.runs.episodes import Statistics, StatisticsState
+from deepbots_cli.learning.runs.generations import Generations
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 

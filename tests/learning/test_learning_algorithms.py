@@ -25,7 +25,7 @@ from deepbots_cli import api
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models, networks
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment

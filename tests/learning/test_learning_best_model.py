@@ -23,13 +23,13 @@ from deepbots_cli.learning import (
     train,
     training_evaluations,
 )
-from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
-from deepbots_cli.learning.records import PATIENCE, RunRecord
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE
+from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.learning.signals import Interruption
-from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Start

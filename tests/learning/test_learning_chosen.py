@@ -13,7 +13,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.learning import train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from tests.few import few
 
 EXPECTED = {

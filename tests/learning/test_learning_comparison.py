@@ -13,11 +13,11 @@ from stand_in import hyper
 from deepbots_cli.cli import records
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import compare, evaluate, evaluate_group, load_policy, train, train_group
+from deepbots_cli.learning.campaigns.group import GroupTraining
 from deepbots_cli.learning.comparison import GroupDifference
-from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.statistics import compare_episodes, mean_interval
-from deepbots_cli.learning.verdict import last_episodes
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.statistics import compare_episodes, mean_interval
+from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.program.task import Solved, Training
 
 SHORT = Training(

@@ -16,8 +16,8 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Solved, Training
 from deepbots_cli.rollout import Episode

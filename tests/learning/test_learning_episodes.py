@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import EpisodeLog, Statistics, meets_solved
+from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, meets_solved
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
 

@@ -14,8 +14,8 @@ from deepbots_cli.cli.records import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
-from deepbots_cli.learning.episodes import Summary
-from deepbots_cli.learning.verdict import solved_verdict
+from deepbots_cli.learning.runs.episodes import Summary
+from deepbots_cli.learning.runs.verdict import solved_verdict
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 

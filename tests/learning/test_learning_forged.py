@@ -16,7 +16,7 @@ from test_learning_models import members, rewrite
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, resume, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 
 State = dict[str, Any]
 

@@ -31,14 +31,14 @@ from deepbots_cli.learning import (
     train,
     train_group,
 )
+from deepbots_cli.learning.campaigns.group import Group, GroupTraining
+from deepbots_cli.learning.campaigns.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.comparison import GroupDifference
-from deepbots_cli.learning.directories import run_lock
-from deepbots_cli.learning.group import Group, GroupTraining
-from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
-from deepbots_cli.learning.records import short_settings
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.records import short_settings
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode

@@ -12,12 +12,12 @@ from stand_in import hyper
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.keeping import keep, kept_models
 from deepbots_cli.learning.learner import steps_of
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE

@@ -19,7 +19,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.curriculum import LevelSpread
+from deepbots_cli.learning.runs.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program.levels import SUCCESS, Levels
 from deepbots_cli.rollout import Episode
@@ -183,7 +183,7 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
     from contextlib import ExitStack
 
     from deepbots_cli.learning.environments import supervisor_factory
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.learning.shards import WorldPlan
 
     run = Run.open(whole().run)

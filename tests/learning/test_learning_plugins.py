@@ -17,10 +17,10 @@ from stand_in import hyper
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, resume, resume_group, train, train_group
+from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.evaluation import load_model
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program.task import Training
 from tests.learning.interruption import At
 from tests.plugins import test_plugins

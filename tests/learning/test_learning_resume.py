@@ -29,7 +29,7 @@ from deepbots_cli.cli.records import training_text
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import (

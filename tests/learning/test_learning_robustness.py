@@ -25,7 +25,7 @@ from deepbots_cli.learning.robustness import (
     changed_scenario,
     plans,
 )
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import Source
 from tests.few import few

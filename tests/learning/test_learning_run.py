@@ -21,8 +21,8 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.directories import new_directory, numbered_files, run_lock, write_numbered
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.directories import new_directory, numbered_files, run_lock, write_numbered
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.robots.model import Mesh
 
 

@@ -16,7 +16,7 @@ from test_learning_resume import CASES, build_of
 from deepbots_cli.learning import train
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout.collector import Order, RunningEpisode, ShardPool, ShardResult

@@ -18,10 +18,10 @@ from deepbots_cli import api
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.executor import SERIAL
-from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
-from deepbots_cli.learning.teacher import Teaching
+from deepbots_cli.learning.teaching.teacher import Teaching
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record

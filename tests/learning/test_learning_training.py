@@ -26,11 +26,11 @@ from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
-from deepbots_cli.learning.directories import run_lock
-from deepbots_cli.learning.episodes import read_evaluations
-from deepbots_cli.learning.order import Candidate
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Candidate
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState

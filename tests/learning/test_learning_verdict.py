@@ -11,9 +11,9 @@ import stand_in
 from deepbots_cli.cli import main
 from deepbots_cli.cli.records import evaluation_text, interval_text, scores
 from deepbots_cli.learning import evaluate
-from deepbots_cli.learning.listing import read_listed
-from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
+from deepbots_cli.learning.campaigns.listing import read_listed
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
 
 SOLVED_AT = {
     "episode": 3,

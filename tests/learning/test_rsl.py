@@ -32,7 +32,7 @@ from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.learning.rsl import internals
 from deepbots_cli.learning.rsl.learner import RslLearner
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import LocalCollector

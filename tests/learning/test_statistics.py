@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli.learning import statistics as stats
+from deepbots_cli.learning.runs import statistics as stats
 from tests.few import few
 
 

@@ -294,7 +294,7 @@ main(sys.argv[1:])
 @pytest.mark.slow
 def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_same_commands(site):
     pytest.importorskip("stable_baselines3")
-    from deepbots_cli.learning.episodes import read_log
+    from deepbots_cli.learning.runs.episodes import read_log
 
     task = site / "cem.yaml"
     train = (

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.learning.runs.statistics import wilson
 from tools.results import benchmark, measure
 from tools.results.__main__ import main, measured
 from tools.results.benchmark import SEEDS, TASKS, Cell, Task

@@ -20,8 +20,8 @@ import pytest
 
 from deepbots_cli.cli import main as deepbots
 from deepbots_cli.document import shipped
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.statistics import mean_interval
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.statistics import mean_interval
 from tests.few import few
 from tools.results import measure, page, picture
 from tools.results.__main__ import main

@@ -21,11 +21,10 @@ from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.study import StudyReport
-from deepbots_cli.learning import trials
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.listing import list_runs, read_listed
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.study import (
+from deepbots_cli.learning.campaigns import trials
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.listing import list_runs, read_listed
+from deepbots_cli.learning.campaigns.study import (
     SeedScore,
     Study,
     StudyReporter,
@@ -33,7 +32,8 @@ from deepbots_cli.learning.study import (
     TrialResult,
     create_study,
 )
-from deepbots_cli.learning.trials import end_trial, next_trial, run_study, score
+from deepbots_cli.learning.campaigns.trials import end_trial, next_trial, run_study, score
+from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 
@@ -55,7 +55,7 @@ tune:
 DRIVER = """\
 import os, sys
 from deepbots_cli.cli.commands import runs, train, tune
-from deepbots_cli.learning import study, trials
+from deepbots_cli.learning.campaigns import study, trials
 assert "optuna" not in sys.modules
 
 class Killed(study.StudyReporter):

@@ -18,9 +18,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.records import FORMAT, RunRecord, RunResult, write_record
+from deepbots_cli.learning.runs.curriculum import CompletedStage
+from deepbots_cli.learning.runs.episodes import read_log
+from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
 from deepbots_cli.view.panel_html import training_rows
 

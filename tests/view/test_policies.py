@@ -13,7 +13,7 @@ pytest.importorskip("sb3_contrib")
 import deepbots_cli
 from deepbots_cli import learning
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player

@@ -19,7 +19,7 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.frames import rotate_back
 from deepbots_cli.learning import load_policy
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.runtime.streams import derive_seed
 from tools.benchmarks.report import Row, show
 

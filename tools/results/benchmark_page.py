@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from statistics import fmean, median
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.learning.directories import write_text
-from deepbots_cli.learning.statistics import UNBOUNDED, Interval, mean_interval, wilson
+from deepbots_cli.learning.runs.directories import write_text
+from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, mean_interval, wilson
 from tools.results import measure
 from tools.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
 from tools.results.card import NOTE, count, measured_on, number, slug, table, wrapped

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from deepbots_cli.learning import evaluate, evaluate_trained, train
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 
 STEPS, FRESH_EPISODES = 5_000, 2_000
 

@@ -17,8 +17,8 @@ import torch
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.keeping import kept_models
-from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.statistics import wilson
 
 SCENARIO = Path(__file__).with_name("stair.yaml")
 STEPS, CHECKPOINTS, EPISODES, SEED = 500_000, 5, 100, 31

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from deepbots_cli.learning.directories import write_text
+from deepbots_cli.learning.runs.directories import write_text
 from tools.results import measure, picture
 from tools.results.card import (
     NOTE,

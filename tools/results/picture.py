@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepbots_cli.learning.directories import write_text
+from deepbots_cli.learning.runs.directories import write_text
 from tools.results.experiment import Bar, Crossed, Experiment, Mark, Solved
 
 Entry = Mapping[str, Any]

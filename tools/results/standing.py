@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from scipy.special import stdtrit
 
-from deepbots_cli.learning.statistics import ALPHA, wilson
+from deepbots_cli.learning.runs.statistics import ALPHA, wilson
 from tools.results import measure
 from tools.results.experiment import Bar, Experiment, Held, Training, with_unit
 

@@ -13,8 +13,8 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.study import Study
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.rollout.source import Source, SourceKind
 
 Varied = Annotated[

@@ -17,8 +17,8 @@ from deepbots_cli.cli.matches import match_lines
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
-from deepbots_cli.learning.run import ModelName, ModelRef
+from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.words import counted, sentence_list
 

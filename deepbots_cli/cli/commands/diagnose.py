@@ -15,8 +15,8 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, AllowCode, Json, integer, option, whole_number
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.verdict import last_episodes
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.words import counted
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
     from deepbots_cli.insight.trace import Trace
     from deepbots_cli.insight.training import TrainingEvidence
-    from deepbots_cli.learning.records import EvaluationWithEpisodes
+    from deepbots_cli.learning.runs.records import EvaluationWithEpisodes
 
 
 FAILED_EPISODES = "failed"
@@ -329,7 +329,7 @@ def _report(
 def _diagnose(
     run: Path, *, only_logs: bool, as_json: bool, permissions: Permissions, agent: str | None
 ) -> None:
-    from deepbots_cli.learning.group import Group
+    from deepbots_cli.learning.campaigns.group import Group
 
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
     folders = Group.open(source).runs if source.kind is SourceKind.GROUP else [run]

@@ -38,8 +38,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import counted

@@ -19,7 +19,7 @@ from deepbots_cli.cli.sources import run_to_export
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import check_new_folder, refuse_links_within
-from deepbots_cli.learning.run import ModelName, ModelRef
+from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind
 

@@ -39,7 +39,7 @@ from deepbots_cli.engine_kinds import chosen as engine_or_default
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import add
-from deepbots_cli.learning.run import ModelName, ModelRef
+from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.kinematics import resting_height, robot_bounds
 from deepbots_cli.robots.model import Pose

@@ -63,7 +63,7 @@ def command(
         check_output(*(figures / f"{name}.png" for name in names), force=force)
     report: of_runs.Report | of_studies.StudyReport
     if is_study:
-        from deepbots_cli.learning.study import Study
+        from deepbots_cli.learning.campaigns.study import Study
 
         if note := Study.open(run).reading_note:
             terminal.note(note)

@@ -25,7 +25,7 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.group import MAX_RETRIES, Group
+from deepbots_cli.learning.campaigns.group import MAX_RETRIES, Group
 from deepbots_cli.rollout.source import Source, SourceKind
 
 Trained = Annotated[

@@ -25,7 +25,7 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.gates import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.learning.run import ModelRef
+from deepbots_cli.learning.runs.run import ModelRef
 
 
 def command(

@@ -15,8 +15,8 @@ from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.records import EvaluationRecord, short_settings
+from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
+from deepbots_cli.learning.runs.records import EvaluationRecord, short_settings
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 

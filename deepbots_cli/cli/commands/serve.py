@@ -185,7 +185,7 @@ def _exported(folder: Path, stack: ExitStack) -> Path:
     `stack`."""
     from deepbots_cli.cli.sources import run_to_export
     from deepbots_cli.insight.export.bundle import bundle_files
-    from deepbots_cli.learning.run import ModelRef
+    from deepbots_cli.learning.runs.run import ModelRef
 
     ref = ModelRef.open(folder)
     run = run_to_export(ref.run, agent=None)

@@ -34,7 +34,7 @@ from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.group import MAX_RETRIES
+from deepbots_cli.learning.campaigns.group import MAX_RETRIES
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.scenario.training import MAX_SHARDS
 

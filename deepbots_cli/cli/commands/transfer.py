@@ -33,8 +33,8 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.episodes import check_common_measure
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:

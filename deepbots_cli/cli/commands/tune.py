@@ -33,7 +33,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.load import TUNE
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.study import Objective, create_study
+from deepbots_cli.learning.campaigns.study import Objective, create_study
 
 
 def command(

@@ -23,8 +23,8 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.templates import render_template
-from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.learning.verdict import RunVerdict, run_verdict
+from deepbots_cli.learning.runs.run import ModelName, Run
+from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange
 from deepbots_cli.rollout.source import Source, SourceKind

@@ -30,7 +30,6 @@ from stable_baselines3.her import HerReplayBuffer
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
-from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, critics, internals, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.asymmetric import widened
@@ -47,7 +46,8 @@ from deepbots_cli.learning.sb3.imitation import (
 )
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.sb3.symmetry import mirrored_experience
-from deepbots_cli.learning.teacher import Plan
+from deepbots_cli.learning.teaching.demonstrations import Demonstrations
+from deepbots_cli.learning.teaching.teacher import Plan
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import (
     Decision,

@@ -14,7 +14,7 @@ from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFor
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.learning.checkpoint_files import NumpyScalar, Pending
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.sb3.plugins import PluginLogger
 from deepbots_cli.program.task import Training

@@ -16,15 +16,15 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, ScalarNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.campaign import Campaign
-from deepbots_cli.learning.decline import Decline, decline_of
-from deepbots_cli.learning.directories import is_training, numbered_files
-from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log_tail
-from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER
-from deepbots_cli.learning.study import Study
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.campaigns.campaign import Campaign
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.study import Study
+from deepbots_cli.learning.runs.decline import Decline, decline_of
+from deepbots_cli.learning.runs.directories import is_training, numbered_files
+from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
+from deepbots_cli.learning.runs.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
+from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]

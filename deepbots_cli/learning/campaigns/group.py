@@ -30,14 +30,14 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
-from deepbots_cli.learning.directories import WORKERS_FOLDER, new_directory, run_lock
+from deepbots_cli.learning.campaigns.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
 from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
-from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
-from deepbots_cli.learning.records import RunRecord, TrainingOptions, TrainingResult
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
+from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, new_directory, run_lock
+from deepbots_cli.learning.runs.order import Measure, Rank, measure_of, rank
+from deepbots_cli.learning.runs.records import RunRecord, TrainingOptions, TrainingResult
+from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
 from deepbots_cli.learning.signals import Interruption, signals_handled
-from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from statistics import fmean
 from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.directories import is_training, numbered_files
-from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
-from deepbots_cli.learning.run import ModelRef, Run, has_model
-from deepbots_cli.learning.statistics import UNBOUNDED, Interval, gate_rate
+from deepbots_cli.learning.runs.directories import is_training, numbered_files
+from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
+from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
+from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -79,7 +79,7 @@ def solved_verdict(
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    from deepbots_cli.learning.confirmation_rule import Confirmation
+    from deepbots_cli.learning.runs.confirmation_rule import Confirmation
 
     lowest = min(episode.total_return for episode in outcomes)
     highest = max(episode.total_return for episode in outcomes)

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple, Self, TypedDict
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.curriculum import CompletedStage, LevelSpread
-from deepbots_cli.learning.directories import RecordFormat, read_json, write_text
-from deepbots_cli.learning.episodes import Scores, SolvedAt
+from deepbots_cli.learning.runs.curriculum import CompletedStage, LevelSpread
+from deepbots_cli.learning.runs.directories import RecordFormat, read_json, write_text
+from deepbots_cli.learning.runs.episodes import Scores, SolvedAt
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode

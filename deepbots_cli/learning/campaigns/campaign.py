@@ -1,8 +1,8 @@
 """Several trainings of one scenario in one folder. The trainings differ by the plan:
 
-    a group of seeds      seed-0/, seed-1/ ...    other random numbers                  `learning/group.py`
+    a group of seeds      seed-0/, seed-1/ ...    other random numbers                  `learning/campaigns/group.py`
     a group of attempts   try-1/, try-2/ ...      the values that a diagnosis advises   `insight/retry.py`
-    a study               trial-0/, trial-1/ ...  the values of a search                `learning/study.py`
+    a study               trial-0/, trial-1/ ...  the values of a search                `learning/campaigns/study.py`
 
 Each has a record, the copies of its scenario (`inputs/`, `resolved.yaml`), the output of workers (`workers/`)
 and its members. A member is a run; that of a study is a group of seeds. Importing this module does not load
@@ -27,7 +27,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.directories import (
+from deepbots_cli.learning.runs.directories import (
     WORKERS_FOLDER,
     RecordFormat,
     has_ended,
@@ -35,9 +35,9 @@ from deepbots_cli.learning.directories import (
     run_lock,
     write_text,
 )
-from deepbots_cli.learning.records import RunRecord, TrainingResult, timestamp
-from deepbots_cli.learning.run import Run, remove_incomplete
-from deepbots_cli.learning.verdict import quoted_evaluation
+from deepbots_cli.learning.runs.records import RunRecord, TrainingResult, timestamp
+from deepbots_cli.learning.runs.run import Run, remove_incomplete
+from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
 FORMAT = 1

@@ -20,11 +20,11 @@ from pydantic import BaseModel
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.episodes import Scores, agent_scores
 from deepbots_cli.learning.policy import loaded
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.runs.episodes import Scores, agent_scores
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.statistics import Interval, wilson
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.statistics import Interval, wilson
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play

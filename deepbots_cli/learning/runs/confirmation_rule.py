@@ -26,8 +26,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev
 
-from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.statistics import Interval, student_quantile
+from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.fields import MAX_SOLVED_EPISODES

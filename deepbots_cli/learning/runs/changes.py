@@ -13,9 +13,9 @@ from pathlib import Path
 from deepbots_cli.analysis.changes import Change, Effect, WrittenScenario, scenario_changes
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TIMESTEPS = "--timesteps"

@@ -17,10 +17,10 @@ import numpy as np
 from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.learning.agents.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
-from deepbots_cli.learning.records import PoolGames, Rating
+from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program.members import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor

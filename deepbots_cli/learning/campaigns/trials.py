@@ -17,15 +17,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.calls import Attempt, Watcher
-from deepbots_cli.learning.campaign import evaluate_once
-from deepbots_cli.learning.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
-from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
-from deepbots_cli.learning.group import Group, resume_group, train_group
-from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.signals import Interruption, signals_handled
-from deepbots_cli.learning.study import (
+from deepbots_cli.learning.campaigns.campaign import evaluate_once
+from deepbots_cli.learning.campaigns.group import Group, resume_group, train_group
+from deepbots_cli.learning.campaigns.study import (
     Journal,
     Objective,
     SeedScore,
@@ -34,7 +28,13 @@ from deepbots_cli.learning.study import (
     TrialProgress,
     TrialResult,
 )
-from deepbots_cli.learning.verdict import quoted_evaluation
+from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
+from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.verdict import quoted_evaluation
+from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import SourceKind, folder_kind

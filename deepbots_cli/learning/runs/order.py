@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.run import Run
+    from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.rollout import Episode
 
 Measure = Literal["success_rate", "mean_return"]

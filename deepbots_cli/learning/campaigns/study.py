@@ -35,20 +35,20 @@ from deepbots_cli.document import inline_text
 from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.learning.campaign import Campaign, CampaignRecord, Member
-from deepbots_cli.learning.directories import new_directory
-from deepbots_cli.learning.order import Measure, Rank, rank
-from deepbots_cli.learning.records import versions
+from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord, Member
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
+from deepbots_cli.learning.runs.directories import new_directory
+from deepbots_cli.learning.runs.order import Measure, Rank, rank
+from deepbots_cli.learning.runs.records import versions
+from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.journal_file import JournalFile
-    from deepbots_cli.learning.statistics import Difference
+    from deepbots_cli.learning.campaigns.journal_file import JournalFile
+    from deepbots_cli.learning.runs.statistics import Difference
 
 JOURNAL_NAME = "journal.log"
 Objective = Literal["solved", "success_rate", "mean_return"]
@@ -309,7 +309,7 @@ class Study(Campaign[StudyRecord]):
             raise MissingExtraError("tune", "a search over values") from error
         from optuna.storages import JournalStorage
 
-        from deepbots_cli.learning.journal_file import JournalFile
+        from deepbots_cli.learning.campaigns.journal_file import JournalFile
 
         path = self.path / JOURNAL_NAME
         level = optuna.logging.get_verbosity()

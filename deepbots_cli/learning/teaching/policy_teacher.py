@@ -21,7 +21,7 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, EvaluationWorlds
 from deepbots_cli.learning.policy import loaded
-from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Agent
 from deepbots_cli.rollout import Episode

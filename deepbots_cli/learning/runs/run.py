@@ -40,8 +40,8 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_cop
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning.directories import write_numbered, write_text
-from deepbots_cli.learning.records import RunRecord, timestamp, write_record
+from deepbots_cli.learning.runs.directories import write_numbered, write_text
+from deepbots_cli.learning.runs.records import RunRecord, timestamp, write_record
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import ONLY_AGENT

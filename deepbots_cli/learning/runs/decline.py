@@ -27,9 +27,9 @@ from pathlib import Path
 from statistics import NormalDist, fmean, variance
 from typing import Any
 
-from deepbots_cli.learning.episodes import read_evaluations
-from deepbots_cli.learning.order import Measure
-from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Measure
+from deepbots_cli.learning.runs.records import RunRecord
 
 FALSE_ALARMS = 0.01
 """The largest probability of a reported decline in a training whose policy stays the same."""

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, Field
 
-from deepbots_cli.learning.demonstrations import Demonstrations
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.runs.episodes import Summary
+from deepbots_cli.learning.teaching.demonstrations import Demonstrations
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Lesson
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.policy_teacher import PolicyTeacher
+    from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
 
 ENOUGH = 0.95
 """The share of the script's success rate at which imitation alone ends."""

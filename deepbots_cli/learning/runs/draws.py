@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
-from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED, Interval
+from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary
+from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import is_of_member, without_copy
 from deepbots_cli.rollout import Episode
