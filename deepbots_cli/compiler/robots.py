@@ -369,7 +369,10 @@ class Overrides:
     ) -> tuple[str, ...]:
         members, missing = expand_patterns(names, pattern, self.groups)
         if missing:
-            report_unmatched(self.values, self.values.key_span(change.path), pattern, noun, names)
+            kind = Kind.LINKS if noun == "link" else Kind.JOINTS
+            groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is kind]
+            span = self.values.key_span(change.path)
+            report_unmatched(self.values, span, pattern, noun, [*groups, *names])
         return members
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:

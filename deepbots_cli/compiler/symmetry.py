@@ -56,7 +56,8 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
         RangedName(name, 0, part.unit, part.low, part.high) for part in agent.ranges for name in part.names
     ]
     choices = {part.name: [option.name for option in part.options] for part in agent.choices}
-    observation, ranges = reader.mirror("observation", observed), reader.mirror("action", acted)
+    section = "observation with the critic" if agent.critic else "observation"
+    observation, ranges = reader.mirror(section, observed), reader.mirror("action", acted)
     options = reader.options(choices)
     reader.check_flips([entry.name for entry in (*observed, *acted)])
     if observation is None or ranges is None or options is None:
@@ -174,9 +175,19 @@ class _SymmetryReader:
             "DB201",
             (*_PATH, "swap"),
             f"the {section} has no `{image}`, the mirror image of `{name}`{more}",
-            self._longer_words(name, names)
+            self._swapped_values(name, missing)
+            or self._longer_words(name, names)
             or f"change the words under `swap`, or add `{image}` to the {section}",
         )
+
+    def _swapped_values(self, name: str, missing: Mapping[str, str]) -> str:
+        """Return the help where the components of two values change places, as those of `left` and `right`;
+        empty for other names."""
+        value, _, component = missing[name].partition(".")
+        others = [other.partition(".")[0] for other in missing if other.partition(".")[2] == component]
+        if not component or len(others) != 1 or others[0] == value:
+            return ""
+        return f"if `{value}` and `{others[0]}` change places, add `{value}: {others[0]}` to `swap`"
 
     def _longer_words(self, name: str, names: Sequence[str]) -> str:
         """Return the help where a word of a name without mirror image is a part of names that have one; empty

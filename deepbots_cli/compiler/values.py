@@ -354,13 +354,7 @@ class ValueReader:
             if corrected is not None:
                 key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
                 remedy = (remedy or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
-            fix = None
-            if replacement is not None and replacement.at is not None:
-                last_span = text.part(replacement.at - 1, replacement.at)
-                last = text.text[replacement.at - 1]
-                fix = Fix.replacing(last_span, last, f"{last}{replacement.text}", safe=replacement.safe)
-            elif replacement is not None:
-                fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe)
+            fix = None if replacement is None else _fix(text, start, end, replacement, corrected)
             paths = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
             if fix is None and len(paths) == 1:
@@ -584,3 +578,23 @@ class ValueReader:
 
 def _with_unit(number: float, unit: str) -> str:
     return f"{number:g}" if unit == "1" else f"{number:g} {unit}"
+
+
+def _fix(
+    text: SourceText,
+    start: int,
+    end: int,
+    replacement: Replacement,
+    corrected: Callable[[str], str] | None,
+) -> Fix | None:
+    """Return the fix that writes a replacement for `[start, end)` of a text; None if the source has it in
+    another form, such as over several lines."""
+    old, new = text.text[start:end], replacement.text
+    if replacement.at is not None:
+        start, end = replacement.at - 1, replacement.at
+        old = text.text[start:end]
+        new = f"{old}{new}"
+    elif new == CORRECTED_LINE and corrected is not None:
+        start, end, old = 0, len(text.text), text.text
+        new = corrected(old)
+    return Fix.replacing(text.part(start, end), old, new, safe=replacement.safe)

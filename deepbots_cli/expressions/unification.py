@@ -49,6 +49,8 @@ ReportedNode = syntax.Node | Typed | TypedRange
 ANY_SHAPE: Components = ("*",)
 _PLAUSIBLE_LIMIT_FACTOR = 10  # times the plausible limit: beyond it, an engine's sums lose their digits
 _MAX_VALUE = 1e30  # the limit of a dimension without a plausible one
+WHOLE_TEXT = Replacement(CORRECTED_LINE, safe=False)
+"""The replacement of the whole text of an expression by the right one."""
 WHEEL_RADIUS = "2 cm"
 """The radius of the wheel in examples."""
 
@@ -141,9 +143,13 @@ def dimension_of(
         remedy, names = _plain_names(needed.type.dimension, first, value)
         if remedy is None:
             remedy, names = _other_unit(first, value)
-        remedy = remedy or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{_described(first)} is combined with {_described(value)}"
-        raise report_at(report, "DB503", node, headline, remedy, names=names)
+        corrected = None
+        if remedy is None and NUMBER in (first.type.dimension, value.type.dimension):
+            corrected = divided_text(needed, f" / {_divisor(needed.type.dimension)}")
+            remedy = f"both sides need the same dimension; for a plain number, divide by the unit: {CORRECTED_LINE}"
+        remedy = remedy or "both sides need the same dimension; divide by a unit to get a plain number"
+        raise report_at(report, "DB503", node, headline, remedy, names=names, corrected=corrected)
     return first.type.dimension
 
 
@@ -171,8 +177,10 @@ def require_dimension(
     if remedy is None:
         remedy, names = _remedy(value, dimension)
     headline = f"{description} must be {_expected(dimension, noun)}; this is {value.type.description}"
-    corrected = divided_text(value, f" / {WHEEL_RADIUS} * rad") if CORRECTED_LINE in remedy else None
-    raise report_at(report, "DB503", value, headline, remedy, names=names, corrected=corrected)
+    divisor = f"{WHEEL_RADIUS} * rad" if dimension != NUMBER else _divisor(value.type.dimension)
+    corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in remedy else None
+    replacement = WHOLE_TEXT if corrected is not None and dimension == NUMBER else None
+    raise report_at(report, "DB503", value, headline, remedy, replacement, names=names, corrected=corrected)
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -218,7 +226,7 @@ def missing_unit(
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
         plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
-        remedy, replacement = (plain, None) if is_paid else (f"{remedy}; or {plain}", replacement)
+        remedy, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{remedy}; or {plain}", replacement)
     node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
     return report_at(report, "DB502", node, headline, remedy, replacement, corrected=corrected)
@@ -306,7 +314,7 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, dict[str, str | None]
         return (
             "remove its unit"
             if isinstance(value, Constant) and value.unit
-            else f"divide by the unit: `/ {_divisor(dimension)}`"
+            else f"divide by the unit to get a plain number: {CORRECTED_LINE}"
         ), {}
     if dimension == NUMBER:
         return f"give one of its numbers a unit, as in `{needed.example}`", {}

@@ -560,7 +560,7 @@ class _Setting:
         if confirmation is not None:
             yield (
                 f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
-                " the training"
+                " the training; `deepbots eval RUN --seed 1` plays other starts"
             )
         if self.engine and episodes > 1 and not self.program.draws.vary_start:
             yield (

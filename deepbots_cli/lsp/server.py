@@ -35,6 +35,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -436,6 +437,9 @@ class Server(LanguageServer):
         self._register(types.TEXT_DOCUMENT_HOVER, self._at(hover))
         self._register(
             types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris))
+        )
+        self._register(
+            types.TEXT_DOCUMENT_REFERENCES, self._at(lambda view: references(view, self.scenarios.open_uris))
         )
         self._register(
             types.TEXT_DOCUMENT_CODE_ACTION,

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
+from fastapi.staticfiles import StaticFiles
 from nicegui import ui
 
 from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.page import StudioPage, add_style
 from deepbots_cli.studio.session import Session
+from deepbots_cli.studio.start import PICTURES
 from deepbots_cli.view import access
 
 _MEDIA_TYPES = {".html": "text/html", ".mp4": "video/mp4", ".gif": "image/gif", ".png": "image/png"}
@@ -77,6 +79,7 @@ class _Routes:
         application.add_route("/studio/hover", self._hover, methods=["POST"])
         application.add_route("/studio/picture", self._picture, methods=["GET"])
         application.add_route("/studio/output/{number}", self._output, methods=["GET"])
+        application.mount("/studio/pictures", StaticFiles(directory=PICTURES))
 
     async def _complete(self, request: Request) -> Response:
         place = await self._place(request)

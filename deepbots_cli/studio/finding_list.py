@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 
 from nicegui import ui
@@ -12,6 +13,8 @@ from deepbots_cli.studio.language import EditorFinding
 from deepbots_cli.studio.session import Session
 
 _MAX_FINDINGS = 50
+_LOOK_S, _LOOKS = 0.05, 60
+"""The time in s between two looks whether the text is checked, and the most looks for a fix."""
 
 
 class FindingList:
@@ -45,12 +48,18 @@ class FindingList:
             for finding in findings[:_MAX_FINDINGS]:
                 self._add(file, finding)
 
-    def fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
-        """Apply a fix to the present text, in which the places of its edits may have moved."""
-        fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
-        fix = next(fixes, None)
+    async def fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        """Apply a fix to the present text, once it is checked. The finding may have moved since."""
+        language = self._session.language
+        for _ in range(_LOOKS):
+            if language.checked_revision(file.path) == file.revision:
+                break
+            await asyncio.sleep(_LOOK_S)
+        moved = (other for other in language.findings(file.path) if other.is_like(finding))
+        nearest = min(moved, key=lambda other: abs(other.start[0] - finding.start[0]), default=finding)
+        fix = next((fix for fix in language.fixes(file, nearest) if fix.title == title), None)
         if fix is None:
-            self._say("the text has changed since; try again")
+            self._say("the text has changed, and this fix no longer applies")
         else:
             file.edit(fix.edits)
             self._session.edited(file)

@@ -94,6 +94,8 @@ class Notices:
             # A new element begins the animation that hides it.
             box.style(f"animation-duration: {_NOTICE_S}s").props(f"title={json.dumps(text)}")
             box.classes("studio-notice-warning" if is_warning else "")
+            # An element that only is invisible keeps its row of a narrow header.
+            ui.timer(_NOTICE_S, box.delete, once=True)
             ui.label(text)
             ui.button("×", on_click=self._place.clear).props('dense flat aria-label="Close the notice"')
 

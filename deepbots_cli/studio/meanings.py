@@ -6,27 +6,16 @@ The functions are those of the language server.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from lsprotocol import types
+
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inventory import definition
-from deepbots_cli.compiler.namespace import RobotScope
-from deepbots_cli.compiler.values import ScopedExpression
-from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.document import descend
-from deepbots_cli.document.nodes import MappingNode
-from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.insight.inspection import Row, link_rows
-from deepbots_cli.lsp.lookup import (
-    definitions,
-    document_symbols,
-    expression_at,
-    hover,
-    ignore_finding,
-    key_or_value_at,
-)
-from deepbots_cli.lsp.workspace import CursorView, Document, Locator
+from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.uses import references
+from deepbots_cli.lsp.workspace import CursorView, Document
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.fields import with_article
 
@@ -83,18 +72,18 @@ def meaning(view: CursorView, word: str) -> Meaning:
     if view.analysis is None:
         return Meaning(word, text)
     line_of_word = view.document.lines.range(view.offset, view.offset).start.line
-    places = [
-        place.range.start.line
-        for place in definitions(view, {})
-        if place.uri == view.document.uri and place.range.start.line != line_of_word
-    ]
-    span = _definition_span(view)
-    uses = [] if span is None else list(dict.fromkeys(_uses(view, span)))
+
+    def lines_of(places: list[types.Location]) -> list[int]:
+        lines = {place.range.start.line: None for place in places if place.uri == view.document.uri}
+        return [line for line in lines if line != line_of_word]
+
+    texts = view.document.plain.split("\n")
+    uses = [(line, texts[line].partition("  #")[0]) for line in lines_of(references(view, {}))]
     return Meaning(
         word,
         text,
-        tuple(_link(line) for line in dict.fromkeys(places)),
-        tuple(_link(line, text) for line, text in uses[:_MAX_USES] if line != line_of_word),
+        tuple(map(_link, lines_of(definitions(view, {})))),
+        tuple(_link(line, text) for line, text in uses[:_MAX_USES]),
     )
 
 
@@ -160,55 +149,3 @@ def line_link(line: int) -> str:
 def _link(line: int, text: str = "") -> str:
     quoted = text.strip().replace("`", "'")
     return f"{line_link(line)}: `{quoted}`" if quoted else line_link(line)
-
-
-def _definition_span(view: CursorView) -> Span | None:
-    """Return the place of the definition of the word: of a name in an expression, or of a key that is one."""
-    checked = view.checked
-    if checked is None or checked.document.root is None:
-        return None
-    node = expression_at(view)
-    if node is not None and node.name is not None:
-        entry = definition(checked, node.name, node.robot)
-        return entry.span if entry is not None else None
-    target = key_or_value_at(view)
-    if target is None or not target.is_key:
-        return None
-    above, _, steps = descend(checked.document.root, target.path[:-1])
-    if steps < len(target.path) - 1 or not isinstance(above, MappingNode):
-        return None
-    entry_of_key = above.entries.get(str(target.path[-1]))
-    return entry_of_key.key.span if entry_of_key is not None else None
-
-
-def _uses(view: CursorView, span: Span) -> Iterator[tuple[int, str]]:
-    """Yield the lines (from 0) of the document whose expressions use the name that is defined at a span."""
-    assert view.analysis is not None
-    locator = Locator(view.analysis, {})
-    for reading in view.analysis.readings:
-        for name in _names(reading):
-            place = reading.text.part(name.start, name.end)
-            if place.source is view.source and _is_defined_at(view, reading, name, span):
-                line = locator.range(place).start.line
-                yield line, _line(place.source, place.start)
-
-
-def _is_defined_at(view: CursorView, reading: ScopedExpression, name: syntax.Name, span: Span) -> bool:
-    assert view.checked is not None
-    robot = reading.scope.robot if isinstance(reading.scope, RobotScope) else None
-    entry = definition(view.checked, name.dotted, robot)
-    return entry is not None and entry.span == span
-
-
-def _names(reading: ScopedExpression) -> Iterator[syntax.Name]:
-    tree = parser.parse(reading.text.text, ignore_finding)
-    nodes: list[syntax.Node] = [] if tree is None else [tree]
-    while nodes:
-        node = nodes.pop()
-        if isinstance(node, syntax.Name):
-            yield node
-        nodes += syntax.children(node)
-
-
-def _line(source: Source, offset: int) -> str:
-    return source.text[source.text.rfind("\n", 0, offset) + 1 :].partition("\n")[0].partition("  #")[0]

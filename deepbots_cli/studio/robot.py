@@ -31,7 +31,8 @@ class Robot:
 
     Attributes:
         reference: The scenario or run that it shows.
-        state: The last state that it has sent; None while it starts.
+        address: The URL of its page; empty while there is none.
+        state: The last state that it has sent about `reference`; None before.
         crashes: How often it has crashed since it was last asked for something else.
         problem: A sentence if there is no process.
     """
@@ -43,22 +44,23 @@ class Robot:
         self._tasks: set[asyncio.Task[None]] = set()
         self._loads = 0
         self._deadline: float | None = None
-        self.reference = ""
+        self.reference = self.address = ""
         self.driver: str | None = None
         self.frame_rate = _FRAME_RATE
         self.state: RobotState | None = None
         self.crashes = 0
         self.problem = ""
 
-    @property
-    def address(self) -> str:
-        """The URL of the page of the robot, empty while there is none."""
-        return self.state.address if self.state is not None else ""
-
     def show(self, reference: str | Path, driver: str | None = None) -> None:
-        """Show a scenario or a run, in a new process."""
+        """Show a scenario or a run, in the process that runs, if there is one."""
         self.reference, self.driver, self.crashes = str(reference), driver, 0
-        self._start()
+        if self._process is None or self.is_stuck or self.state is None:
+            self._start()
+        else:
+            self.state = None
+            self._send(Command(verb="show", name=self.reference, value=driver or ""))
+            self._ask(self._loads + 1)
+            self._on_change()
 
     def save(self, changed: tuple[str, ...]) -> None:
         """Read the files again; the parameters `changed` take the values of the file."""
@@ -121,7 +123,7 @@ class Robot:
             await self._end()
             await self._run()
 
-        self.state, self.problem = None, ""
+        self.state, self.address, self.problem = None, "", ""
         task = asyncio.get_running_loop().create_task(run())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -130,7 +132,7 @@ class Robot:
     async def _run(self) -> None:
         """Run the process, and start it again after a crash."""
         while self.crashes < _MAX_CRASHES:
-            self.state = None
+            self.state, self.address = None, ""
             try:
                 process = self._process = await _open_process()
             except OSError as error:
@@ -162,7 +164,7 @@ class Robot:
             self.problem = (
                 f"the process of the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
             )
-        self.state = None
+        self.state, self.address = None, ""
         self._on_change()
 
     async def _listen(self, process: asyncio.subprocess.Process) -> None:
@@ -176,10 +178,14 @@ class Robot:
             if not line:
                 return
             try:
-                self.state = RobotState.model_validate_json(line)
+                state = RobotState.model_validate_json(line)
             except ValidationError:  # a print of a library
                 continue
-            if self.state.loaded >= self._loads:
+            is_newest = state.loaded >= self._loads
+            if self.state is None and not is_newest and state.state != "failed":
+                continue  # of what was shown before
+            self.state, self.address = state, state.address
+            if is_newest:
                 self._deadline, self.problem = None, ""
             self._on_change()
 

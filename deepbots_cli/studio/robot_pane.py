@@ -195,8 +195,9 @@ class RobotPane:
         """Show below the scene which keys drive, while a person does."""
         keys = state.keys if state is not None and state.driver == HAND else ()
         results = (state.last, state.best, state.goal) if state is not None else ()
+        ended = state.ended if state is not None else ""
         is_paused, waits = (state.paused, state.waiting) if state is not None else (False, False)
-        shown = (keys, is_paused, waits, results)
+        shown = (keys, is_paused, waits, results, ended)
         if shown == self._shown_keys:
             return
         self._shown_keys = shown
@@ -219,7 +220,7 @@ class RobotPane:
                         ui.label(effect)
             numbers = zip(("last return", "best", "goal"), results, strict=False)
             texts = (f"{name} {value:.4g}" for name, value in numbers if value is not None)
-            ui.label(", ".join(texts)).classes("studio-keys-results")
+            ui.label(", ".join(filter(None, (ended, *texts)))).classes("studio-keys-results")
 
     def update_parameters(self) -> None:
         """Show which parameters of the running world differ from the saved text, and whether the text has

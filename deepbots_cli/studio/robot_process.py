@@ -43,10 +43,11 @@ class RobotRequest(BaseModel, strict=True, frozen=True):
 class Command(BaseModel, strict=True, frozen=True):
     """A command to the process.
 
-    `reload` reads the files again, after the parameters `names` have returned to the values of the file.
+    `show` shows the scenario or run `name`, driven by `value`, or by its default if that is empty. `reload`
+    reads the files again, after the parameters `names` have returned to the values of the file.
     """
 
-    verb: Literal["reload", "driver", "parameter", "restart", "frame_rate"]
+    verb: Literal["show", "reload", "driver", "parameter", "restart", "frame_rate"]
     name: str = ""
     value: str = ""
     names: tuple[str, ...] = ()
@@ -60,13 +61,14 @@ class RobotState(BaseModel, strict=True, frozen=True):
         state: `running`; `outdated`, if the files have errors and the world is an earlier one; `errors`, if
             there was none; `failed`, if the process could not start.
         text: The reason of `errors` and `failed`.
-        loaded: The number of times that the files were read.
+        loaded: The number of times that files were read.
         changed: The values that replace parameters of the file.
         note: What the driver says about itself, such as the steps of a policy in training.
         keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
         waiting: Whether the episode waits for the first key of the person.
         paused: Whether time stands still until the person continues.
-        last, best: The returns of the last and of the best episode of the present driver, None before one.
+        ended: How the last episode of the present driver ended; empty before.
+        last, best: The returns of the last and of its best episode, None before one.
         goal: The mean return with which the task is solved, None without one.
     """
 
@@ -82,6 +84,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     keys: tuple[tuple[tuple[str, ...], str], ...] = ()
     waiting: bool = False
     paused: bool = False
+    ended: str = ""
     last: float | None = None
     best: float | None = None
     goal: float | None = None
@@ -106,13 +109,18 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
 
     threading.Thread(target=read, daemon=True).start()
     loaded, looks, shown = 1, 0, ""
+    refusals: list[DeepbotsError] = []
 
     def obey(command: Command) -> None:
         nonlocal loaded, looks
         try:
             _obey(page, command)
+        except DeepbotsError as error:
+            if command.verb != "show":
+                raise
+            refusals.append(error)
         finally:
-            loaded += command.verb == "reload"
+            loaded += command.verb in ("show", "reload")
             looks = -1
 
     def must_end() -> bool:
@@ -122,6 +130,8 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
             if command is None:
                 return True
             page.submit(lambda command=command: obey(command))  # type: ignore[misc]
+        if refusals:
+            raise refusals[0]
         looks += 1
         if looks % _STATE_INTERVAL == 0:
             text = _state(page, loaded).model_dump_json()
@@ -137,7 +147,9 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
 
 
 def _obey(page: Page, command: Command) -> None:
-    if command.verb == "reload":
+    if command.verb == "show":
+        page.show_source(command.name, command.value or None)
+    elif command.verb == "reload":
         page.restore_parameters(command.names)
         page.reload()
     elif command.verb == "parameter":
@@ -169,6 +181,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         keys=tuple(playback.manual_input.effects()) if player.driver_name == HAND else (),
         waiting=playback.waiting,
         paused=playback.paused,
+        ended=playback.last_ending,
         last=playback.last_return,
         best=playback.best_return if playback.last_return is not None else None,
         goal=solved.mean_return if (solved := player.program.agent.solved) is not None else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 
 from nicegui import ui
 
@@ -14,6 +15,8 @@ _ABOUT = (
     "A scenario is one YAML file: a robot, what its policy sees and does, and its reward. Begin with one of these;"
     " you can change all of it. Then press Train, and the robot learns."
 )
+PICTURES = Path(__file__).with_name("pictures")
+"""The folder of pictures by name, which `tools/gallery_pictures.py` makes."""
 _FIRST = "cartpole"
 """The template for those who begin."""
 
@@ -46,6 +49,8 @@ class StartPage:
         with ui.element("div").classes(f"studio-choices {classes}"):
             for name, summary in summaries.items():
                 with ui.element("button").classes("studio-choice").props('type="button"') as choice:
+                    if (PICTURES / f"{name}.webp").is_file():
+                        ui.element("img").props(f'src="studio/pictures/{name}.webp" alt="" loading="lazy"')
                     with ui.element("span").classes("studio-choice-name"):
                         ui.label(name)
                         if kind == Kind.template and name == _FIRST:

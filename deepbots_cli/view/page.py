@@ -175,6 +175,17 @@ class Page:
         """Return these parameters to the values of the file; the world shows them from its next reload on."""
         self._changed = {name: text for name, text in self._changed.items() if name not in names}
 
+    def show_source(self, reference: str, driver: str | None = None) -> None:
+        """Show another scenario or run from its first episode, driven by `driver` or by its default.
+
+        Raises:
+            UsageError, RunError: There is no such source; the page is empty.
+        """
+        self._source = dataclasses.replace(self._source, reference=reference)
+        self._changed = {}
+        self.playback.leave(driver)
+        self.reload()
+
     def submit(self, task: Callable[[], None]) -> None:
         """Run a function in the thread that owns the environments. An error of it is shown on the page."""
         self._tasks.put(task)

@@ -75,6 +75,7 @@ class Playback:
         stopped: The title and the text (HTML) of an error that ended the episode.
         ended_at: The time (`time.monotonic`, s) at which the episode ended; 0 before.
         played, successes, best_return, last_return: The results of the page so far, with the present driver.
+        last_ending: How the last episode ended, such as `failure: fallen`; empty before.
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class Playback:
         self.successes = 0
         self.best_return = -math.inf
         self.last_return: float | None = None
+        self.last_ending = ""
         self._on_begin = on_begin
         self._on_change = on_change
         self._recorded = 0
@@ -126,6 +128,17 @@ class Playback:
             player.close()
         self.worlds = []
         self.rival = None
+
+    def leave(self, driver: str | None) -> None:
+        """Close the worlds, and forget the results, before those of another source with its `driver` are
+        shown."""
+        self.close_players()
+        self.driver, self.paused, self.episode = driver, False, 0
+        self._forget_results()
+
+    def _forget_results(self) -> None:
+        self.played = self.successes = 0
+        self.best_return, self.last_return, self.last_ending = -math.inf, None, ""
 
     # Episodes
 
@@ -159,8 +172,7 @@ class Playback:
     def set_driver(self, name: str) -> None:
         assert self.player is not None
         self.driver = name
-        self.played = self.successes = 0
-        self.best_return, self.last_return = -math.inf, None
+        self._forget_results()
         self.player.set_driver(name)
         self.begin()
 
@@ -268,6 +280,7 @@ class Playback:
             self.ended_at = time.monotonic()
             self.played, self.successes = self.played + 1, self.successes + frame.is_success
             self.last_return = next(iter(frame.agents.values())).episode_return
+            self.last_ending = frame.ending
             self.best_return = max(self.best_return, self.last_return)
             self._on_change()
         if self.driven is not None:

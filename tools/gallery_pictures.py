@@ -1,0 +1,43 @@
+"""The pictures of templates and shipped scenarios on the first page of the studio: `python -m
+tools.gallery_pictures [NAME ...]` takes some seconds for each."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from deepbots_cli.document.shipped import scenario_names
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio.dialogs import templates
+from deepbots_cli.studio.start import PICTURES
+
+_SIZE, _RENDERED = (320, 200), "1280x800"
+_FOLLOWED = {"quadrotor": "drone", "quadruped_rough": "dog"}
+"""The robots that are too small in a picture of the whole world."""
+
+
+def main(names: list[str]) -> None:
+    for name in names or [*templates(), *scenario_names()]:
+        with tempfile.TemporaryDirectory() as folder:
+            shown = name
+            if name in templates() and name not in scenario_names():
+                _run(folder, "new", name, "--template", name)
+                shown = f"{name}.yaml"
+            camera = ("--follow", _FOLLOWED[name]) if name in _FOLLOWED else ()
+            _run(folder, "render", shown, "-o", "start.png", "--size", _RENDERED, *camera)
+            with Image.open(Path(folder, "start.png")) as picture:
+                small = picture.convert("RGB").resize(_SIZE, Image.Resampling.LANCZOS)
+            small.save(PICTURES / f"{name}.webp", quality=80, method=6)
+        print(name, flush=True)
+
+
+def _run(folder: str, *words: str) -> None:
+    subprocess.run(python_command("deepbots_cli", *words), cwd=folder, env=python_environment(), check=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
