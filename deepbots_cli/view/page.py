@@ -298,6 +298,7 @@ class Page:
 
     def _clear(self) -> None:
         """Show an empty scene, and an empty panel beside it."""
+        self._controls = None
         self.server.gui.reset()
         self.server.scene.reset()
         self.server.gui.main_panel.dock_right()

@@ -95,6 +95,25 @@ def test_the_fix_of_a_slip_gives_back_the_right_text(
     assert [finding.code for finding in fixer.fixed] == [code]
 
 
+@pytest.mark.parametrize(
+    ("written", "fixed"),
+    [
+        ("1 - abs(x)", "1 - abs(x) / m"),
+        ("-abs(cart.pole_angle)", "-abs(cart.pole_angle) / rad"),
+        ('"x + 2 cm"', '"(x + 2 cm) / m"'),
+        ("0.1 * speed^2", "0.1 * speed^2 / (m^2/s^2)"),
+    ],
+)
+def test_the_fix_of_a_reward_with_a_unit_divides_by_it(tmp_path: Path, written: str, fixed: str) -> None:
+    path = tmp_path / "paid.yaml"
+    path.write_text(
+        f"deepbots: 1\nextends: cartpole\nname: Paid\nreward: {{near: {written}}}\n", encoding="utf-8"
+    )
+    assert Fixer([str(path)], api.load).fix() == []
+    (rewrite,) = Fixer([str(path)], api.load, unsafe=True).fix()
+    assert rewrite.after.decode().endswith(f"reward: {{near: {fixed}}}\n")
+
+
 @pytest.mark.slow
 def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, list[Finding]]) -> None:
     mended = 0

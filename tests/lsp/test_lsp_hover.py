@@ -63,6 +63,14 @@ def test_a_name_leads_to_its_definition(client, pit, around, file, place):
     assert client.definition(pit, around) == [place_of(file, place)]
 
 
+@pytest.mark.parametrize("around", ["{rad¦ius: 2.7 m", "reach > rad¦ius"])
+def test_the_uses_of_a_name_are_listed_at_its_definition_and_at_a_use(client, pit, around):
+    places = ("reach / ¦radius if", "reach < ¦radius  ", "reach > ¦radius}", "reach < ¦radius}}")
+    assert sorted(client.references(pit, around)) == sorted(
+        place_of("pit_escape.yaml", place) for place in places
+    )
+
+
 @pytest.mark.parametrize(("around", "file", "place"), TABLES["included"])
 def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(
     client, ball, around, file, place

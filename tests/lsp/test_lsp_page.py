@@ -28,7 +28,7 @@ def quoted(text: str) -> list[str]:
 
 
 def test_the_table_has_examples():
-    assert len(ROWS) == 9
+    assert len(ROWS) == 10
     assert set(PLACES) <= {row for row, _ in ROWS}
 
 
@@ -66,6 +66,11 @@ def test_an_example_of_a_definition_is_what_the_page_says(client, pit, ball, row
         assert (file, dict(ROWS)[row]) == ("epuck.yaml", "that file")
     else:
         assert dict(ROWS)[row] == f"line {line + 1} of `{file}`"
+
+
+def test_the_example_of_references_is_what_the_page_says(client, pit):
+    ((uses, text),) = [row for row in ROWS if row[0].endswith("references")]
+    assert text == f"the {len(client.references(pit, quoted(uses)[0]))} places that use it"
 
 
 def test_the_settings_of_editors_can_be_read_and_start_the_server():

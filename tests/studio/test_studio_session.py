@@ -286,6 +286,43 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
     asyncio.run(run())
 
 
+def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opened(folder):
+    (folder / "other.yaml").write_text(SCENARIO.replace("15 deg", "20 deg"), encoding="utf-8")
+    (folder / "broken.yaml").write_text(SCENARIO.replace("15 deg", "15 parsec"), encoding="utf-8")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            session, robot = running.session, running.session.robot
+            session.show(Path("mine.yaml"))
+            await running.runs()
+            pid, address = running.robot_pid, robot.address
+            robot.set_parameter("fall_angle", "0.3 rad")
+            await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
+
+            robot.show(folder / "other.yaml", "zero")
+            assert (robot.state, robot.address) == (None, address)
+            await running.runs()
+            assert (robot.state.driver, robot.state.changed) == ("zero", {})
+            assert robot.state.parameters == {"fall_angle": "20 deg"}
+
+            robot.show(folder / "broken.yaml")
+            await running.until(lambda: robot.state is not None)
+            assert robot.state.state == "errors"
+
+            robot.show(folder / "other.yaml")
+            await running.runs()
+            assert (running.robot_pid, robot.address) == (pid, address)
+            assert robot.state.driver == "random"
+
+            robot.show(folder / "runs" / "gone")
+            await running.until(lambda: robot.problem)
+            assert "gone" in robot.problem
+            robot.show(folder / "mine.yaml")
+            await running.runs()
+
+    asyncio.run(run())
+
+
 @pytest.mark.slow
 def test_a_crashed_robot_is_named_and_started_again(folder):
     async def run() -> None:
