@@ -580,7 +580,7 @@ def values(scenario: Program) -> dict[str, str]:
     """Return every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
     leaves = _leaves(
-        replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=(), levels=None), ""
+        replace(scenario.with_agent(robots=(), success=()), cases=(), curriculum=(), levels=None), ""
     )
     texts: dict[str, str] = {}
     for path, text in leaves:

@@ -319,13 +319,11 @@ def _program(namespace: Namespace) -> Program:
         timing=spec.messages.timing,
         parameters=parameters.drawn(),
         signals=ordered,
-        agents={
-            agent.name: replace(
-                agent,
-                robots=tuple(commanded(robots, action, ordered)),
-                action=actions.with_conditions(action),
-            )
-        },
+        agent=replace(
+            agent,
+            robots=tuple(commanded(robots, action, ordered)),
+            action=actions.with_conditions(action),
+        ),
         endings=signals.endings(),
         truncation=limits,
         reset=_complete_reset(reset, namespace, builders, timestep),

@@ -77,7 +77,7 @@ def combined_program(
     bodies = (_named(owners.get(body.name, first).world.robots, body.name) for body in first.world.robots)
     program = replace(
         first,
-        agents={ONLY_AGENT: combined},
+        agent=combined,
         world=replace(first.world, robots=tuple(bodies)),
         robots=tuple(
             renamings[drivers[robot.name]].robot(_named(owners[robot.name].robots, robot.name))

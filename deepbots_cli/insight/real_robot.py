@@ -157,7 +157,7 @@ def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list
         rewards = (replace(program.agent.reward[0], lowered=(Const(0.0),)),)
     endings = tuple(ending for ending in program.endings if f"termination.{ending.name}" not in dropped)
     names = {ending.name for ending in endings}
-    program = program.with_agents(
+    program = program.with_agent(
         reward=rewards,
         success=tuple(name for name in program.agent.success if name in names),
     )

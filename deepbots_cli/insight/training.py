@@ -328,7 +328,7 @@ def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
     if training is None:
         return {}
     bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
-    unset = program.with_agents(training=bare)
+    unset = program.with_agent(training=bare)
     return {
         entry.name: entry.value
         for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)

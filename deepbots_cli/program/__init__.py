@@ -5,7 +5,7 @@
     ├── robots                controllers: sensors, emitted values, commands, message layouts, routes
     ├── parameters            values drawn per episode or more often (fixed ones are folded)
     ├── signals               augmentation and signals, in order of evaluation
-    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training
+    ├── agent                 robots, action, observation, goal, reward, success, scripts, training
     ├── action_repeat         control ticks in one step, for which each action is held
     ├── endings, truncation   the ends of an episode
     ├── reset, disturbances   the start of an episode, its variations and disturbances
@@ -16,7 +16,7 @@
 values.py        Expression, the leaf of all of these
 world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
-task.py          agents, endings, training, evaluation
+task.py          agent, endings, training, evaluation
 levels.py        levels of a curriculum, and how a world changes its own
 members.py       several agents, and where the program of all has the parts of each
 resets.py        placements, randomized parameters
@@ -67,15 +67,16 @@ class Program:
     - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a
       whole.
 
-    There is one agent, `agent`. `engine` is the engine that the scenario names, None for the default.
+    `engine` is the engine that the scenario names, None for the default.
     `stored_signals` names the signals that the supervisor stores after each step, as `last_NAME`; only
     programs of `insight`, which explains episodes, have any. The compiler returns no `tests`: `deepbots test`
     adds those whose conditions the generated code computes. `supplied_by` has the supplier of each reading of
     the world for a real robot. `ros` has the topics of sensors and commands that the scenario names. `levels`
     is the curriculum of a level for each world, None without one.
 
-    If the scenario has several agents, `members` has them by name, and `agent` has the actions, observations
-    and rewards of all of them in a row. The program of one of them has the `others`, who act by themselves.
+    If the scenario has several agents, `members` has the program of each by name, and `agent` drives all
+    robots: it has the actions, observations and rewards of all of them in a row. The program of one of them
+    has the `others`, who act by themselves.
     `links` are the messages from robot to robot.
     """
 
@@ -88,7 +89,7 @@ class Program:
     timing: Timing
     parameters: tuple[Expression, ...]
     signals: tuple[Expression, ...]
-    agents: Mapping[str, Agent]
+    agent: Agent
     endings: tuple[Expression, ...]
     truncation: Truncation
     reset: Reset
@@ -108,24 +109,20 @@ class Program:
     links: tuple[Link, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"ros", "stored_signals", "supplied_by", "tests"}
+        """Return the fields that count for the digest. `agent` is in a mapping, as when the first digests were
+        written."""
+        left_out = {"agent", "ros", "stored_signals", "supplied_by", "tests"}
         left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
         left_out |= {"levels"} if self.levels is None else set()
         left_out |= set() if self.members else {"members"}
         left_out |= {"others"} if self.others is None else set()
         left_out |= set() if self.links else {"links"}
-        return {
+        counted = {
             name: value
             for name, value in vars(self).items()
             if name in self.__dataclass_fields__ and name not in left_out
         }
-
-    @cached_property
-    def agent(self) -> Agent:
-        """The agent of this program. With several agents, it is the one that drives all robots, and `members`
-        has the program of each of them, with an agent of its own."""
-        (agent,) = self.agents.values()
-        return agent
+        return {**counted, "agents": {self.agent.name: self.agent}}
 
     @property
     def has_rivals(self) -> bool:
@@ -157,9 +154,9 @@ class Program:
             return ()
         return tuple(script.name for script in self.agent.scripts)
 
-    def with_agents(self, **changes: Any) -> Program:
-        """Return the program with the same fields of every agent changed."""
-        return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
+    def with_agent(self, **changes: Any) -> Program:
+        """Return the program with fields of its agent changed."""
+        return replace(self, agent=replace(self.agent, **changes))
 
     @cached_property
     def with_critic(self) -> Program:
@@ -167,30 +164,28 @@ class Program:
         end."""
         if not self.agent.critic:
             return self
-        agents = {name: agent.with_critic for name, agent in self.agents.items()}
+        agent = self.agent.with_critic
         if self.others is not None:
-            return replace(self, agents=agents, others=self.others.with_critic)
-        return self._with_members(
-            agents, {name: member.program.with_critic for name, member in self.members.items()}
-        )
+            return replace(self, agent=agent, others=self.others.with_critic)
+        programs = {name: member.program.with_critic for name, member in self.members.items()}
+        return self._with_members(agent, programs)
 
     def with_critic_of(self, name: str) -> Program:
         """Return the program of all agents in which only one of them has the values of its critic, too."""
         member = self.members[name]
         names = {qualified_name(name, entry.name) for entry in member.program.agent.critic}
         entries = tuple(entry for entry in self.agent.critic if entry.name in names)
-        agents = {key: replace(agent, critic=entries).with_critic for key, agent in self.agents.items()}
+        agent = replace(self.agent, critic=entries).with_critic
         programs = {key: entry.program for key, entry in self.members.items()}
-        return self._with_members(agents, programs | {name: member.program.with_critic})
+        return self._with_members(agent, programs | {name: member.program.with_critic})
 
-    def _with_members(self, agents: Mapping[str, Agent], programs: Mapping[str, Program]) -> Program:
+    def _with_members(self, agent: Agent, programs: Mapping[str, Program]) -> Program:
         """Return the program of all agents with other observations, given the agent of all and the program of
         each."""
         names = {name: member.names for name, member in self.members.items()}
-        (agent,) = agents.values()
         members = members_of(programs, names, agent)
         shared = {name: replace(member, policy=self.members[name].policy) for name, member in members.items()}
-        return replace(self, agents=agents, members=shared)
+        return replace(self, agent=agent, members=shared)
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes

@@ -50,7 +50,7 @@ def digest(program: Program) -> str:
 def task_digest(program: Program) -> str:
     """Return the digest of the parts that determine an episode: it is the same for scenarios that differ only
     in their names, training, evaluation or scripts."""
-    nameless = replace(program.with_agents(scripts=(), training=None, solved=None), name="", summary="")
+    nameless = replace(program.with_agent(scripts=(), training=None, solved=None), name="", summary="")
     return digest(replace(nameless, curriculum=(), levels=None, evaluation=Evaluation(), cases=()))
 
 
@@ -86,8 +86,9 @@ def _plain(value: object) -> object:
 
 
 def interface(program: Program) -> dict[str, dict[str, str]]:
-    """Return the agreed items of each agent in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
-    return {name: _agreed(agent, program) for name, agent in program.agents.items()}
+    """Return the agreed items of the agent, by its name, in order: `observation.speed` to `-0.8 .. 0.8
+    m/s`."""
+    return {program.agent.name: _agreed(program.agent, program)}
 
 
 def _agreed(agent: Agent, program: Program) -> dict[str, str]:

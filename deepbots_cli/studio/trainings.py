@@ -94,8 +94,7 @@ def solved_return(run: Path) -> float | None:
     """Return the mean return with which the task of a run is solved, None if there is none; the scenario is
     compiled."""
     with suppress(DeepbotsError):
-        agents = list(Run.open(run).program.agents.values())
-        solved = agents[0].solved if len(agents) == 1 else None
+        solved = Run.open(run).program.agent.solved
         return solved.mean_return if solved is not None else None
     return None
 

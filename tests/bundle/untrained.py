@@ -131,4 +131,4 @@ def write(folder: Path, info: model.BundleInfo, graph: bytes, parity: bytes) -> 
 
 def with_training(program: Program, **changes: Any) -> Program:
     assert program.agent.training is not None
-    return program.with_agents(training=replace(program.agent.training, **changes))
+    return program.with_agent(training=replace(program.agent.training, **changes))

@@ -181,4 +181,4 @@ def test_a_name_that_is_not_an_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
     program = api.compile("cartpole").program
     with pytest.raises(ValueError, match="name"):
-        generate_module(program.with_agents(reward=(replace(program.agent.reward[0], name=name),)))
+        generate_module(program.with_agent(reward=(replace(program.agent.reward[0], name=name),)))

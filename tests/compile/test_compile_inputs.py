@@ -120,7 +120,7 @@ def test_files_of_other_homes_get_folders_of_their_own():
 def test_minus_zero_and_infinity_have_other_digests() -> None:
     cartpole = api.compile("cartpole").program
     first, *others = (
-        digest(cartpole.with_agents(reward=(constant(value),)))
+        digest(cartpole.with_agent(reward=(constant(value),)))
         for value in (0.0, -0.0, float("inf"), float("-inf"))
     )
     assert len({first, *others}) == 4
@@ -142,7 +142,6 @@ def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_ag
     sets, robots
 ) -> None:
     program = api.compile("tag_scripted", overrides=sets).program
-    assert program.agents == {"agent": program.agent}
     assert program.agent.robots == robots
     items = [name for name in interface(program)["agent"] if name.startswith("message")]
     assert {name.partition(".")[0].split()[-1] for name in items} == set(robots)

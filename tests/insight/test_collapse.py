@@ -137,7 +137,7 @@ def test_a_success_that_is_given_up_for_more_reward_is_not_a_matter_of_settings(
     for number, each in enumerate(training.all_evaluations):
         each["successes"] = [float(2 <= number <= 5)] * 20
     solved = replace(training.run.program.agent, solved=None)
-    opened = replace(training.run.compiled, program=replace(training.run.program, agents={"agent": solved}))
+    opened = replace(training.run.compiled, program=replace(training.run.program, agent=solved))
     training = replace(training, run=replace(training.run, compiled=opened))
     (cause,) = [cause for cause in diagnose(training) if cause.cause == "fell_apart"]
     assert cause.settings == {}

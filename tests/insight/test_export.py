@@ -38,7 +38,7 @@ def _untrained(scenario: str, algorithm: str, activation: str = "tanh", frame_st
     """A program, and an untrained policy whose weights are spread, so that its actions differ."""
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
-    program = program.with_agents(training=training, frame_stack=frame_stack)
+    program = program.with_agent(training=training, frame_stack=frame_stack)
     learner = learners.create(
         learners.Setup(training, observation_space(program.agent), action_space(program.agent))
     )

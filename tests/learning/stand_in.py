@@ -216,7 +216,7 @@ class Failing(CartPole):
 def altered(base: api.Compiled, policy: Mapping[str, Any] | None = None, **changes: Any) -> api.Compiled:
     """The task with changes, also of its `policy`, that no file says; a run of it would be loaded without
     them."""
-    return replace(base, program=replace(base.program.with_agents(**policy or {}), **changes))
+    return replace(base, program=replace(base.program.with_agent(**policy or {}), **changes))
 
 
 def tree_digest(folder: Path) -> str:

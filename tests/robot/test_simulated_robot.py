@@ -70,7 +70,7 @@ def without_noise(program: Program) -> Program:
 
     agent = program.agent
     goal = agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None))
-    program = program.with_agents(
+    program = program.with_agent(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation), goal=goal
     )
     return replace(program, signals=tuple(replace(signal, noise=None) for signal in program.signals))

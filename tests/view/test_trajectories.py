@@ -53,7 +53,7 @@ def test_a_block_that_no_episode_moves_has_no_path(push):
 
 def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_farthest(push):
     program, world = push
-    silent = program.with_agents(goal=None, observation=(), reward=())
+    silent = program.with_agent(goal=None, observation=(), reward=())
     moving = trajectories.find_moving(
         replace(silent, endings=()), world, [_positions(world, panda_link5=0.2, panda_hand=0.3)]
     )

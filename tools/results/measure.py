@@ -192,7 +192,7 @@ def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Progra
     curriculum = tuple(
         replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum
     )
-    return replace(program.with_agents(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
+    return replace(program.with_agent(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
 
 
 def digest(program: Program) -> str:

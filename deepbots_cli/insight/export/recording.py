@@ -107,7 +107,7 @@ def _as_exported(program: Program) -> Program:
     agent, others = program.agent, program.others
     if others is not None:
         program = replace(program, others=replace(others, world=_as_exported(others.world)))
-    program = program.with_agents(
+    program = program.with_agent(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation),
         goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
         reward=tuple(term for term in agent.reward if term.foreign is None),

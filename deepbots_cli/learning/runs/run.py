@@ -190,7 +190,7 @@ class Run:
         """Fill a new, empty directory (see `new_directory`). If this fails, the directory is removed."""
         try:
             for folder in (
-                *(f"models/{name}" for name in compiled.program.agents),
+                f"models/{compiled.program.agent.name}",
                 "tensorboard",
                 "evaluations",
                 "checkpoints",
