@@ -112,7 +112,7 @@ class Column(NamedTuple):
 
 
 def columns_of(watch: InstrumentedProgram) -> list[Column]:
-    """Return the columns of the values that `Recorder` keeps."""
+    """Return the columns of the values that `RecordingWrapper` keeps."""
     signals = _kept_signals(watch)
     return [
         *(
@@ -130,7 +130,7 @@ def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
     return {name: signal for name, signal in watch.observed_signals.items() if name != "previous_action"}
 
 
-class Recorder(gym.Wrapper[Any, Any, Any, Any]):
+class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """A world that records the actions of an episode, and its values: those of the observation in SI units,
     and the reward terms."""
 
@@ -189,7 +189,7 @@ def record_episodes(
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     episodes_recorded = []
-    with torch_settings(), closing(Recorder(world, permissions)) as recorder:
+    with torch_settings(), closing(RecordingWrapper(world, permissions)) as recorder:
         driver = PolicyDriver(load_model(run, model, recorder), recorder, deterministic=True)
         for number in range(episodes):
             start = Start.of_evaluation(seed, number)
@@ -203,12 +203,12 @@ def repeat_episodes(
     world: World, recorded: Sequence[RecordedEpisode], permissions: Permissions
 ) -> list[Array]:
     """Return the values of each episode with its start and actions in a world."""
-    with closing(Recorder(world, permissions)) as recorder:
+    with closing(RecordingWrapper(world, permissions)) as recorder:
         return repeat_episodes_in(recorder, recorded)
 
 
 def repeat_episodes_in(
-    recorder: Recorder, recorded: Sequence[RecordedEpisode], act: Act = lambda action: action
+    recorder: RecordingWrapper, recorded: Sequence[RecordedEpisode], act: Act = lambda action: action
 ) -> list[Array]:
     """Return the values of each episode with its start and actions in a world that exists; `act` changes the
     actions."""

@@ -29,7 +29,7 @@ from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
-from deepbots_cli.learning.runs.decline import Decline, decline
+from deepbots_cli.learning.runs.decline import Decline, find_decline
 from deepbots_cli.learning.runs.directories import is_training
 from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.order import measure_of
@@ -255,7 +255,7 @@ class TrainingEvidence:
     def decline(self) -> Decline | None:
         """The decline of the evaluations in the present stage; None if there is none."""
         program = self.run.program
-        return decline(
+        return find_decline(
             self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success)
         )
 

@@ -34,7 +34,7 @@ from deepbots_cli.insight.recorded_worlds import (
     Difference,
     Effect,
     RecordedEpisode,
-    Recorder,
+    RecordingWrapper,
     ValueComparison,
     World,
     columns_of,
@@ -151,7 +151,7 @@ def compare_worlds(
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
-    with closing(Recorder(first, permissions)) as unchanged:
+    with closing(RecordingWrapper(first, permissions)) as unchanged:
         kinds = [*_kinds(first, unchanged, document, permissions)]
         for row in _simulated_causes(comparison, kinds, on_world):
             duplicate = next(
@@ -356,7 +356,7 @@ def _tried(kinds: Iterable[_Kind]) -> Iterator[str]:
 
 
 def _kinds(
-    world: World, unchanged: Recorder, document: Document, permissions: Permissions
+    world: World, unchanged: RecordingWrapper, document: Document, permissions: Permissions
 ) -> Iterator[_Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 

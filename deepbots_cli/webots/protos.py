@@ -15,6 +15,7 @@ from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.webots import library
 from deepbots_cli.webots.nodes import node_types, type_problem
+from deepbots_cli.webots.proto_templates import TemplateError, Templates
 from deepbots_cli.webots.syntax import (
     Node,
     Parameter,
@@ -23,7 +24,6 @@ from deepbots_cli.webots.syntax import (
     WorldSyntaxError,
     parse,
 )
-from deepbots_cli.webots.templates import TemplateError, Templates
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings

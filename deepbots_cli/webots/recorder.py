@@ -26,7 +26,7 @@ FRAME_RATES = {".mp4": 32.0, ".gif": 10.0}
 _WAITING = 8  # pictures that are drawn and not written yet
 
 
-class Recorder:
+class VideoRecorder:
     """Writes a video while a world runs: a context manager, and a function to call after each step.
 
     The video plays in simulated time. The picture follows the solid that the viewpoint follows.
@@ -52,7 +52,7 @@ class Recorder:
         self._error: BaseException | None = None
         self._steps = 0
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> VideoRecorder:
         self._draw()
         self._writer.start()
         return self

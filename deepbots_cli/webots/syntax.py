@@ -2,7 +2,7 @@
 
 The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` with an interface and `IS`,
 `hidden` fields. Values are untyped here, because the type of a field depends on its node; `nodes.py` gives
-them types. Nothing is evaluated: a template of a PROTO is text, which `templates.py` runs.
+them types. Nothing is evaluated: a template of a PROTO is text, which `proto_templates.py` runs.
 
 Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
 `WorldSyntaxError` with a finding.

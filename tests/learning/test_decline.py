@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.runs.decline import decline, paired
+from deepbots_cli.learning.runs.decline import find_decline, paired
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from tests.few import few
 
@@ -33,14 +33,14 @@ FALL = [0.0, 0.2, 0.6, 1.0, 1.0, 0.95, 1.0, 0.4, 0.3, 0.35, 0.2, 0.4]
 
 
 def test_a_training_that_gets_much_worse_after_its_best_evaluation_is_named():
-    fall = decline(_evaluations(FALL), "success_rate")
+    fall = find_decline(_evaluations(FALL), "success_rate")
     assert fall is not None
     assert fall.best_value == 1.0
     assert (fall.best_steps, fall.since_steps, fall.last_episodes) == (7000, 8000, 60)
     assert fall.last_value == pytest.approx(19 / 60)
     assert "the success rate of its evaluations fell from 100% at 7,000 steps to 32%" in fall.text
     assert "since about 8,000 steps" in fall.text
-    returns = decline(_evaluations(FALL), "mean_return")
+    returns = find_decline(_evaluations(FALL), "mean_return")
     assert returns is not None
     assert returns.best_value > 190
     assert returns.last_value == pytest.approx(77)
@@ -62,26 +62,26 @@ def test_a_training_that_gets_much_worse_after_its_best_evaluation_is_named():
     ],
 )
 def test_a_training_that_rises_recovers_or_never_learned_is_not_named(rates, measure):
-    assert decline(_evaluations(rates), measure) is None
+    assert find_decline(_evaluations(rates), measure) is None
 
 
 def test_the_last_evaluation_alone_is_enough_for_a_large_fall():
-    fall = decline(_evaluations([0.0, 0.6, 1.0, 0.2]), "success_rate")
+    fall = find_decline(_evaluations([0.0, 0.6, 1.0, 0.2]), "success_rate")
     assert fall is not None
     assert (fall.best_steps, fall.last_value) == (3000, 0.2)
 
 
 def test_two_evaluations_are_few_also_where_they_are_the_last_quarter():
-    assert decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.85]), "success_rate") is None
-    assert decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3]), "success_rate") is not None
+    assert find_decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.85]), "success_rate") is None
+    assert find_decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3]), "success_rate") is not None
 
 
 def test_a_harder_stage_of_the_curriculum_is_not_a_fall():
     easy = _evaluations([0.9, 1.0, 1.0, 1.0], stage="easy")
     hard = _evaluations([0.1, 0.2, 0.2, 0.3], stage="hard", every=10_000)
-    assert decline([*easy, *hard], "success_rate") is None
+    assert find_decline([*easy, *hard], "success_rate") is None
     fallen = _evaluations([0.1, 0.9, 1.0, 1.0, 0.1, 0.0], stage="hard", every=10_000)
-    fall = decline([*easy, *fallen], "success_rate")
+    fall = find_decline([*easy, *fallen], "success_rate")
     assert fall is not None
     assert fall.best_steps == 40_000
 
@@ -90,7 +90,7 @@ def test_small_differences_between_nearly_perfect_returns_are_not_a_fall():
     evaluations = _evaluations([0.0, 1.0, 1.0, 1.0, 1.0])
     for number, each in enumerate(evaluations[1:]):
         each["returns"] = [200.0 - 0.3 * number] * 20
-    assert decline(evaluations, "mean_return") is None
+    assert find_decline(evaluations, "mean_return") is None
 
 
 def _healthy(shape: str, count: int, random: np.random.Generator) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_healthy_trainings_raise_a_false_alarm_in_at_most_two_percent(shape, kin
     for number in range(count):
         evaluations = _drawn(_healthy(shape, (4, 10, 30)[number % 3], random), kind, random)
         for measure in alarms:
-            alarms[measure] += decline(evaluations, measure) is not None
+            alarms[measure] += find_decline(evaluations, measure) is not None
     assert max(alarms.values()) <= 0.02 * count, alarms
 
 
@@ -144,7 +144,7 @@ def test_starts_that_always_fail_raise_no_alarm(share):
         evaluations = _evaluations([rate] * 30)
         for each in evaluations:
             each["successes"] = np.where(is_hard, fixed, random.random(20) < rate).astype(float).tolist()
-        alarms += decline(evaluations, "success_rate") is not None
+        alarms += find_decline(evaluations, "success_rate") is not None
     assert alarms <= 3
 
 

@@ -16,7 +16,7 @@ import pytest
 from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots.recorder import Recorder
+from deepbots_cli.webots.recorder import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
 from tests.webots.worlds_of_webots import HEADER, simulate
 
@@ -512,7 +512,7 @@ def test_a_keyboard_says_that_it_has_no_keys(capsys):
 def test_a_video_has_a_known_suffix_and_replaces_no_file(project: Project, name: str):
     (project.folder / "taken.gif").write_bytes(b"")
     with pytest.raises(UsageError, match=r"must end in \.mp4 or \.gif|exists"):
-        Recorder(simulate("Solid { }"), project.folder / name)
+        VideoRecorder(simulate("Solid { }"), project.folder / name)
 
 
 @pytest.mark.slow

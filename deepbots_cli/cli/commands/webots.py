@@ -287,14 +287,14 @@ def _run_once(
     viewer: Viewer | None,
 ) -> tuple[Outcome, float]:
     """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_cli.webots.recorder import Recorder
+    from deepbots_cli.webots.recorder import VideoRecorder
     from deepbots_cli.webots.remote.server import ProcessRunner
     from deepbots_cli.webots.runner import Runner, packages_of
 
     with ExitStack() as stack:
         recorder = None
         if options.record is not None:
-            video = Recorder(simulation, options.record.resolve(), force=options.force)
+            video = VideoRecorder(simulation, options.record.resolve(), force=options.force)
             recorder = stack.enter_context(video)
         runner = (ProcessRunner if options.processes else Runner)(
             simulation,

@@ -57,7 +57,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
 
         from deepbots_cli.insight.export.control import control_step
         from deepbots_cli.insight.export.graph import numbers_read
-        from deepbots_cli.insight.export.network import policy_graph
+        from deepbots_cli.insight.export.network import check_network
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
         from deepbots_cli.learning.sb3.algorithms import torch_settings
@@ -65,8 +65,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, name)
-    # This compares the networks with those of the learner on random observations.
-    policy_graph(learner, run.program)
+    check_network(learner, run.program)
     step = control_step(run.program, learner)
     info = _info(run, name, step)
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})

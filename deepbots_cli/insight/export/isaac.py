@@ -10,7 +10,7 @@ import yaml
 
 from deepbots_cli.insight.export.deploy import deploy_settings
 from deepbots_cli.insight.export.graph import Graph
-from deepbots_cli.insight.export.network import decide, policy_graph
+from deepbots_cli.insight.export.network import check_network, decide
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program
 
@@ -26,8 +26,7 @@ def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes
     text = yaml.safe_dump(
         deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True
     )
-    # This compares the networks with those of the learner.
-    policy_graph(learner, program)
+    check_network(learner, program)
     graph = Graph()
     observation = graph.input("obs", np.float32, 1, len(program.agent.inputs))
     decision = decide(graph, learner.network(), program, {"observation": observation})

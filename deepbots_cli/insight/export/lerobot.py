@@ -22,7 +22,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.insight.export.actuators import Array, linear, output, tabulated
 from deepbots_cli.insight.export.graph import Graph
-from deepbots_cli.insight.export.network import Decision, decide, policy_graph, takes_masks
+from deepbots_cli.insight.export.network import Decision, check_network, decide, takes_masks
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program
 from deepbots_cli.words import unit_text
@@ -44,8 +44,7 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
     """
     agent, numbers = program.agent, program.agent.numbers
     _check(program, learner)
-    # This compares the networks with those of the learner.
-    policy_graph(learner, program)
+    check_network(learner, program)
     commands = [
         (robot, command)
         for robot in program.robots

@@ -123,6 +123,15 @@ class Decision(NamedTuple):
     after: Sequence[str] = ()
 
 
+def check_network(learner: Learner, program: Program) -> None:
+    """Compare the network as ONNX with the policy.
+
+    Raises:
+        UsageError: As for `policy_graph`.
+    """
+    policy_graph(learner, program)
+
+
 def policy_graph(learner: Learner, program: Program) -> bytes:
     """Return a graph that takes observations of the environment, with the batch as first axis, and returns
     its actions.

@@ -95,10 +95,10 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
     best = record.result.best_model if record.result is not None else None
     if best is None or best.chosen_by == "newest":  # of rivals: the other one may have learned more
         return None
-    return decline(read_evaluations(run), best.measure)
+    return find_decline(read_evaluations(run), best.measure)
 
 
-def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
+def find_decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
     """Return the decline of a training in its present stage; None if its evaluations are not worse than
     chance explains.
 

@@ -18,7 +18,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
-from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static_gaps
+from deepbots_cli.webots.export.gaps import EngineRecorder, Gaps, dynamic_gaps, static_gaps
 from deepbots_cli.webots.export.nodes import world_text
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     gaps = static_gaps(compiled.program)
     _require_none(compiled.program, gaps)
     project = project_of(compiled)
-    recorder = Recorder(engines.create("mujoco", project.world))
+    recorder = EngineRecorder(engines.create("mujoco", project.world))
     with closing(recorder), closing(project.supervisor(recorder)) as task:
         dynamic_gaps(recorder, task, gaps)
         task.reset(seed=0)

@@ -63,7 +63,7 @@ class Gaps:
             self.differs.append(sentence)
 
 
-class Recorder(EngineProxy):
+class EngineRecorder(EngineProxy):
     """An engine that records the calls of a scenario."""
 
     def __init__(self, engine: Any) -> None:
@@ -161,7 +161,7 @@ def _gaps_of_joint(robot: str, joint: Joint) -> Iterator[tuple[str, bool]]:
         yield f"The armature of {name} is left out.", False
 
 
-def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
+def dynamic_gaps(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
     """Add what the generated code asks of its engine: when it is bound, and in a few episodes."""
     for agent in task.agents.values():
         for remote in agent.controllers.values():
