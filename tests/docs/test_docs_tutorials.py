@@ -18,7 +18,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.codegen import batch_obstacles
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIALS = ("start", "what-is-rl", "first", "rewards-that-cheat", "own-robot", "teach")
@@ -252,6 +254,13 @@ def test_stable_baselines3_by_hand_runs(tmp_path: Path) -> None:
 
 def test_the_loop_in_the_vector_api_runs() -> None:
     assert main_of("vector_loop")(steps=40, copies=2) != {}
+
+
+def test_the_scenario_of_the_stair_has_no_findings_and_runs_as_a_batch() -> None:
+    pytest.importorskip("pybullet_data")
+    path = FOLDER / "climb.yaml"
+    assert api.lint(path) == []
+    assert batch_obstacles(api.compile(path).program) == []
 
 
 def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors(
