@@ -24,6 +24,8 @@ LINE_INTERVAL_S = 30.0
 """The time in s after a line without a terminal until the next one."""
 EVALUATION_INTERVAL_S = 10.0
 """The same until a line that an evaluation causes."""
+ACTIVITY_INTERVAL_S = 4.0
+"""The same until a line about an activity such as a confirmation, which may take a minute."""
 
 # A training is timed for this time in s, or this share of its steps, before the display shows the remaining
 # time.
@@ -145,7 +147,7 @@ class ProgressReporter(Reporter):
         tenth = 10 * progress.steps // progress.total_steps
         since = now - self._shown
         if progress.activity:
-            if progress.activity.name != self._activity or since >= EVALUATION_INTERVAL_S:
+            if progress.activity.name != self._activity or since >= ACTIVITY_INTERVAL_S:
                 self._display.print(
                     f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity.text} ..."
                 )
