@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 # `importlib.metadata` takes 30 ms, so it is imported only for messages.
 
@@ -79,19 +80,17 @@ def install_hint(extra: str, origin: str | None = None) -> str:
     From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
     it.
     """
-    origin = origin or install_source()
+    origin = origin or str(clone_folder() or "deepbots-cli")
     packages = [f"'{origin}[{extra}]'"]
     if origin != "deepbots-cli" and "deepbots-robot" in requirements().get(extra, ()):
         packages.insert(0, f"'{origin}/deepbots_robot'")
     return f"install it with: pip install {' '.join(packages)}"
 
 
-def install_source() -> str:
-    """Return the clone that deepbots was installed from if pip knows it and it still exists, else the package
-    name."""
+def clone_folder() -> Path | None:
+    """Return the clone that deepbots was installed from; None if pip does not know it, or it is gone."""
     import json
     from importlib.metadata import PackageNotFoundError, distribution
-    from pathlib import Path
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
 
@@ -100,8 +99,6 @@ def install_source() -> str:
             str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", ""))
         )
     except (PackageNotFoundError, ValueError):
-        return "deepbots-cli"
+        return None
     folder = Path(url2pathname(address.path))
-    return (
-        str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
-    )
+    return folder if address.scheme == "file" and (folder / "pyproject.toml").is_file() else None

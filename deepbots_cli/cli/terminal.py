@@ -215,8 +215,8 @@ class ProgressBar:
 
 
 def print_or_write(text: str, output: Path | None, *, force: bool) -> None:
-    """Write a text to a file, or print it without one."""
-    if output is None:
+    """Write a text to a file; print it if there is none, or if it is `-`."""
+    if output is None or output == Path("-"):
         print(text, end="")
     else:
         check_output(output, force=force)

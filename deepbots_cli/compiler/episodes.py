@@ -702,14 +702,15 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
     values = namespace.values
     if spec.solved is None:
         return None
-    metric, threshold, episodes = read_until(spec.solved) or ("", 0.0, None)
-    if metric == "mean_return":
-        return Solved(episodes or 0, mean_return=threshold)
+    criterion = read_until(spec.solved)
+    threshold, episodes = (criterion.threshold, criterion.episodes or 0) if criterion else (0.0, 0)
+    if criterion is not None and criterion.metric == "mean_return":
+        return Solved(episodes, mean_return=threshold)
     if not (spec.defines_success or any(map(values.is_invalid, ("success", "termination", "goal")))):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
         remedy = success_help(limits, timestep, instead, bool(spec.termination.failure))
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, remedy)
-    return Solved(episodes or 0, success_rate=threshold)
+    return Solved(episodes, success_rate=threshold)
 
 
 def with_reading_ages(program: Program) -> Program:

@@ -348,7 +348,11 @@ def compile_variants(
 
 def _criterion(text: str | None) -> Criterion | None:
     criterion = read_until(text)
-    return Criterion(*criterion) if criterion else None  # type: ignore[arg-type]  # the pattern allows the metrics only
+    if criterion is None:
+        return None
+    if criterion.metric == "steps":
+        return Criterion("steps", criterion.threshold)
+    return Criterion(criterion.metric, criterion.threshold, criterion.episodes)
 
 
 class _VariantCompiler:
@@ -381,8 +385,8 @@ class _VariantCompiler:
             first.setdefault(stage.name, name_path)
             last = index == len(spec.stages) - 1
             criterion = read_until(stage.until)
-            if criterion and criterion[0] == "success_rate" and not spec.defines_success:
-                until = f"until: mean_return >= 100 over {criterion[2]} episodes"
+            if criterion and criterion.metric == "success_rate" and not spec.defines_success:
+                until = f"until: mean_return >= 100 over {criterion.episodes} episodes"
                 remedy = success_help(
                     self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure)
                 )

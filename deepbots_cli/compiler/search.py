@@ -1,5 +1,4 @@
-"""The search of `tune`: every value at an end of a range and every choice is checked as `--set` of it would
-be."""
+"""The search of `tune`: each end of a range and each choice is checked as if `--set` had set it."""
 
 from __future__ import annotations
 
@@ -68,7 +67,7 @@ class _Prober:
     ) -> None:
         # The tests would be compiled again for each value.
         root = without_paths(document.root, ((TUNE,), (TESTS,))) if document.root else None
-        assert isinstance(root, MappingNode)  # the root stays a mapping
+        assert isinstance(root, MappingNode)  # only keys below the root were removed
         self._root = root
         self._document = document
         self._base = program

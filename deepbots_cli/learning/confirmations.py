@@ -10,7 +10,7 @@ from typing import NamedTuple
 from deepbots_cli.learning.active import ActiveTraining
 from deepbots_cli.learning.held_out import confirmation_root
 from deepbots_cli.learning.report import Activity
-from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE, Confirmation
+from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE, Confirmation, may_begin
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.rollout import Episode, Start
@@ -121,7 +121,7 @@ class Confirmations:
         """Return whether failed confirmations took their share of the steps. If so, it is noted once."""
         number = self.count + 1
         share = self.cost_share
-        if number == 1 or self.steps <= share * self._active.statistics.steps:
+        if may_begin(number, self.steps, self._active.statistics.steps, share):
             return False
         if self._postponed != number:
             self._postponed = number

@@ -206,14 +206,14 @@ class Worlds:
                 lengths.append(accumulator.length)
                 self._on_step()
                 if has_ended:
-                    episode = accumulator.close(_own(info, terminated or truncated))
+                    episode = accumulator.close(_with_cause(info, terminated or truncated))
                     self._on_episode(index, episode)
                     endings.append(Ending(row, episode, observation, not terminated))
                 world_observations.append(observation)
                 rewards.append(reward)
                 dones.append(has_ended)
                 infos.append(info)
-            observations += self._go_on(index) if has_ended else world_observations
+            observations += self._begin_next(index) if has_ended else world_observations
         self.observations = self._stack(observations)
         return WorldsStep(
             self.observations,
@@ -247,8 +247,8 @@ class Worlds:
             (a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents_of(world)
         ], has_ended
 
-    def _go_on(self, index: int) -> list[Any]:
-        """Begin the next episode of a world, or the first of the one that follows it."""
+    def _begin_next(self, index: int) -> list[Any]:
+        """Begin the next episode of a world, or the first episode of its replacement."""
         following = self._next_world(index)
         if following is None:
             return self._begin(index, None)
@@ -309,8 +309,9 @@ class Worlds:
             world.close()
 
 
-def _own(info: dict[str, Any], ended: bool) -> dict[str, Any]:
-    """Return the info of the last step of an agent, whose own episode has `ended` or that of another copy."""
+def _with_cause(info: dict[str, Any], ended: bool) -> dict[str, Any]:
+    """Return the info of the last step. If the own episode of the agent has not `ended`, another copy ended
+    it, and `ended_by` says so."""
     return info if ended else {**info, "ended_by": ENDED_BY_ANOTHER_COPY}
 
 
@@ -412,7 +413,10 @@ def _phases_of(batch: BatchSupervisor, agent: str) -> Array:
 
 
 class LossRecorder(Protocol):
-    """Keeps the episodes of a batch that fail; `stage` is the number of that of a curriculum."""
+    """Keeps the episodes of a batch that fail; `stage` is the number of the stage of a curriculum.
+
+    `record_failed` raises a `DeepbotsError` once it has found the episode that failed.
+    """
 
     def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None: ...
     def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None: ...
@@ -563,12 +567,12 @@ class BatchWorlds(Worlds):
                 infos[row] = outcome.infos[index]
                 world = row // self._width
                 episode = episodes.close(
-                    row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
+                    row, _with_cause(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )
                 self._on_episode(world, episode)
                 final_observation = apply_to_parts(itemgetter(index), outcome.final_observations)
                 endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
-                # Behind the last copy of a world, because all copies enter the next stage at once.
+                # After the last copy of a world, because all copies enter the next stage at once.
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)
                     begun.setdefault(self.stages[world], []).append((world, seed))

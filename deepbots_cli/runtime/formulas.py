@@ -52,7 +52,7 @@ def total(values: Iterable[float]) -> float:
 
 
 def scale(value: float, low: float, high: float) -> float:
-    """Map [low, high] to [-1, 1], and values beyond to its ends.
+    """Map [low, high] to [-1, 1]; a value outside becomes -1 or 1.
 
     Raises:
         FloatingPointError: The value is not a number.
@@ -422,8 +422,8 @@ _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
 
 
 def foreign(noun: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
-    """Return the function that gives the term `name`, a truth value if `truth`, else a number, from the
-    supervisor.
+    """Return a function that computes the term `name` from the supervisor: a truth value if `truth`,
+    otherwise a number.
 
     Raises:
         UsageError: There is no such function, or its module cannot be imported.

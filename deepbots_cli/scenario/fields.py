@@ -135,8 +135,8 @@ def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
 
 
 def _range_replacement(value: object) -> str | None:
-    """Return the range that is meant by two numbers in a list or with another sign between them, or by a
-    range for each component."""
+    """Return the range that the writer probably meant: two numbers in a list, two numbers separated by `-`,
+    `to` or `:`, or one range per component."""
     if isinstance(value, Mapping):
         items = list(value.values())
     elif isinstance(value, list):
@@ -148,7 +148,7 @@ def _range_replacement(value: object) -> str | None:
         lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
         return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(items) else None
     if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
-        return f"{value[0]:g} .. {value[1]:g}"
+        return f"{value[0]} .. {value[1]}"
     ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None
     return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
 
@@ -194,19 +194,28 @@ def check_bounds(
     *,
     exclusive: bool = False,
     is_share: bool = False,
+    written: str = "",
 ) -> None:
-    """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
+    """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside. The
+    message has the text as `written`, by default the value."""
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE:
         is_nan = isinstance(value, float) and math.isnan(value)
         raise error("DB105", "the value is not a number" if is_nan else "the number is implausibly large")
     if minimum is not None and (value < minimum or (exclusive and value == minimum)):
-        remedy = f"write {'more than' if exclusive else 'at least'} {minimum:g}"
-        raise error("DB105", f"`{value}` is below the smallest allowed value", remedy)
+        remedy = f"write {'more than' if exclusive else 'at least'} {_number_text(minimum)}"
+        raise error("DB105", f"`{written or value}` is below the smallest allowed value", remedy)
     if maximum is not None and value > maximum:
-        remedy = f"write at most {maximum:g}"
-        if is_share and value <= 100:
+        remedy = f"write at most {_number_text(maximum)}"
+        if is_share and written.endswith("%"):
+            remedy = "write at most 100 %"
+        elif is_share and value <= 100:
             remedy += f", or a percentage: `{value:g} %`"
-        raise error("DB105", f"`{value}` is above the largest allowed value", remedy)
+        raise error("DB105", f"`{written or value}` is above the largest allowed value", remedy)
+
+
+def _number_text(number: float) -> str:
+    """Return a number as a scenario may have it: a whole one without an exponent."""
+    return f"{int(number):_}" if float(number).is_integer() and abs(number) < MAX_MAGNITUDE else repr(number)
 
 
 def count_literal(text: str) -> int | None:
@@ -357,9 +366,14 @@ class Number(FieldType):
 
     def check(self, value: Any) -> None:
         match = re.fullmatch(self.pattern, value) if isinstance(value, str) else None
-        for number in map(read_fraction, match.groups()) if match else [value]:
+        for text in match.groups() if match else [""]:
             check_bounds(
-                number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
+                read_fraction(text) if text else value,
+                self.minimum,
+                self.maximum,
+                exclusive=self.exclusive,
+                is_share=self.maximum == 1,
+                written=text,
             )
 
     def help_for(self, value: object) -> str | None:
@@ -686,10 +700,10 @@ class Quantity(Parsed):
     def replacement_for(self, value: object) -> Replacement | None:
         """Return the replacement for a list: `0 0 1 m` for `[0, 0, 1]`."""
         numbers = value if isinstance(value, list) and len(value) == self.components else []
-        if not numbers or not all(isinstance(number, (int, float)) for number in numbers):
+        if not numbers or not all(type(number) in (int, float) for number in numbers):
             return None
         unit = self.example.split()[self.components or 1 :]
-        return Replacement(" ".join([*(f"{number:g}" for number in numbers), *unit]), safe=False)
+        return Replacement(" ".join([*map(str, numbers), *unit]), safe=False)
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string"} if self.components else super().json_schema()
@@ -948,7 +962,7 @@ class FilePath(FieldType):
 
 
 def suggested_name(text: str) -> str:
-    """Return a text with the letters of a name, `polePosSensor` as `pole_pos_sensor`; it may begin with a
+    """Turn a text into a name, `polePosSensor` as `pole_pos_sensor`; it may begin with a
     digit, be empty or reserved."""
     humps = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text[:MAX_NAME_LENGTH])
     return re.sub(r"[^a-z0-9_]+", "_", humps.lower()).strip("_")
@@ -1046,17 +1060,35 @@ def read_schedule(value: object) -> tuple[float, float] | None:
     return (float(match[1]), float(match[2])) if match else None
 
 
-def read_until(value: object) -> tuple[str, float, int | None] | None:
-    """Return metric, threshold and episodes of `success_rate >= 0.7 over 40 episodes` or `50_000 steps`; None
-    if it is neither.
+class WrittenCriterion(NamedTuple):
+    """A criterion as it is written: `success_rate >= 0.7 over 40 episodes`, `success_rate >= 0.7 in
+    evaluation`, or `50_000 steps`.
 
-    `success_rate >= 0.7 in evaluation` has no number of episodes.
+    Attributes:
+        metric: `success_rate`, `mean_return` or `steps`.
+        threshold: The value that the metric must reach.
+        episodes: The number of episodes of a mean; None for an evaluation and for steps.
+        written: The text of the threshold.
     """
+
+    metric: Literal["success_rate", "mean_return", "steps"]
+    threshold: float
+    episodes: int | None
+    written: str
+
+
+def read_until(value: object) -> WrittenCriterion | None:
+    """Return a criterion; None if the value is none."""
     text = value if isinstance(value, str) else ""
     if match := re.fullmatch(_UNTIL, text):
-        return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5]) if match[5] else None
+        written = match[2] or match[4]
+        episodes = int(match[5]) if match[5] else None
+        metric: Literal["success_rate", "mean_return"] = (
+            "success_rate" if "success_rate" in (match[1], match[3]) else "mean_return"
+        )
+        return WrittenCriterion(metric, read_fraction(written), episodes, written)
     match = re.fullmatch(_STEPS, text)
-    return ("steps", float(match[1]), 1) if match else None
+    return WrittenCriterion("steps", float(match[1]), None, match[1]) if match else None
 
 
 class Until(FieldType):
@@ -1070,13 +1102,15 @@ class Until(FieldType):
         return read_until(value) is not None
 
     def check(self, value: Any) -> None:
-        metric, threshold, episodes = read_until(value) or ("", 0, 0)
-        if episodes is not None:
-            check_bounds(episodes, 1)
-        if metric == "success_rate":
-            check_bounds(threshold, 0, 1, is_share=True)
-        elif metric == "steps":
-            check_bounds(threshold, 1)
+        criterion = read_until(value)
+        if criterion is None:
+            return
+        if criterion.episodes is not None:
+            check_bounds(criterion.episodes, 1)
+        if criterion.metric == "success_rate":
+            check_bounds(criterion.threshold, 0, 1, is_share=True, written=criterion.written.strip())
+        elif criterion.metric == "steps":
+            check_bounds(criterion.threshold, 1)
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
@@ -1103,13 +1137,13 @@ class Solved(Until):
 
     def has_form(self, value: object) -> bool:
         criterion = read_until(value)
-        return criterion is not None and criterion[0] != "steps" and criterion[2] is not None
+        return criterion is not None and criterion.episodes is not None
 
     def check(self, value: Any) -> None:
         super().check(value)
-        _, _, episodes = read_until(value) or ("", 0.0, None)
-        if episodes is not None:
-            check_bounds(episodes, 1, MAX_SOLVED_EPISODES)
+        criterion = read_until(value)
+        if criterion is not None and criterion.episodes is not None:
+            check_bounds(criterion.episodes, 1, MAX_SOLVED_EPISODES)
 
     def help_for(self, value: object) -> str | None:
         metrics = (

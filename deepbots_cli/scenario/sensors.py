@@ -2,8 +2,8 @@
 
 A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the
 dimension, components and interval of readings, and the `reader` that takes readings in a running world.
-Validation, JSON Schema, completion, hover, reference and runtime use it. The bases are `JointSensor`,
-`LinkSensor`, `ReactionSensor`, `ContactSensor`, `RayScan`, `RaySensor`, `Radar` and `Camera`.
+Validation, JSON Schema, completion, hover, reference and runtime use it. The bases are those in
+`BASES`.
 
 Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its
 `type`. Its own fields reach its reader as SI numbers and words.
@@ -81,12 +81,12 @@ class Sensor(Section):
     an `Instrument`."""
     world_function: ClassVar[str | None] = None
     """The function of the language, such as `joint_position`, with the same value as a sensor without faults
-    in the origin of its link.
+    at the origin of its link.
 
     Such a sensor is compiled to this function, and needs no `reader` in a running world.
     """
     perceives: ClassVar[bool] = False
-    """Whether a reading depends on what is around the robot."""
+    """Whether a reading depends on the bodies around the robot."""
 
     type: PlainText
     """The kind of sensor."""

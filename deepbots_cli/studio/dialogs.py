@@ -87,7 +87,8 @@ class _NewScenario:
     ) -> None:
         self._session, self._submit = session, submit
         ui.label("A new scenario").classes("studio-heading")
-        self._name = ui.input("Name", value=_free_name(session, Path(choice).stem))
+        self._suggested = _free_name(session, Path(choice).stem)
+        self._name = ui.input("Name", value=self._suggested)
         self._name.classes("studio-wide").props('hint="The file is NAME.yaml."').on(
             "keydown.enter", self._write
         )
@@ -122,8 +123,9 @@ class _NewScenario:
 
     def _suggest(self, name: str | None) -> None:
         """Suggest a name in place of another suggestion."""
-        if name and str(self._name.value or "").partition("-")[0] in ("", *templates(), *shipped_scenarios()):
-            self._name.set_value(_free_name(self._session, name))
+        if name and (self._name.value or "") in ("", self._suggested):
+            self._suggested = _free_name(self._session, name)
+            self._name.set_value(self._suggested)
 
     @property
     def _origin(self) -> str:
@@ -167,7 +169,7 @@ def _problem_of_name(session: Session, name: str) -> str:
     if not name:
         return "write a name"
     if not _NAME.fullmatch(name):
-        return "the name begins with a letter, and has letters, digits, _ and - only"
+        return "the name has up to 61 letters, digits, _ and -, and begins with a letter"
     if (session.folder / f"{name}.yaml").exists():
         return f"{name}.yaml exists already; choose another name"
     return ""
@@ -176,7 +178,7 @@ def _problem_of_name(session: Session, name: str) -> str:
 def _free_name(session: Session, name: str) -> str:
     """Return a name for a new scenario: this one, or with a number if there is such a file."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).lstrip("0123456789_-") or "mine"
-    names = (f"{stem}-{number}" if number > 1 else stem for number in count(1))
+    names = (f"{stem[:55]}-{number}" if number > 1 else stem[:55] for number in count(1))
     return next(candidate for candidate in names if not (session.folder / f"{candidate}.yaml").exists())
 
 
@@ -215,9 +217,10 @@ class RobotUpload:
         if path.suffix != ".urdf" or name.startswith("."):
             self.show("a robot file ends in .urdf", is_error=True)
             return
+        content = await event.file.read()
         try:
             with path.open("xb") as file:  # which follows no link
-                file.write(await event.file.read())
+                file.write(content)
         except FileExistsError:
             self.show(f"{name} exists already; choose another name for the file", is_error=True)
         except OSError as error:
@@ -241,7 +244,9 @@ def compare_versions(file: OpenFile) -> None:
         ui.dialog().props('aria-label="Both versions of the file"') as dialog,
         ui.card().classes("studio-dialog"),
     ):
-        ui.label("Lines with - are on disk only, lines with + in the editor only.")
+        ui.label(
+            f"Lines with - are on disk only, lines with + in the editor only; up to {_MAX_DIFF_LINES} are shown."
+        )
         shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
         ui.code(shown, language="diff").classes("studio-code")
         ui.button("Close", on_click=dialog.close).props("flat no-caps")

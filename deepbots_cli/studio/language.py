@@ -185,7 +185,7 @@ class Language:
                     "apply": edit.new_text,
                     "detail": item.detail or "",
                     "info": info,
-                    "kind": _kind(item.kind),
+                    "kind": types.CompletionItemKind(item.kind or 1).name.lower(),
                     "start": edit.range.start.character,
                 }
             )
@@ -230,7 +230,8 @@ class Language:
             concerned = {diagnostic.code for diagnostic in action.diagnostics or ()}
             changes = action.edit.changes if action.edit is not None else None
             if finding.code in concerned and changes is not None and set(changes) == {document.uri}:
-                edits = _edits(document, [edit for edit in changes[document.uri] if not _is_annotated(edit)])
+                plain = [edit for edit in changes[document.uri] if isinstance(edit, types.TextEdit)]
+                edits = _edits(document, plain)
                 fixes.append(EditorFix(action.title, edits))
         return fixes
 
@@ -313,14 +314,6 @@ def _edits(document: Document, edits: list[Any]) -> tuple[TextEdit, ...]:
         )
         for edit in edits
     )
-
-
-def _is_annotated(edit: object) -> bool:
-    return not isinstance(edit, types.TextEdit)
-
-
-def _kind(kind: int | None) -> str:
-    return types.CompletionItemKind(kind).name.lower() if kind is not None else "text"
 
 
 def _utf16(text: str) -> str:

@@ -54,19 +54,23 @@ _AGE = """at => {
   return seconds < 129600 ? `${Math.round(seconds / 3600)} h ago` : `${Math.round(seconds / 86400)} days ago`;
 }"""
 """A function of the browser for the time since a run began, from its time in s since 1970."""
+# Functions of the browser for numbers. Their columns are sorted by the numbers, and not by these texts.
+_COUNT = "value => value == null ? '' : value.toLocaleString('en')"
+_PERCENT = "value => value == null ? '' : `${Math.round(100 * value)}%`"
+_RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))} in ${row.score}`"
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _AGE_INTERVAL_S = 30.0
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
-_WIDE = {**_SHORT, "classes": "studio-wide", "headerClasses": "studio-wide"}
-"""Columns that a narrow page leaves out."""
+_WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
+"""A column that a narrow page leaves out."""
 _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("name", "run", "left", _SHORT),
     ("state", "state", "left", _WIDE),
-    ("return", "mean return", "right", _SHORT),
-    ("success", "success", "right", _SHORT),
+    ("return", "mean return", "right", {**_SHORT, ":format": _RETURN}),
+    ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
     ("solved", "solved", "left", _SHORT),
-    ("steps", "steps", "right", _SHORT),
+    ("steps", "steps", "right", {**_SHORT, ":format": _COUNT}),
     ("when", "when", "left", {**_WIDE, ":format": _AGE}),
     (
         "change",
@@ -161,14 +165,15 @@ class RunsTab:
                 "when": change.started if (change := changes.get(run.path)) else None,
                 "change": _unbroken(change.text) if change else "",
                 "state": run.problem or run.state,
-                "steps": f"{run.steps:,}" if run.steps is not None else "",
-                "return": "" if run.mean_return is None else f"{run.mean_return:.4g} in {run.score}",
-                "success": f"{run.success_rate:.0%}" if run.success_rate is not None else "",
+                "steps": run.steps,
+                "return": run.mean_return,
+                "score": run.score,
+                "success": run.success_rate,
                 "solved": {True: "yes", False: "no", None: ""}[run.solved],
             }
             for run in reversed(self._session.runs)
         ]
-        has_value = {name: any(row[name] for row in rows) for name in _OPTIONAL}
+        has_value = {name: any(row[name] not in (None, "") for row in rows) for name in _OPTIONAL}
         columns = [column for column in self._columns if has_value.get(str(column["name"]), True)]
         if columns != self._table.columns:
             self._table.columns = columns
@@ -249,15 +254,18 @@ class RunsTab:
         # The earlier run is the first one.
         begun = {path: change.started for path in paths if (change := changes.get(folder / path))}
         one, other = sorted(paths, key=lambda path: begun.get(path, 0.0))
+        place = self._fill(f"Comparison of {one.name} and {other.name}", one, other)
         task = self._session.commands.run(["compare", str(one), str(other)])
         runs = await asyncio.to_thread(lambda: [read_listed(folder / path) for path in (one, other)])
         curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in (one, other)}
         differences = await asyncio.to_thread(_differences, folder / one, folder / other)
-        with self._fill(f"Comparison of {one.name} and {other.name}", one, other) as place:
+        if not self._result.shows(place):  # it was closed, or shows something newer
+            return
+        with place:
             with ui.element("div").classes("studio-advice"):
                 results = "; ".join(f"{run.path.name} is {result_text(run)}" for run in runs)
                 ui.label(f"{results}.").classes("studio-cause")
-                ui.label(f"{other.name} differs from {one.name} in {_unbroken(differences)}.")
+                ui.label(_unbroken(differences))
                 with ui.element("div"):
                     ui.label("On the same starts: ").classes("studio-inline")
                     sentence = ui.label("").classes("studio-inline")
@@ -289,8 +297,8 @@ class RunsTab:
                     self._add_cause(path, cause, number, shown)
 
     def _add_cause(self, path: Path, cause: dict[str, Any], number: int, shown: set[str]) -> None:
-        """Show a cause of a run, with buttons for what is advised; `shown` are the commands that have a
-        button already."""
+        """Show a cause of a run, with buttons for what is advised; `shown` has the commands that
+        already have a button."""
         with ui.element("div").classes("studio-cause-head"):
             ui.label(str(number)).classes("studio-number-badge")
             ui.label(_rank(cause))
@@ -378,13 +386,12 @@ def _rank(cause: dict[str, Any]) -> str:
 
 
 def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what has changed since a solved run, if this is that fact."""
+    """Return the changes since a solved run; empty for any other cause."""
     return (cause.get("evidence") or {}).get("changes") or []
 
 
 def _unbroken(text: object) -> str:
-    """Return a text in which the two values of a change stay in one line, and signs at their numbers and
-    names."""
+    """Return the text with no line break around an arrow, or between a sign and its number or name."""
     return re.sub(
         r"(?<=\de-)(?=\d)|(?<![\w-])-+",
         lambda signs: "".join(f"{sign}\u2060" for sign in signs[0]) or "\u2060",
@@ -393,11 +400,12 @@ def _unbroken(text: object) -> str:
 
 
 def _differences(one: Path, other: Path) -> str:
+    """Return a sentence about the values in which one run differs from another one."""
     try:
         values = changed_values(Run.open(one), Run.open(other))
-    except (DeepbotsError, OSError):
-        return "more than one scenario: the runs cannot be compared value by value"
-    return "; ".join(map(str, values)) or "nothing"
+    except (DeepbotsError, OSError) as error:
+        return f"{other.name} and {one.name} cannot be compared value by value: {error}."
+    return f"{other.name} differs from {one.name} in {'; '.join(map(str, values)) or 'nothing'}."
 
 
 def _curves_or_none(run: Path) -> Curves:

@@ -20,6 +20,7 @@ from deepbots_cli.learning.runs.confirmation_rule import (
     Confirmation,
     error_level,
     lower_bound,
+    may_begin,
     required_successes,
 )
 from deepbots_cli.program.task import Solved
@@ -33,8 +34,13 @@ Draw = Callable[[np.random.Generator, float, int], Sequence[Episode]]
 
 
 class Outcome(NamedTuple):
-    """Of one simulated training: the value of the policy with which it stopped, None if it went on to its
-    end; episodes of failed confirmations; these per episode of the training."""
+    """The outcome of one simulated training.
+
+    Attributes:
+        stopped_with: The value of the policy with which it stopped; None if it did not stop early.
+        failed: The number of episodes in failed confirmations.
+        share: `failed` divided by the episodes of the training.
+    """
 
     stopped_with: float | None
     failed: int
@@ -74,9 +80,9 @@ def train(generator: np.random.Generator, solved: Solved, values: Sequence[float
         rate = float(np.mean([episode.is_success for episode in evaluated]))
         if mean < (solved.mean_return or -math.inf) or rate < (solved.success_rate or 0.0):
             continue
-        if number > 1 and failed > COST_SHARE * steps:
+        if not may_begin(number, failed, steps, COST_SHARE):
             continue
-        plan = Confirmation.plan(solved, number, BOUNDS)
+        plan = Confirmation.plan(solved, number, BOUNDS, evaluated)
         assert plan is not None
         done: list[Episode] = []
         while len(done) < plan.episodes and not plan.is_lost(done):

@@ -182,6 +182,19 @@ def test_a_narrow_page_shows_the_robot_and_its_controls(folder, new_tab, width):
         assert not page.tab.errors
 
 
+def test_a_narrow_page_shows_the_fields_of_its_dialogs(folder, new_tab):
+    with served(folder, "mine.yaml") as studio:
+        page = StudioTab(new_tab(), studio.address, 480, 800)
+        page.wait(RUNS, 60)
+        for button, field in (("New ...", "Name"), ("Explain ...", "A word")):
+            page.click(button)
+            shown = f"[...document.querySelectorAll('.q-dialog .q-field')].find(e => e.innerText.includes('{field}'))"
+            page.wait(f"{shown}?.checkVisibility()")
+            page.press(ESCAPE)
+            page.wait("!document.querySelector('.q-dialog')")
+        assert not page.tab.errors
+
+
 def test_what_has_the_keyboard_is_outlined(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)

@@ -208,7 +208,7 @@ def compiled(folder: Path, terrain: str) -> api.Compiled:
     return api.compile(folder / "hills.yaml")
 
 
-def lowest(scenario: api.Compiled) -> float:
+def height_after_rolling(scenario: api.Compiled) -> float:
     """Where a ball that rolls for 3 s gets to, above the ground there."""
     at = ground_height(scenario.program.world.terrain)
     with closing(api.make(scenario)) as environment:
@@ -226,7 +226,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
     at = ground_height(scenario.program.world.terrain)
     assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
     assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
-    assert lowest(scenario) == pytest.approx(0.1, abs=0.02)
+    assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
 def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(t
     assert at(0.0, 4.0) == 2.0
     assert at(0.0, 3.0) == 1.0
     assert at(0.0, -1.0) == 0.0
-    assert lowest(scenario) == pytest.approx(0.1, abs=0.02)
+    assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
     assert "hills.png" in scenario.inputs
     assert "file: inputs/hills.png" in scenario.resolved
 
@@ -262,7 +262,7 @@ def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
         assert at(3.0, 0.0) == pytest.approx(0.5)
         assert at(3.0, -5.0) == pytest.approx(0.25)
         assert at(30.0, 0.0) == pytest.approx(0.5)
-        assert lowest(scenario) == pytest.approx(0.1, abs=0.02)
+        assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
 REFUSED = {

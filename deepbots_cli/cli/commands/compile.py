@@ -17,7 +17,7 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_new_folder
-from deepbots_cli.installation import install_source
+from deepbots_cli.installation import clone_folder
 from deepbots_cli.program import identity
 
 
@@ -54,6 +54,8 @@ def command(
     """Print the Python module of a scenario, or write a project around it."""
     if program and as_json:
         raise UsageError("--program and --json cannot be combined; --program already prints JSON")
+    if program and target != "scalar":
+        raise UsageError("--program is the same for both targets; leave out --target")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; use scalar or batch")
     if project is not None:
@@ -124,15 +126,14 @@ def project_files(compiled: api.Compiled) -> Files:
 def _requirements() -> str:
     """Return the requirements of the project: the clone from which deepbots was installed, if pip records it;
     no package index has deepbots."""
-    clone = install_source()
-    is_clone = clone != "deepbots-cli"
-    requirement = (
-        f"deepbots-cli[train] @ {Path(clone).as_uri()}"
-        if is_clone
-        else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
-    )
-    moved = " if it has moved" if is_clone else ""
+    clone = clone_folder()
+    version = deepbots_cli.__version__
+    if clone is None:
+        return (
+            f"# deepbots {version} is not on a package index; write the path of its clone here\n"
+            "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
+        )
     return (
-        f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path"
-        f" here{moved}\n{requirement}\n"
+        f"# deepbots {version} is installed from a clone; write its path here if it has moved\n"
+        f"deepbots-cli[train] @ {clone.as_uri()}\n"
     )

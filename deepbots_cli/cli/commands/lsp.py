@@ -69,8 +69,6 @@ def command(
 
 def _schema(scenario: str | None, output: Path | None, *, force: bool, folders: Sequence[str | Path]) -> None:
     """Print or write the JSON Schema of scenario files; with the names of a scenario, if there is one."""
-    if output == Path("-"):
-        output = None
     if scenario is None:
         terminal.print_or_write(schema_text(), output, force=force)
         return

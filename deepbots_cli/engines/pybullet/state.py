@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """The dynamics of a link in the world model: mass (kg), principal moments (kg m^2), and its frame of
+    """The dynamics with which a link was loaded: mass (kg), principal moments (kg m^2), and its frame of
     inertia in its own frame."""
 
     mass: float
@@ -87,7 +87,8 @@ class Body:
         """The factors on mass and inertia of links, and the further factors on their inertia."""
 
     def dynamics(self, index: int) -> Dynamics:
-        """Return the dynamics of a link as it was loaded: read, and so kept, before anything varies."""
+        """Return the dynamics with which a link was loaded. They are read and kept before any parameter
+        changes."""
         if index not in self._dynamics:
             info = p.getDynamicsInfo(self.number, index, self._client)
             self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
@@ -130,11 +131,10 @@ class Body:
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
 
     def activate(self) -> None:
-        """Move again, with the mass that was set."""
+        """Let the body move again, with its set mass."""
         if self.suspended:
             self.suspended = False
-            if BASE_LINK not in self._factors:
-                self.scale_mass(BASE_LINK, 1.0)
+            self._factors.setdefault(BASE_LINK, (1.0, 1.0))
             self._apply_weight(BASE_LINK)
 
     @property
