@@ -122,8 +122,8 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     text = namespace.values.field(spec, name)
     label = f"`{name}`"
     assert isinstance(text.kind, Quantity)  # the fields of the model
-    if text.kind.known == "step" and text.kind.si is not None:
-        typed, redraw = values.redrawn(text, label, namespace.scope(Context.FIELD), text.kind.si)
+    if text.kind.known == "step" and text.kind.dimension is not None:
+        typed, redraw = values.redrawn(text, label, namespace.scope(Context.FIELD), text.kind.dimension)
     else:
         typed = namespace.fields.typed(text)
         redraw = None

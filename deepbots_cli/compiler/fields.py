@@ -208,7 +208,7 @@ class FieldReader:
         """Return the ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self._values.field(section, *steps)
         dimension = context.get("dimension") or (
-            measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None
+            measure_dimension(text.kind.measure) if isinstance(text.kind, Range) else None
         )
         scope = context.get("scope") or self._scope(Context.FIXED)
         components = context.get("components")
@@ -254,7 +254,7 @@ class FieldReader:
             isinstance(kind, Quantity) and value in kind.words
         ):
             return value if isinstance(value, (bool, int, float)) else str(value)
-        dimension = dimension_of(kind.dimension, base_dimension, second=slides)
+        dimension = dimension_of(kind.measure, base_dimension, second=slides)
         if isinstance(kind, Range):
             ends = self.ends(spec, key, dimension=dimension)
             return (*ends.low, *ends.high) if ends else None
@@ -335,7 +335,7 @@ class FieldReader:
         scope = context.get("scope") or self._scope(Context.FIELD if known else Context.FIXED)
         return (
             scope,
-            context.get("dimension") or measure_dimension(kind.dimension),
+            context.get("dimension") or measure_dimension(kind.measure),
             context.get("components") or axes,
             known,
         )

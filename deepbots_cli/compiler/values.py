@@ -146,7 +146,7 @@ class SourceText(NamedTuple):
         """Return the noun of a torque, which in an expression may be an energy; None for all else."""
         return (
             "a torque"
-            if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.dimension
+            if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.measure
             else None
         )
 

@@ -420,7 +420,7 @@ def _measures(field: FieldType) -> list[str]:
         return []
     return [
         measure
-        for measure in (field.dimension, *field.dimension.split(" or "))
+        for measure in (field.measure, *field.measure.split(" or "))
         if measure in MEASURES and measure != "any"
     ]
 

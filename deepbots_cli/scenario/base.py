@@ -572,7 +572,7 @@ def section_description(section: type[Section]) -> str:
 def unit_of(shape: Shape) -> str:
     """Return the SI unit of a value, `1` for a plain number; empty for other values."""
     match shape:
-        case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
+        case Quantity(measure=measure) | Range(measure=measure) | Column(measure=measure):
             return MEASURES[measure][2]
         case MappingOf(value=inner) | ListOf(item=inner):
             return unit_of(inner)

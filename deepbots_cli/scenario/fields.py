@@ -595,7 +595,7 @@ class Quantity(Parsed):
     """A number with a unit, a parameter, or an expression that is known at this time.
 
     Args:
-        dimension: A key of `MEASURES`.
+        measure: A key of `MEASURES`.
         components: The length of a vector.
         known: The time at which the value may change.
         minimum, maximum: Bounds in SI units; with `exclusive` the minimum itself is refused.
@@ -607,7 +607,7 @@ class Quantity(Parsed):
         usual_unit: The probable unit of a number of at least 1 without a unit, if it is not that of SI.
     """
 
-    dimension: str
+    measure: str
     components: int | None = None
     known: Literal["fixed", "episode", "step"] = "fixed"
     minimum: float | None = None
@@ -623,9 +623,9 @@ class Quantity(Parsed):
     accepted_types = (str, int, float)
 
     @property
-    def si(self) -> Dimension | None:
+    def dimension(self) -> Dimension | None:
         """The dimension; None if it depends on the owner of the quantity."""
-        return measure_dimension(self.dimension)
+        return measure_dimension(self.measure)
 
     @property
     def axes(self) -> Components | None:
@@ -634,16 +634,16 @@ class Quantity(Parsed):
 
     @property
     def noun(self) -> str:
-        noun = "a whole number" if self.whole else MEASURES[self.dimension][0]
+        noun = "a whole number" if self.whole else MEASURES[self.measure][0]
         return f"{noun} with {self.components} components" if self.components else noun
 
     @property
     def example(self) -> str:
-        number, _, unit = ("3", "", "") if self.whole else MEASURES[self.dimension][1].partition(" ")
+        number, _, unit = ("3", "", "") if self.whole else MEASURES[self.measure][1].partition(" ")
         return self.example_text or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def check(self, value: Any) -> None:
-        if self.dimension == "number" and not self.components and (near := number_replacement(value)):
+        if self.measure == "number" and not self.components and (near := number_replacement(value)):
             raise mismatch(self.noun, _number_help(value), near, value=value)
         count = count_literal(value) if isinstance(value, str) else 1
         expected = self.components or 1
@@ -654,7 +654,7 @@ class Quantity(Parsed):
                 self._help_for_count(str(value), count),
             )
         if not isinstance(value, str):
-            if self.dimension == "number" or value == 0:
+            if self.measure == "number" or value == 0:
                 check_bounds(
                     value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
                 )
@@ -666,7 +666,7 @@ class Quantity(Parsed):
     def _help_for_count(self, value: str, count: int | None) -> str | None:
         """Return an example in the unit of the literal, which may be one of several that the measure has."""
         words = value.split()
-        units = MEASURES[self.dimension][2].split(" or ")
+        units = MEASURES[self.measure][2].split(" or ")
         unit = words[-1] if count and len(words) > count else ""
         if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
             return self.help_for(None)
@@ -675,7 +675,7 @@ class Quantity(Parsed):
     def check_text(self, text: str) -> None:
         tree = self.tree(text)
         unit = getattr(tree, "unit", None)
-        unit_names = MEASURES[self.dimension][2].split(" or ")
+        unit_names = MEASURES[self.measure][2].split(" or ")
         if (
             unit is not None
             and not unit_names[0].startswith("of ")
@@ -713,7 +713,7 @@ class Quantity(Parsed):
 class Column(FieldType):
     """Any number of numbers with one unit, such as `0 5 10 mm`."""
 
-    dimension: str
+    measure: str
 
     noun = "a column of numbers"
     example = "0 5 10"
@@ -729,7 +729,7 @@ class Range(Parsed):
     """Two bounds, `lo .. hi unit`, with `vector` for each component; with `auto` the word `auto` stands for
     the known interval."""
 
-    dimension: str
+    measure: str
     auto: bool = False
     vector: bool = False
 
@@ -739,8 +739,8 @@ class Range(Parsed):
     def example(self) -> str:
         unit = (
             ""
-            if self.dimension == "any" and not self.vector
-            else MEASURES[self.dimension][1].partition(" ")[2]
+            if self.measure == "any" and not self.vector
+            else MEASURES[self.measure][1].partition(" ")[2]
         )
         return f"-1 .. 1 {unit}".strip()
 
@@ -772,7 +772,7 @@ class Range(Parsed):
 class Bounds(Range):
     """The minimum of a plain number, or both of its bounds."""
 
-    dimension: str = "number"
+    measure: str = "number"
 
     noun = "a minimum or a range"
     example = "0 .. 10 %"
