@@ -215,7 +215,10 @@ def check_bounds(
 
 def _number_text(number: float) -> str:
     """Return a number as a scenario may have it: a whole one without an exponent."""
-    return f"{int(number):_}" if float(number).is_integer() and abs(number) < MAX_MAGNITUDE else repr(number)
+    if not float(number).is_integer() or abs(number) >= MAX_MAGNITUDE:
+        return repr(number)
+    # The pattern of `over 10000 episodes` has no underscores.
+    return f"{int(number):_}" if abs(number) >= 1_000_000 else str(int(number))
 
 
 def count_literal(text: str) -> int | None:
