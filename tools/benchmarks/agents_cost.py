@@ -24,6 +24,7 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.program import Program
 from deepbots_cli.rollout.worlds import BatchWorlds
 from tests.agents.carts import OF_ONE, OF_TWO
 from tools.benchmarks.report import Row, options, pairs, ratio, show
@@ -109,6 +110,13 @@ def of_agents(environment: Any, actions: np.ndarray[Any, Any]) -> Callable[[], f
     return measure
 
 
+def worlds_of(program: Program, count: int, agent_terms: dict[str, list[str]]) -> BatchWorlds:
+    """A batch of the worlds of a training."""
+    return BatchWorlds(
+        lambda _: api.build_batch(program, count, engine="mujoco"), range(count), agent_terms=agent_terms
+    )
+
+
 def of_batch(worlds: BatchWorlds, actions: np.ndarray[Any, Any]) -> Callable[[], float]:
     """Measures the CPU seconds of a step of the worlds of a training."""
     worlds.reset()
@@ -143,11 +151,7 @@ def main() -> None:
             for program in programs
         ]
         batches = [
-            BatchWorlds(
-                lambda _, program=program: api.build_batch(program, arguments.worlds, engine="mujoco"),
-                range(arguments.worlds),
-                agent_terms=agent_terms,
-            )
+            worlds_of(program, arguments.worlds, agent_terms)
             for program, agent_terms in zip(programs, terms, strict=True)
         ]
         with (

@@ -35,8 +35,11 @@ def share(name: str, rounds: int) -> tuple[float, float, float]:
     env.reset(seed=0)
     single.reset(seed=0)
     actions = [env.action_space.sample() for _ in range(STEPS)]
-    engine, casts = env.batch.engine, name == "find_ball"
-    bare = Batch(copy(single.engine._world.model), WORLDS, engine._threads, persistent=True)
+    # Of any type: the ports of engines have no arrays of MuJoCo, and the bare side needs the same model.
+    engine: Any = env.batch.engine
+    single_engine: Any = single.engine
+    casts = name == "find_ball"
+    bare = Batch(copy(single_engine._world.model), WORLDS, engine._threads, persistent=True)
     rows, ctrl = {field: bare.expand(field) for field in FIELDS}, bare.bind("ctrl")
     for output in ("xpos", "xmat", "xquat", "cvel"):
         bare.bind(output)

@@ -105,7 +105,7 @@ def losses() -> Iterator[Row]:
         )
 
 
-def through_a_scenario(*overrides: str) -> np.ndarray:  # type: ignore[type-arg]
+def through_a_scenario(*overrides: str) -> np.ndarray:
     """`fresh` and `age` (s) of what the supervisor has, over as many steps as messages."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "pyproject.toml").touch()
@@ -146,7 +146,7 @@ def scenarios() -> Iterator[Row]:
     )
 
 
-def wrong_ages(rows: np.ndarray, age: float) -> float:  # type: ignore[type-arg]
+def wrong_ages(rows: np.ndarray, age: float) -> float:
     return float(np.sum(np.abs(rows[10:, 1] - age) > 1e-9))
 
 

@@ -97,7 +97,7 @@ class Robot:
         return [sensor.get_value() for sensor in self.sensors]
 
 
-class LayeredCartPole(gym.Env[np.ndarray, int]):
+class LayeredCartPole(gym.Env[np.ndarray, np.int64]):
     """The supervisor: sends the action, steps the world, makes observation, reward and endings of what the
     robot sent."""
 
@@ -123,7 +123,7 @@ class LayeredCartPole(gym.Env[np.ndarray, int]):
         self.handle_receiver()
         return self.get_observations(), self.get_info()
 
-    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: int | np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         self.step_count += 1
         self.handle_emitter(action)
         self.robot.handle_receiver()
@@ -134,14 +134,14 @@ class LayeredCartPole(gym.Env[np.ndarray, int]):
         terminated, truncated = self.is_done()
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
-    def handle_emitter(self, action: int) -> None:
+    def handle_emitter(self, action: int | np.int64) -> None:
         self.robot.receiver.append(",".join(map(str, self.create_message(action))))
 
     def handle_receiver(self) -> None:
         while self.robot.emitter:
             self.message = [float(value) for value in self.robot.emitter.popleft().split(",")]
 
-    def create_message(self, action: int) -> list[float]:
+    def create_message(self, action: int | np.int64) -> list[float]:
         return [1.0 if action == 0 else -1.0]
 
     def get_observations(self) -> np.ndarray:

@@ -36,7 +36,7 @@ URDF = str(Path(__file__).parents[2] / "robots" / "urdf" / "cartpole.urdf")
 Choose = Callable[[np.ndarray], int]
 
 
-class PlainCartPole(gym.Env[np.ndarray, int]):
+class PlainCartPole(gym.Env[np.ndarray, np.int64]):
     """One class around PyBullet's functions."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class PlainCartPole(gym.Env[np.ndarray, int]):
         )
         return np.clip(values, -1, 1)
 
-    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: int | np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         speed = 5.0 if action == 0 else -5.0
         p.setJointMotorControlArray(
             self.cart,
@@ -126,7 +126,8 @@ def balancing(seed: int) -> Choose:
 def timed(environment: Any, choose: Choose, steps: int) -> tuple[float, float]:
     """CPU time (us) of a step, and of a reset with its first step; `steps` of them altogether."""
     stepping = resetting = 0.0
-    resets, observation, over = 0, None, True
+    resets, over = 0, True
+    observation = np.empty(0)  # until the first reset
     for _ in range(steps):
         start = time.process_time()
         if over:

@@ -35,17 +35,17 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
     edges: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
     for rows, columns in paths._MOVES:
         barred = blocked | np.roll(blocked, (rows, columns), (0, 1))
-        for between in paths._between(rows, columns):
-            barred |= np.roll(blocked, between, (0, 1))
+        for passed_cell in paths._passed_cells(rows, columns):
+            barred |= np.roll(blocked, passed_cell, (0, 1))
         ends = index[~barred]
-        length = cell * paths.LENGTH_SCALE * math.hypot(rows, columns)
-        edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), length)))
+        move_length = cell * paths.LENGTH_SCALE * math.hypot(rows, columns)
+        edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), move_length)))
     first = np.nonzero((starts.ravel() < paths.UNREACHABLE_LENGTH) & ~blocked.ravel())[0]
     edges.append(
         (np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12))
     )  # 0 is not an edge
-    here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
-    graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
+    here, there, edge_lengths = (np.concatenate(parts) for parts in zip(*edges, strict=True))
+    graph = csr_matrix((edge_lengths, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
     lengths = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
     return np.minimum(lengths, paths.UNREACHABLE_LENGTH).reshape(blocked.shape)
 
@@ -63,7 +63,8 @@ def layouts(count: int, generator: np.random.Generator) -> Iterator[tuple[list[P
                 if generator.random() < 0.7
                 else Footprint((0.0, 0.0), a)
             )
-            solids.append(form.at(*generator.uniform(-0.45, 0.45, 2), yaw))
+            x, y = generator.uniform(-0.45, 0.45, 2).tolist()
+            solids.append(form.at(x, y, yaw))
         yield solids, tuple(generator.uniform(-0.45, 0.45, 2))
 
 

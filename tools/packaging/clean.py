@@ -5,8 +5,8 @@ The first environment has deepbots-cli, trains, and exports a policy once deepbo
 second one has deepbots-robot alone, without any other package of this environment, and answers a robot over
 ZeroMQ.
 
-python -m tools.packaging.clean           what the wheels need is lent by this environment; nothing is
-downloaded python -m tools.packaging.clean --fetch   pip installs it, with the extra `export`
+    python -m tools.packaging.clean           this environment lends what the wheels need; no downloads
+    python -m tools.packaging.clean --fetch   pip installs it, with the extra `export`
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Environment:
             here = distribution(package)
             for name in {Path(file).parts[0] for file in here.files or ()} - {"..", "__pycache__"}:
                 if not (self.packages / name).exists():  # packages of one namespace share a folder
-                    (self.packages / name).symlink_to(here.locate_file(name))
+                    (self.packages / name).symlink_to(str(here.locate_file(name)))
 
     def run(self, command: str, *arguments: str, folder: Path) -> str:
         """What a command of the environment prints."""

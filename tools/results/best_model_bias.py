@@ -33,6 +33,7 @@ def measure(seed: int, folder: Path) -> tuple[float, float, tuple[float, float],
     printed = evaluate_trained(run)
     fresh = evaluate(run, episodes=FRESH_EPISODES, seed=next(n for n in count(900_000) if n != printed.seed))
     assert result.best_model is not None
+    assert result.best_model.mean_return is not None
     assert printed.return_interval is not None
     return result.best_model.mean_return, printed.mean_return, printed.return_interval, fresh.mean_return
 

@@ -167,7 +167,7 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
         return [f"{title}: not measured.", ""]
     has_criterion = measure.compiled(standing.experiment.scenario, training.sets).agent.solved is not None
     head = ["seed", "solved after", "simulated hours", "trained for", "simulated hours", "CPU"]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for seed, entry in seeds.items():
         solved, resumed = entry["solved_at"], entry["times_resumed"]
         after = (

@@ -1,7 +1,7 @@
 """Whether the policy that a training keeps is as good as the best of all models that the run has.
 
 `python -m tools.results.kept_policies 11 14` trains the A1 of `stair.yaml` from these seeds, with each of
-three rewards, and saves models at equal intervals. Every model of a run then plays the same 200 new starts.
+three rewards, and saves models at equal intervals. Every model of a run then plays the same 100 new starts.
 The kept policy passes if its success rate is within Wilson's 95 % interval of the best one.
 """
 
@@ -59,12 +59,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 )
                 rates = success_rates(Run.open(path))
                 assert result.best_model is not None
-                kept, best = rates[result.best_model.steps], max(rates.values())
+                kept_steps = result.best_model.steps
+                assert kept_steps is not None
+                kept, best = rates[kept_steps], max(rates.values())
                 low, high = wilson(round(best * EPISODES), EPISODES)
                 passed, count = passed + (kept >= low), count + 1
                 at = next(steps for steps, rate in rates.items() if rate == best)
                 print(
-                    f"{name} {seed}: kept the model of {result.best_model.steps:,} steps, {kept:.1%}; "
+                    f"{name} {seed}: kept the model of {kept_steps:,} steps, {kept:.1%}; "
                     f"best of {len(rates)} models that of {at:,} steps, {best:.1%} ({low:.1%} .. {high:.1%})",
                     flush=True,
                 )

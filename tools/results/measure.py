@@ -203,7 +203,7 @@ def digest(program: Program) -> str:
     ).hexdigest()
 
 
-def _plain(value: object) -> Any:
+def _plain(value: Any) -> Any:
     inside = identity.record_members(value)
     if inside is not None:
         defaults = _defaults(type(value))
@@ -217,7 +217,7 @@ def _plain(value: object) -> Any:
 
 
 @cache
-def _defaults(kind: type) -> dict[str, Any]:
+def _defaults(kind: type[Any]) -> dict[str, Any]:
     if issubclass(kind, Scalar):
         return kind._field_defaults
     return {

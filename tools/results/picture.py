@@ -81,23 +81,22 @@ def drawn(experiment: Experiment, record: Entry) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    settings = {
+    settings: dict[Any, Any] = {  # of any type: matplotlib's keys are a union of literals
         "svg.hashsalt": "deepbots",
         "svg.fonttype": "none",
         "font.family": "sans-serif",
         "font.size": 9,
         "path.simplify": True,
     }
-    ink = dict.fromkeys(
-        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
-    )
-    with mpl.rc_context({**settings, **ink}):
+    colored = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+    with mpl.rc_context(settings | dict.fromkeys(colored, INK)):
         figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         figure.patch.set_alpha(0)
         axes = figure.add_subplot(facecolor="none")
         _draw(axes, experiment, _curves(experiment, record))
         stream = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(
+        canvas: Any = FigureCanvasSVG(figure)  # of any type: matplotlib does not annotate `print_svg`
+        canvas.print_svg(
             stream,
             metadata={"Date": None, "Creator": None, "Description": f"state {state(experiment, record)}"},
         )

@@ -45,7 +45,11 @@ def behavior(experiment: Experiment, names: Mapping[str, str] = MappingProxyType
     for program in [
         part
         for each in whole
-        for part in (each, *(entry.program for entry in (*each.cases, *each.curriculum)))
+        for part in (
+            each,
+            *(case.program for case in each.cases),
+            *(stage.program for stage in each.curriculum),
+        )
     ]:
         environment = api.build(program)
         code = re.sub(
