@@ -203,14 +203,15 @@ def digest(program: Program) -> str:
     ).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     inside = identity.record_members(value)
     if inside is not None:
-        defaults = _defaults(type(value))
+        kind: Any = type(value)  # of any type: to mypy, a class is not hashable
+        defaults = _defaults(kind)
         changed = {
             name: _plain(member) for name, member in inside.items() if member != defaults.get(name, MISSING)
         }
-        return {"is": type(value).__name__} | changed
+        return {"is": kind.__name__} | changed
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
