@@ -300,6 +300,7 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
             "FindBallRandom",
             "PandaPush",
             "A1Velocity",
+            "A1Rough",
             "TagScripted",
         ]
         tab.call(
