@@ -24,7 +24,13 @@ from pydantic import BaseModel, Field, NonNegativeInt
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.generations import Generations
-from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, interquartile_mean, mean_interval, wilson
+from deepbots_cli.learning.runs.statistics import (
+    UNBOUNDED,
+    Interval,
+    interquartile_mean,
+    mean_interval,
+    wilson,
+)
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import Solved
