@@ -741,9 +741,7 @@ class Range(Parsed):
     @property
     def example(self) -> str:
         unit = (
-            ""
-            if self.measure == "any" and not self.vector
-            else MEASURES[self.measure][1].partition(" ")[2]
+            "" if self.measure == "any" and not self.vector else MEASURES[self.measure][1].partition(" ")[2]
         )
         return f"-1 .. 1 {unit}".strip()
 
