@@ -9,6 +9,7 @@ solves a condition for the values of the compared quantities that make it true, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from enum import IntEnum
 from itertools import islice, product
 from math import floor, isfinite
 from typing import NamedTuple
@@ -184,6 +185,15 @@ def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bo
 # Values along a course
 
 
+class Variation(IntEnum):
+    """With what a value of a course changes: with nothing; with the quantities that the course fixes; or in
+    each timestep, as memories, clocks and the end of an episode do."""
+
+    NOTHING = 0
+    QUANTITIES = 1
+    TIME = 2
+
+
 class Course(Ranges):
     """The ranges of values in the timesteps of a course; `follow` moves to the next one.
 
@@ -209,8 +219,13 @@ class Course(Ranges):
         self._flags: Mapping[str, Interval] = _GOES_ON
         self._memory: dict[int, Interval] = {}
         self._now: dict[int, Interval] = {}
-        self._is_varied: dict[int, bool] = {}
-        self._constant: dict[int, Interval] = {}
+        self._variation: dict[int, Variation] = {}
+        self._kept: dict[Variation, dict[int, tuple[Scalar, Interval]]] = {
+            variation: {} for variation in Variation
+        }
+        """By how long it holds, the range of a tree by its id, with the tree, so that no other one gets the id."""
+        self._of_values: dict[int, tuple[Mapping[int, Interval], dict[int, tuple[Scalar, Interval]]]] = {}
+        """The ranges that follow from values of the quantities, by the id of the values, with these."""
         self._tick = analysis.program.world.timestep
         self._remembers: dict[int, bool] = {}
         self._ticks = self.steps[0] * analysis.program.action_repeat
@@ -232,6 +247,8 @@ class Course(Ranges):
     def follow(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
         self._values = values
+        # Most values of a cycle follow from its quantities alone, and are the same in each of its turns.
+        self._kept[Variation.QUANTITIES] = self._of_values.setdefault(id(values), (values, {}))[1]
         self._flags = _GOES_ON
         self._set_clock(self._ticks + 1.0)
         self._now = {}
@@ -285,38 +302,44 @@ class Course(Ranges):
         self._forget()
 
     def _forget(self) -> None:
-        self._computed.clear()
+        self._kept[Variation.TIME].clear()
         self._names.clear()
+
+    def of(self, node: Scalar) -> Interval:
+        key = id(node)
+        for kept in self._kept.values():
+            if key in kept:
+                return kept[key][1]
+        interval = self._of(node)
+        self._kept[self._varies(node)][key] = node, interval
+        return interval
 
     def _of(self, node: Scalar) -> Interval:
         identity = self.analysis.identity(node)
         if identity in self._values:
             return self._values[identity]
-        if identity in self._constant:
-            return self._constant[identity]
         if identity in self._same:
             return self._values[self._same[identity]]
-        interval = super()._of(node)
-        if not self._varies(node):
-            self._constant[identity] = interval
-        return interval
+        return super()._of(node)
 
-    def _varies(self, node: Scalar) -> bool:
-        """Return whether a value depends on quantities that the course fixes, on memories, or on how an
-        episode ends."""
+    def _varies(self, node: Scalar) -> Variation:
+        """Return with what a value changes."""
         node = self.analysis.resolve_aliases(node)
         identity = self.analysis.identity(node)
-        if identity not in self._is_varied:
-            self._is_varied[identity] = True  # a definition that refers to itself
-            self._is_varied[identity] = self._is_source(node, identity) or any(
-                map(self._varies, children(node))
+        if identity not in self._variation:
+            self._variation[identity] = Variation.TIME  # a definition that refers to itself
+            self._variation[identity] = max(
+                (self._own_variation(node, identity), *map(self._varies, children(node)))
             )
-        return self._is_varied[identity]
+        return self._variation[identity]
 
-    def _is_source(self, node: Scalar, identity: int) -> bool:
-        if identity in self._course or identity in self._same or isinstance(node, State):
-            return True
-        return isinstance(node, Name) and (node.name in _GOES_ON or node.name in CLOCKS)
+    def _own_variation(self, node: Scalar, identity: int) -> Variation:
+        if isinstance(node, State) or (
+            isinstance(node, Name) and (node.name in _GOES_ON or node.name in CLOCKS)
+        ):
+            return Variation.TIME
+        is_quantity = identity in self._course or identity in self._same
+        return Variation.QUANTITIES if is_quantity else Variation.NOTHING
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "sub":

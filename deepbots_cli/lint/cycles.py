@@ -8,7 +8,7 @@ the form of a term.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 
@@ -299,17 +299,16 @@ class _Search:
             return None
         start = cycle.phases[-1][0]
         course = self._course({**start, **finish}, is_moving=True)
-        before: Mapping[int, Interval] = {}
-        early: Mapping[str, float] = {}
-        for _ in range(turns):
-            before = course.memories
-            turn = self._turn(course, cycle)
-            if turn is None:
+        for _ in range(turns - 1):
+            if self._turn(course, cycle, ()) is None:
                 return None
-            early = turn
+        before = course.memories
+        early = self._turn(course, cycle, self._reward.terms)
+        if early is None:
+            return None
         course.skip(before, self._counted_steps / cycle.ticks, cycle.ticks)
-        passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
-        late = None if passing is None else self._turn(course, cycle)
+        passing = self._turn(course, cycle, ())  # pays what is paid once, in the time that is skipped
+        late = None if passing is None else self._turn(course, cycle, self._reward.terms)
         if late is None:
             return None
         sums = min(early, late, key=lambda paid: sum(paid.values()))
@@ -324,15 +323,17 @@ class _Search:
             cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._end_penalty, finishing
         )
 
-    def _turn(self, course: Course, cycle: Cycle) -> Mapping[str, float] | None:
-        """Return the least reward of each term in one turn of a cycle; None if the episode ends."""
+    def _turn(
+        self, course: Course, cycle: Cycle, terms: Sequence[tuple[Expression, Scalar]]
+    ) -> Mapping[str, float] | None:
+        """Return the least reward of each of these terms in one turn of a cycle; None if the episode ends."""
         sums: dict[str, float] = {}
         for values, count in cycle.phases:
             for _ in range(count):
                 course.follow(values)
                 if self._ends(course):
                     return None
-                for term, node in self._reward.terms:
+                for term, node in terms:
                     sums[term.name] = sums.get(term.name, 0.0) + course.certain(node)
         return sums
 
