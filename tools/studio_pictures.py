@@ -22,6 +22,11 @@ _HAS_ENDED = "/mine-1: solved/.test(document.querySelector('.studio-work').inner
 def main() -> None:
     with tempfile.TemporaryDirectory() as name, browser() as new_tab:
         folder = Path(name)
+        with served(folder) as studio:
+            first = StudioTab(new_tab(), studio.address, 1440, 860)
+            first.wait("document.querySelectorAll('.studio-choice img').length > 5", 60)
+            time.sleep(2)
+            first.tab.see(str(IMAGES / "studio_first.png"))
         words = ("new", "mine", "--template", "cartpole")
         subprocess.run(
             python_command("deepbots_cli", *words), cwd=folder, env=python_environment(), check=True

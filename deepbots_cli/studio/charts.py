@@ -49,14 +49,13 @@ def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]
     lines = []
     for color, (name, run) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
         for line in (
-            _line(f"{name} in training", run.returns, 0),
-            _line(f"{name} evaluated", run.evaluations, 0, "marks"),
+            _line(name, run.returns, 0),
+            _line(name, run.evaluations, 0, "marks"),
             _line(f"{name} success", _percent(run.successes), 1, "dashes"),
         ):
             lines.append({**line, "itemStyle": {"color": color}})
     has_successes = any(run.successes for run in curves.values())
-    lines += _goals(curves.values(), dark=dark)
-    return _chart(lines, curves.values(), has_successes, dark)
+    return _chart([*lines, *_goals(curves.values(), dark=dark)], curves.values(), has_successes, dark)
 
 
 def _chart(
@@ -64,6 +63,7 @@ def _chart(
 ) -> dict[str, Any]:
     """Return a chart with axes for these curves. Lines without points are left out."""
     lines = [line for line in lines if line["data"]]
+    kinds = {line["name"]: line["kind"] for line in reversed(lines)}  # the evaluations of a run have its name
     text = {"color": "#cccccc" if dark else "#444444"}
     axis = {
         "nameLocation": "middle",
@@ -75,7 +75,7 @@ def _chart(
     return {
         "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
-        "grid": {"left": 66, "right": 66 if has_successes else 34, "top": 40, "bottom": 36},
+        "grid": {"left": 66, "right": 66 if has_successes else 34, "top": 44, "bottom": 36},
         "tooltip": {
             "trigger": "axis",
             "backgroundColor": "#2a2f39" if dark else "#ffffff",
@@ -84,11 +84,11 @@ def _chart(
         },
         "legend": {
             "type": "scroll",
-            "top": 4,
+            "top": 8,
             "itemHeight": 8,
             "textStyle": text,
             "inactiveColor": "#666666" if dark else "#bbbbbb",
-            "data": [{"name": line["name"], "icon": _ICONS[line["kind"]]} for line in lines],
+            "data": [{"name": name, "icon": _ICONS[kind]} for name, kind in reversed(kinds.items())],
         },
         "xAxis": {
             "type": "value",

@@ -168,16 +168,24 @@ class Commands:
         return f"{name} has ended; the tab Commands shows its output"
 
     def adopt_running(self) -> None:
-        """Show the newest training, also one that an earlier server has started, and what still runs."""
+        """Show what an earlier server has started and still runs."""
         running = self.tasks.running
         self._was_running = {task.path for task in running}
-        trained = [
-            task for task in self.tasks.all if task.record.words[0] in _TRAINING_VERBS and task.record.run
-        ]
-        if trained:
-            self.watch(Path(trained[-1].record.run))
-        if running:
-            self.show(running[-1])
+        for task in running:
+            self.show(task)
+            if task.record.words[0] in _TRAINING_VERBS:
+                self.watch(Path(task.record.run))
+
+    def watch_newest(self, stem: str) -> None:
+        """Show the newest training of the scenario with this name, unless another training runs."""
+        if self.training_task is not None and self.training_task.is_running:
+            return
+        name = self.new_run(stem).name.rpartition("-")[0]
+        trained = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
+        runs = (self._folder / task.record.run for task in trained)
+        newest = next((run for run in runs if run.name.rpartition("-")[0] == name), None)
+        self.training = WatchedTraining(newest) if newest is not None else None
+        self._tell("training")
 
     def look(self) -> None:
         """Notice commands that have ended."""

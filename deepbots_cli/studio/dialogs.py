@@ -169,7 +169,7 @@ def _problem_of_name(session: Session, name: str) -> str:
     if not name:
         return "write a name"
     if not _NAME.fullmatch(name):
-        return "the name has up to 61 letters, digits, _ and -, and begins with a letter"
+        return "write up to 61 letters, digits, _ and -, without spaces; begin with a letter"
     if (session.folder / f"{name}.yaml").exists():
         return f"{name}.yaml exists already; choose another name"
     return ""

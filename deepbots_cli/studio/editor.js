@@ -197,7 +197,7 @@ export default {
       Object.assign(this, { path, revision, base: text, waiting: false, behind: false, pushed: null,
         afterwards: "", findings: [] });
       this.view.setState(CM.EditorState.create({ doc: text, extensions: this.extensions }));
-      this.view.scrollDOM.scrollLeft = 0;
+      this.view.scrollDOM.scrollTo(0, 0);
       this.view.dispatch({ effects: [
         this.language.reconfigure(this.yaml ?? []),
         this.writing.reconfigure(CM.EditorState.readOnly.of(readOnly)),

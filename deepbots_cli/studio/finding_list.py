@@ -55,8 +55,12 @@ class FindingList:
             if language.checked_revision(file.path) == file.revision:
                 break
             await asyncio.sleep(_LOOK_S)
-        moved = (other for other in language.findings(file.path) if other.is_like(finding))
-        nearest = min(moved, key=lambda other: abs(other.start[0] - finding.start[0]), default=finding)
+        same = (
+            other
+            for other in language.findings(file.path)
+            if (other.code, other.message) == (finding.code, finding.message)
+        )
+        nearest = min(same, key=lambda other: abs(other.start[0] - finding.start[0]), default=finding)
         fix = next((fix for fix in language.fixes(file, nearest) if fix.title == title), None)
         if fix is None:
             self._say("the text has changed, and this fix no longer applies")

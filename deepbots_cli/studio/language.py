@@ -50,10 +50,6 @@ class EditorFinding:
     code: str
     message: str
 
-    def is_like(self, other: EditorFinding) -> bool:
-        """Return whether both say the same, wherever they are."""
-        return (self.code, self.message) == (other.code, other.message)
-
     @property
     def place(self) -> str:
         """Line and column as people count them, from 1."""

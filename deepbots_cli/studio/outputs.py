@@ -124,10 +124,11 @@ class CommandTab:
                 'dense outlined aria-label="Command"'
             )
             self._choice.classes("studio-files studio-grow")
-            self._copy = ui.button("Copy", on_click=self._copy_command).props("dense outline no-caps")
+            self._copy = ui.button("Copy", on_click=lambda: ui.clipboard.write(self._command.text))
+            self._copy.props("dense outline no-caps")
             self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_command)
             self._stop.props("dense outline no-caps")
-        self._command = ui.label("").classes("studio-command")
+        self._command: ui.label = ui.label("").classes("studio-command")
         self._empty = ui.label("No command has run yet. Try, Test and Train start one.")
         self._empty.classes("studio-empty")
         self._output = TaskOutput()
@@ -153,10 +154,6 @@ class CommandTab:
         task: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
         if task is not None and task is not self._session.commands.task:
             self._session.commands.show(task)
-
-    def _copy_command(self) -> None:
-        if self._session.commands.task is not None:
-            ui.clipboard.write(self._session.commands.task.command)
 
     def _stop_command(self) -> None:
         if self._session.commands.task is not None:

@@ -169,6 +169,8 @@ class StudioPage:
             self._show_findings()
         elif topic == "files":
             self._show_files()
+            if self._inspect.is_shown:
+                background_tasks.create(self._inspect.update())
         elif topic == "robot":
             self._robot.update()
         elif topic == "training":
@@ -329,7 +331,11 @@ class StudioPage:
                 self._file.edit(edits)
                 self._session.edited(self._file)
             else:
-                self._notices.show("the layout is canonical already, or the file has errors")
+                self._notices.show(
+                    HAS_ERRORS
+                    if self._session.language.has_errors(self._file.path)
+                    else "the layout is canonical already"
+                )
 
     def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -112,11 +112,11 @@ class Robot:
 
     async def close(self) -> None:
         """End the process."""
-        await _canceled(self._tasks)
+        await _canceled(list(self._tasks))
         await self._end()
 
     def _start(self) -> None:
-        previous = set(self._tasks)
+        previous = list(self._tasks)
 
         async def run() -> None:
             await _canceled(previous)
@@ -205,13 +205,11 @@ class Robot:
             await process.wait()
 
 
-async def _canceled(tasks: Iterable[asyncio.Task[None]]) -> None:
+async def _canceled(tasks: Sequence[asyncio.Task[None]]) -> None:
     """Cancel tasks, and wait until they have ended."""
-    tasks = list(tasks)
     for task in tasks:
         task.cancel()
-    if tasks:
-        await asyncio.wait(tasks)
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _open_process() -> asyncio.subprocess.Process:

@@ -38,7 +38,7 @@ _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "dow
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "driven by a script, not by a policy",
-    "outdated": "the saved file has errors; the robot is that of the last version without",
+    "outdated": "the saved file has errors; the robot is that of the last version without errors",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
 }

@@ -164,6 +164,8 @@ class Session:
         file = self.open(path)
         if self.current != file.path:
             self.current = file.path
+            self.training_options["--timesteps"] = ""  # of the scenario before
+            self.commands.watch_newest(file.path.stem)
             self._written = self._saved_parameters()
             self.robot.show(file.path)
         self._tell("files")

@@ -33,7 +33,7 @@ _FIRST_STEPS = (
 )
 _WHY = "Why is it not solved?"
 _EXPLORING = (
-    "In training, random actions lower the return: the line is the mean of the last 100 episodes. Evaluations"
+    "In training, the actions are partly random: the line is the mean of the last 100 episodes. Evaluations"
     " are without random actions: dots during the training, and the result above after it."
 )
 
@@ -123,9 +123,8 @@ class TrainingTab:
         run = None if training is None else training.listed
         solved = None if run is None or is_running else run.solved
         self._solved.set_visibility(solved is True)
-        shown = {True: {"Watch", "Video"}, False: {_WHY}, None: set()}[solved]
-        if solved and self._others:
-            shown.add("Compare")
+        further = {"Compare"} if self._others else set()
+        shown = {True: {"Watch", "Video", *further}, False: {_WHY}, None: set()}[solved]
         for label, button in self._next.items():
             button.set_visibility(label in shown)
         starts = is_running and training is not None and not training.curves.returns
@@ -133,12 +132,9 @@ class TrainingTab:
             solved
         ]
         self._text.classes(replace=f"studio-status {kind}")
-        if training is None:
-            self._text.set_text("")
-            return
-        self._steps.set_visibility(False)
-        if run is None:
-            self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
+        self._steps.set_visibility(training is None)
+        if training is None or run is None:
+            self._text.set_text(f"{training.path.name}: starting ..." if training and is_running else "")
             self._drawn = None
             self._draw(Curves(), has_successes=False)
             return

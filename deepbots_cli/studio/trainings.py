@@ -17,7 +17,7 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import folder_kind
-from deepbots_cli.view.plots import TrainingLog, read_logs
+from deepbots_cli.view.plots import read_logs
 
 MAX_POINTS = 400
 """The number of points of a line on the page."""
@@ -72,7 +72,14 @@ def read_curves(run: Path) -> Curves:
         if (run / "monitor.csv").exists() and read_listed(run).episodes:
             raise
         return Curves()
-    return _curves(log)
+    return Curves(
+        returns=_points(log.returns),
+        successes=_points(log.successes),
+        evaluations=_points(log.evaluations),
+        evaluated_successes=_points(log.evaluated_successes) if log.successes is not None else (),
+        terms={name: _points(curve) for name, curve in log.terms.items()},
+        stages=tuple((stage.name, stage.steps) for stage in log.stages),
+    )
 
 
 def result_text(run: ListedRun) -> str:
@@ -97,17 +104,6 @@ def solved_return(run: Path) -> float | None:
         solved = Run.open(run).program.agent.solved
         return solved.mean_return if solved is not None else None
     return None
-
-
-def _curves(log: TrainingLog) -> Curves:
-    return Curves(
-        returns=_points(log.returns),
-        successes=_points(log.successes),
-        evaluations=_points(log.evaluations),
-        evaluated_successes=_points(log.evaluated_successes) if log.successes is not None else (),
-        terms={name: _points(curve) for name, curve in log.terms.items()},
-        stages=tuple((stage.name, stage.steps) for stage in log.stages),
-    )
 
 
 def _points(curve: Any) -> tuple[Point, ...]:

@@ -185,6 +185,7 @@ class Page:
         self._changed = {}
         self.playback.leave(driver)
         self.reload()
+        self._cameras.refit()
 
     def submit(self, task: Callable[[], None]) -> None:
         """Run a function in the thread that owns the environments. An error of it is shown on the page."""

@@ -232,7 +232,8 @@ class Panel:
         if frame.ended_by:
             unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
             color = "#009E73" if frame.is_success or frame.succeeded else unsuccessful
-        total = "" if player.reader.layout.of_robot else f", return so far {agent.episode_return:.4g}"
+        # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
+        total = "" if player.reader.layout.of_robot else f"<br>return so far {agent.episode_return:.4g}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
         return panel_html.notice(state, f"{numbers}{note}{self._score()}", color)

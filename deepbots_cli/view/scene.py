@@ -215,6 +215,12 @@ class SceneCameras:
         self._boxes = boxes
         return aim_camera(self._server, view_around(boxes, 480, 400))  # a usual window beside the panel
 
+    def refit(self) -> None:
+        """Show the whole scene in all browsers, wherever a person has moved the camera."""
+        self._fitted.clear()
+        for client in self._server.get_clients().values():
+            self._fit(client)
+
     def _fit(self, client: Any) -> None:
         """Show the whole scene in a browser that has been opened or resized, unless a person has moved its
         camera."""

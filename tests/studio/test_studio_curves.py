@@ -44,8 +44,8 @@ def test_a_comparison_has_the_goal_of_both_runs_once():
     curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
     options = comparison_chart({"a": curves, "b": curves}, dark=True)
     assert [entry["name"] for entry in options["legend"]["data"]] == [
-        "a in training",
-        "b in training",
+        "a",
+        "b",
         "solved: 50",
     ]
 
