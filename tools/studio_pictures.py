@@ -23,10 +23,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, browser() as new_tab:
         folder = Path(name)
         with served(folder) as studio:
-            first = StudioTab(new_tab(), studio.address, 1440, 860)
+            first = new_tab()
+            size = {"width": 1440, "height": 860, "deviceScaleFactor": 1, "mobile": False}
+            first.call("Emulation.setDeviceMetricsOverride", **size)
+            first.call("Page.navigate", url=studio.address)
             first.wait("document.querySelectorAll('.studio-choice img').length > 5", 60)
             time.sleep(2)
-            first.tab.see(str(IMAGES / "studio_first.png"))
+            first.see(str(IMAGES / "studio_first.png"))
         words = ("new", "mine", "--template", "cartpole")
         subprocess.run(
             python_command("deepbots_cli", *words), cwd=folder, env=python_environment(), check=True

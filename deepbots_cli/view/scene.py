@@ -263,6 +263,9 @@ class WorldScene:
         self._size = size
         self._origin = origin
         self._anchor = scene.add_frame(root, show_axes=False, position=origin)
+        # viser sends no position of 0, and a browser keeps that of the node of this name before.
+        self._anchor.position = frames.add(origin, (1.0, 0.0, 0.0))
+        self._anchor.position = origin
         self.follows = False
         """Whether the robot stays in view, as the world moves below it."""
         self._nodes: dict[LinkName, Any] = {}
