@@ -238,10 +238,8 @@ def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
     in_text = [f"In this file: {listed}."] if names else []
     in_text = [f"**{query}** in this file\n\n{here}"] if here else in_text
     in_file = [*(part.text for part in of_text.parts(query)), *in_text]
-    # What the word is at the cursor, or the part of the robot that a phrase names, says more than the entries of
-    # all keys of this name, or the nearest one.
-    is_wanted = has_entry or not (here or of_text.parts(query))
-    entry = explanation(query, only_concepts=bool(here)) if is_wanted else ""
+    # What the word is at the cursor says more than the entries of all keys of this name.
+    entry = explanation(query, only_concepts=bool(here)) if has_entry or not here else ""
     # The name of a section, such as `reward`, is a word of the language first.
     parts = [entry, *in_file] if has_entry and not here else [*in_file, entry]
     return "\n\n---\n\n".join(filter(None, parts))

@@ -38,7 +38,7 @@ html:root[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --m
   --mantine-color-dark-6: #20242c; --mantine-color-dark-5: #2a2f39; --mantine-color-dark-4: #343a46;
   --mantine-color-dark-3: #566073; --mantine-color-dark-2: #a9b2c0; --mantine-color-placeholder: #a9b2c0; }
 [data-mantine-color-scheme="dark"] [style*="rgb(20, 20, 20)"] { background: #16191f !important; }
-[data-mantine-color-scheme="dark"] [role="tab"][data-active] { color: #8fc1f5; }
+[data-mantine-color-scheme="dark"] [role="tab"][data-active] * { color: #8fc1f5 !important; }
 [data-mantine-color-scheme="dark"] canvas[data-engine] { filter: brightness(0.72); }
 @media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
 .mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }

@@ -457,6 +457,8 @@ def test_a_second_studio_of_a_folder_names_the_first(folder):
 
 def test_a_busy_port_is_passed_over(folder):
     with socket.socket() as busy:
+        # Without it, connections of an earlier server that has ended refuse the port.
+        busy.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             busy.bind(("127.0.0.1", FIRST_PORT))
             busy.listen()
