@@ -64,7 +64,7 @@ check: dev ## everything that a change must pass
 types: dev
 	$(BIN)/mypy
 types-on-windows: dev
-	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
+	$(BIN)/mypy -p deepbots_cli -p deepbots_robot --platform win32 --cache-dir .mypy_cache/win32
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm
