@@ -223,7 +223,8 @@ class Course(Ranges):
         self._kept: dict[Variation, dict[int, tuple[Scalar, Interval]]] = {
             variation: {} for variation in Variation
         }
-        """By how long it holds, the range of a tree by its id, with the tree, so that no other one gets the id."""
+        """The computed ranges, by how long they hold, and by the id of the tree. Each is kept with its
+        tree, so that no other tree gets the id."""
         self._of_values: dict[int, tuple[Mapping[int, Interval], dict[int, tuple[Scalar, Interval]]]] = {}
         """The ranges that follow from values of the quantities, by the id of the values, with these."""
         self._tick = analysis.program.world.timestep

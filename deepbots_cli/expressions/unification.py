@@ -147,7 +147,10 @@ def dimension_of(
         corrected = None
         if remedy is None and NUMBER in (first.type.dimension, value.type.dimension):
             corrected = divided_text(needed, f" / {_divisor(needed.type.dimension)}")
-            remedy = f"both sides need the same dimension; for a plain number, divide by the unit: {CORRECTED_LINE}"
+            remedy = (
+                "both sides need the same dimension; for a plain number, divide by the unit:"
+                f" {CORRECTED_LINE}"
+            )
         remedy = remedy or "both sides need the same dimension; divide by a unit to get a plain number"
         raise report_at(report, "DB503", node, headline, remedy, names=names, corrected=corrected)
     return first.type.dimension

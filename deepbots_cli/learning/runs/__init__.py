@@ -1,4 +1,4 @@
-"""Runs: the directory of a training, and what follows from its files alone. Nothing here needs torch or a world.
+"""Runs: the directory of a training, and what follows from its files, without torch and without a world.
 
 run.py                the run directory, written atomically and checked when read; models of runs
 records.py            the content of `run.json` and of the evaluations of a run
