@@ -47,7 +47,8 @@ from deepbots_cli.scenario.base import (
     section_fields,
     unit_of,
 )
-from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.quantities import Expression, Quantity
 from deepbots_cli.scenario.isaac_lab import TERMS_FILE
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS

@@ -31,16 +31,9 @@ from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Color
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import (
-    COLORS,
-    Column,
-    FieldType,
-    Quantity,
-    Range,
-    color_options,
-    dimension_of,
-    measure_dimension,
-)
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.quantities import Column, Quantity, Range, dimension_of, measure_dimension
+from deepbots_cli.scenario.fields.words import COLORS, color_options
 
 Default = TypeVar("Default")
 

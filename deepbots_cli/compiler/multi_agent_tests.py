@@ -18,7 +18,7 @@ from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Member
 from deepbots_cli.program.task import ActionPart, ActionRange, FixedAction, ScenarioTest
-from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.fields.words import choices_help
 
 _AGENT = "agent"
 _DRIVER = "driver"

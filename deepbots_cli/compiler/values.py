@@ -40,7 +40,9 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, section_fields
-from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.quantities import Quantity
+from deepbots_cli.scenario.fields.words import choices_help
 from deepbots_cli.scenario.isaac_lab import term_help
 from deepbots_cli.scenario.keys import replacement_for
 from deepbots_cli.scenario.synonyms import word_for

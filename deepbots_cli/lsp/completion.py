@@ -51,23 +51,10 @@ from deepbots_cli.scenario.base import (
     section_description,
     section_fields,
 )
-from deepbots_cli.scenario.fields import (
-    COLORS,
-    MEASURES,
-    REFERENCE_KINDS,
-    ColorValue,
-    Column,
-    Expression,
-    FieldType,
-    FilePath,
-    Flag,
-    Pattern,
-    Quantity,
-    Range,
-    Reference,
-    ReferenceKind,
-    Word,
-)
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.names import REFERENCE_KINDS, FilePath, Pattern, Reference, ReferenceKind
+from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Expression, Quantity, Range
+from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Flag, Word
 from deepbots_cli.scenario.scenario import VERSION
 
 

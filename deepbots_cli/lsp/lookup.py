@@ -41,7 +41,8 @@ from deepbots_cli.scenario.base import (
     section_description,
     section_fields,
 )
-from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.words import counted
 

@@ -1,7 +1,7 @@
 """The language of scenarios: pydantic models, from which validation, JSON Schema, hover and reference pages
 come.
 
-fields.py       field types: the values that a field may have, for validation and for the compiler
+fields          field types: the values that a field may have, for validation and for the compiler
 base.py         Section, the base of the models; unions, sizes; the shape of an annotation, walking a scenario
                 by shapes; the documentation of a key: descriptions, units, defaults, examples
 search.py       the search spaces of `tune`

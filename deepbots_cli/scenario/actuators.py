@@ -35,20 +35,16 @@ from deepbots_cli.scenario.base import (
     kind_of,
     kind_parameters,
 )
-from deepbots_cli.scenario.fields import (
-    JointName,
-    JointNames,
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.names import JointName, JointNames, LinkName, LinkNames, Pattern
+from deepbots_cli.scenario.fields.quantities import (
     Length,
-    LinkName,
-    LinkNames,
-    Pattern,
-    PlainText,
     Quantity,
     RandomizableDelay,
     RandomizableFactor,
     Range,
-    Scalar,
 )
+from deepbots_cli.scenario.fields.words import PlainText
 
 MaxTorque = Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0)]
 Stiffness = Annotated[Scalar, Quantity("stiffness", known="episode", minimum=0)]

@@ -3,7 +3,7 @@
 A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of`
 reads an annotation:
 
-    FieldType     a single value (fields.py)
+    FieldType     a single value (fields)
     Section       a mapping with known keys: the model class itself
     MappingOf     a mapping with names that the user chooses
     ListOf        a list
@@ -46,21 +46,10 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import parse
-from deepbots_cli.scenario.fields import (
-    MEASURES,
-    PLAIN_FIELD_TYPES,
-    Column,
-    FieldType,
-    Quantity,
-    Range,
-    Word,
-    choices_help,
-    error,
-    error_at,
-    mismatch,
-    with_article,
-    word_replacement,
-)
+from deepbots_cli.scenario.fields.base import FieldType, error, error_at, mismatch, with_article
+from deepbots_cli.scenario.fields.numbers import Number, WholeNumber
+from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Quantity, Range
+from deepbots_cli.scenario.fields.words import Flag, Text, Word, choices_help, word_replacement
 from deepbots_cli.scenario.synonyms import key_for
 from deepbots_cli.words import counted
 
@@ -85,10 +74,10 @@ class KeyCount:
         """Yield the errors of the keys of a section."""
         present = [name for name in self.names if name in data]
         if len(present) > self.max:
-            refused = error(
+            problem = error(
                 "DB101", f"`{present[-1]}` cannot be combined with `{present[0]}`", "keep one of the two"
             )
-            yield InitErrorDetails(type=refused, loc=(present[-1],), input=data[present[-1]])
+            yield InitErrorDetails(type=problem, loc=(present[-1],), input=data[present[-1]])
         elif len(present) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)
             yield InitErrorDetails(
@@ -248,7 +237,7 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `models_by_key` has the models that have no such word and are recognized by another key, `remedies` the
+    `models_by_key` has the models that have no such word and are recognized by another key, `help_by_key` the
     texts to write instead of a key that belongs elsewhere. Without a word, a section is of the kind
     `default`, if there is one.
     """
@@ -256,7 +245,7 @@ class Kinds:
     key: str
     models: Mapping[str, type[Section]]
     models_by_key: Mapping[str, type[Section]] = field(default_factory=dict)
-    remedies: Mapping[str, str] = field(default_factory=dict)
+    help_by_key: Mapping[str, str] = field(default_factory=dict)
     default: str | None = None
 
     @property
@@ -304,9 +293,9 @@ class Kinds:
             raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
             keys = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_key))
-            remedy = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
-            remedy = next((text for key, text in self.remedies.items() if key in value), remedy)
-            raise error("DB102", f"missing key {keys}", remedy, missing=(self.key, *self.models_by_key))
+            help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
+            help = next((text for key, text in self.help_by_key.items() if key in value), help)
+            raise error("DB102", f"missing key {keys}", help, missing=(self.key, *self.models_by_key))
         word = value[self.key]
         if not isinstance(word, str):
             raise error_at(
@@ -382,6 +371,15 @@ def section_fields(section: type[Section]) -> Mapping[str, Shape]:
     }
 
 
+_PLAIN_FIELD_TYPES: Mapping[object, FieldType] = {
+    int: WholeNumber(),
+    float: Number(),
+    bool: Flag(),
+    str: Text(),
+}
+"""Field types of plain Python types, which pydantic validates itself."""
+
+
 def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     """Return the shape of an annotation without None.
 
@@ -408,8 +406,8 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
         return ListOf(shape_of(arguments[0]))
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
-    if annotation in PLAIN_FIELD_TYPES:
-        return PLAIN_FIELD_TYPES[annotation]
+    if annotation in _PLAIN_FIELD_TYPES:
+        return _PLAIN_FIELD_TYPES[annotation]
     raise TypeError(f"no shape for {annotation!r}")
 
 

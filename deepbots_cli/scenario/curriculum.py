@@ -6,16 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
-from deepbots_cli.scenario.fields import (
-    Bounds,
-    LocalName,
-    Range,
-    Reference,
-    Scalar,
-    Setting,
-    Until,
-    WholeNumber,
-)
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.names import LocalName, Reference
+from deepbots_cli.scenario.fields.numbers import WholeNumber
+from deepbots_cli.scenario.fields.quantities import Bounds, Range
+from deepbots_cli.scenario.fields.training import Setting, Until
 
 MAX_LEVELS = 100
 

@@ -46,18 +46,10 @@ from deepbots_cli.scenario.base import (
     section_fields,
     unit_of,
 )
-from deepbots_cli.scenario.fields import (
-    COLORS,
-    ColorValue,
-    Expression,
-    FieldType,
-    FilePath,
-    Name,
-    Pattern,
-    Range,
-    Reference,
-    Word,
-)
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.names import FilePath, Name, Pattern, Reference
+from deepbots_cli.scenario.fields.quantities import Expression, Range
+from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Word
 from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
 
 Json = dict[str, Any]

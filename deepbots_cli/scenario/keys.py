@@ -37,7 +37,8 @@ from deepbots_cli.scenario.base import (
     shape_at,
     walk_sections,
 )
-from deepbots_cli.scenario.fields import FieldType, Word
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.words import Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
@@ -151,8 +152,8 @@ def misspelled_key(
             near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
             if near is not None:
                 key = (*path, word)
-                remedy = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
-                return key, Suggestion(remedy, Replacement(near, safe=False))
+                help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
+                return key, Suggestion(help, Replacement(near, safe=False))
     return None
 
 
@@ -164,11 +165,11 @@ def _is_lacking(root: nodes.MappingNode, path: NodePath, section: type[Section],
     )
 
 
-def _beside(remedy: str, section: type[Section]) -> str:
+def _beside(help: str, section: type[Section]) -> str:
     """Return a suggestion, with the keys of a section that has few."""
     if len(section.model_fields) > MAX_BESIDE:
-        return remedy
-    return f"{remedy}; {keys_of(section)}"
+        return help
+    return f"{help}; {keys_of(section)}"
 
 
 def _renamed(

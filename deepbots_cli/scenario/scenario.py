@@ -28,35 +28,32 @@ from deepbots_cli.scenario.agent import (
 )
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
 from deepbots_cli.scenario.curriculum import EndingNames, Levels, Settings, Stage
-from deepbots_cli.scenario.fields import (
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.names import (
     BodyName,
-    Bool,
-    Bounds,
-    Color,
-    Expression,
     FilePath,
     JointPattern,
-    Length,
     LocalName,
     Pattern,
-    PlainText,
-    PositiveInt,
+    Reference,
+    SharedName,
+)
+from deepbots_cli.scenario.fields.numbers import PositiveInt, WholeNumber
+from deepbots_cli.scenario.fields.quantities import (
+    Bounds,
+    Expression,
+    Length,
     Quantity,
     RandomizableCount,
     RandomizableFactor,
     RandomizableShare,
     Range,
-    Reference,
-    Scalar,
     Share,
-    SharedName,
     Signal,
-    Solved,
-    Text,
     Thickness,
-    WholeNumber,
-    Word,
 )
+from deepbots_cli.scenario.fields.training import Solved
+from deepbots_cli.scenario.fields.words import Bool, Color, PlainText, Text, Word
 from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
@@ -541,7 +538,7 @@ TITLE = Text(
     "a name",
     r"[A-Za-z][A-Za-z0-9_-]{0,63}",
     "CartPole",
-    refused="the name of a scenario",
+    role="the name of a scenario",
     help="use letters, digits, `_` and `-`, at most 64, and begin with a letter",
 )
 

@@ -40,25 +40,20 @@ from deepbots_cli.scenario.base import (
     kind_of,
     kind_parameters,
 )
-from deepbots_cli.scenario.fields import (
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.names import (
     BodyName,
     BodyNames,
-    Bool,
-    Column,
     JointName,
     JointNames,
     LinkName,
     LinkNames,
     LocalName,
-    PlainText,
-    Quantity,
-    RandomizableDelay,
-    Range,
     Reference,
-    Scalar,
-    Timestep,
-    WholeNumber,
 )
+from deepbots_cli.scenario.fields.numbers import WholeNumber
+from deepbots_cli.scenario.fields.quantities import Column, Quantity, RandomizableDelay, Range, Timestep
+from deepbots_cli.scenario.fields.words import Bool, PlainText
 from deepbots_cli.scenario.world import SensorFrame
 
 _READERS = "deepbots_cli.runtime.readers"

@@ -13,17 +13,10 @@ from pydantic import Field
 
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model, kind_of
-from deepbots_cli.scenario.fields import (
-    Bool,
-    Fraction,
-    Number,
-    PlainText,
-    PositiveInt,
-    Scalar,
-    Schedule,
-    Text,
-    WholeNumber,
-)
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.numbers import Fraction, Number, PositiveInt, WholeNumber
+from deepbots_cli.scenario.fields.training import Schedule
+from deepbots_cli.scenario.fields.words import Bool, PlainText, Text
 
 MAX_SHARDS = 256
 AUTO = "auto"
@@ -43,7 +36,7 @@ WORD = Text(
     "a word of a name",
     r"[A-Za-z0-9](?:[A-Za-z0-9_]{0,62}[A-Za-z0-9])?",
     "left",
-    refused="a word of a name",
+    role="a word of a name",
     help="write the part of the names by which the sides differ, such as `FL` of `FL_hip_joint`",
 )
 

@@ -31,7 +31,7 @@ from deepbots_cli.scenario.base import (
     set_paths,
     shape_at,
 )
-from deepbots_cli.scenario.fields import FieldType, error, mismatch
+from deepbots_cli.scenario.fields.base import FieldType, error, mismatch
 from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
@@ -92,8 +92,8 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
     for round_number in range(_MAX_ROUNDS):
         try:
             scenario = Scenario.model_validate(data, context={LENIENT: round_number > 0})
-        except ValidationError as refused:
-            errors = refused.errors(include_url=False, include_input=False)[: findings.limit]
+        except ValidationError as invalid:
+            errors = invalid.errors(include_url=False, include_input=False)[: findings.limit]
         else:
             scenario._pruned = frozenset(pruned)
             set_paths(scenario)
@@ -185,21 +185,21 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     )
     kind = context.get("code", kind)
     headline = context["headline"]
-    remedy = context["help"]
+    help = context["help"]
     near = context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
-        remedy = remedy or keys_of(shape_at(Scenario, data, path))
+        help = help or keys_of(shape_at(Scenario, data, path))
         if hint := _typing_hint(node, data, path, takes_mapping=expected == "a mapping"):
-            remedy = hint[0]
+            help = hint[0]
             near = near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
-        remedy = ". ".join(
+        help = ". ".join(
             filter(
                 None,
                 (
-                    remedy,
+                    help,
                     sentence_about_key(data, (*path, context["missing"][0])) if context["missing"] else None,
                 ),
             )
@@ -215,7 +215,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     fix = _fix(key_node if at_key else node, near)
     return _Problem(
         path,
-        Finding(kind, span, headline, remedy or sentence_about_key(data, path), fix=fix),
+        Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix),
         context["missing"],
     )
 
@@ -257,14 +257,14 @@ def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
 
 def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
     """Return the words of the field type for a value that pydantic's own type refused with `message`."""
-    refused = mismatch("another type" if shape is None else noun_of(shape), value=value)
+    problem = mismatch("another type" if shape is None else noun_of(shape), value=value)
     if isinstance(shape, FieldType):
         try:
             shape.validate(value)
-            refused = error("DB105", message)  # a bound of pydantic, in the model of a plug-in
+            problem = error("DB105", message)  # a bound of pydantic, in the model of a plug-in
         except PydanticCustomError as own:
-            refused = own
-    return {**(refused.context or {}), "code": refused.type}
+            problem = own
+    return {**(problem.context or {}), "code": problem.type}
 
 
 def _describe(node: Node) -> str:
@@ -332,10 +332,10 @@ def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
 
 def _merge_forms_of_isaac_lab(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
     """Replace all problems of a section that is written as in Isaac Lab by a single one."""
-    for path, paths, headline, remedy in advice(data):
+    for path, paths, headline, help in advice(data):
         inside = [problem for problem in problems if any(problem.path[: len(at)] == at for at in paths)]
         if inside:
-            finding = Finding("DB101", _key_span(root, path), headline, remedy)
+            finding = Finding("DB101", _key_span(root, path), headline, help)
             merged = _Problem(path, finding)
             problems = [merged, *(problem for problem in problems if problem not in inside)]
     return problems
@@ -440,9 +440,9 @@ def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -
         return problems
     missing = tuple(key for problem in lacking for key in problem.missing)
     headline = f"missing keys {listed(missing)} {_place(())}"
-    remedy, *notes = (problem.finding.help or "" for problem in lacking)
+    help, *notes = (problem.finding.help or "" for problem in lacking)
     together = _Problem(
-        (), Finding("DB102", _key_span(root, ()), headline, remedy, notes=tuple(filter(None, notes))), missing
+        (), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing
     )
     return [together, *(problem for problem in problems if problem not in lacking)]
 

@@ -7,15 +7,12 @@ from pydantic import Field
 
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.scenario.base import KeyCount, Kinds, Many, Section, Size
-from deepbots_cli.scenario.fields import (
+from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.names import FilePath, LocalName, MeshFile, SharedName
+from deepbots_cli.scenario.fields.numbers import WholeNumber
+from deepbots_cli.scenario.fields.quantities import (
     Area,
-    Bool,
-    Color,
     Expression,
-    FilePath,
-    LocalName,
-    MeshFile,
-    PlainText,
     Point,
     Quantity,
     RandomizableAngle,
@@ -24,15 +21,12 @@ from deepbots_cli.scenario.fields import (
     RandomizableFactor,
     RandomizableShare,
     Range,
-    Scalar,
     Scale,
     Share,
-    SharedName,
     Thickness,
     Timestep,
-    WholeNumber,
-    Word,
 )
+from deepbots_cli.scenario.fields.words import Bool, Color, PlainText, Word
 
 
 class Ground(Section):
@@ -496,5 +490,5 @@ _ARTICULATED = (
 )
 AnyObject = Annotated[
     PlacedBody,
-    Kinds("shape", OBJECTS, models_by_key={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED}),
+    Kinds("shape", OBJECTS, models_by_key={"one_of": VariedObject}, help_by_key={"urdf": _ARTICULATED}),
 ]

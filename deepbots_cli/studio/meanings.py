@@ -17,7 +17,7 @@ from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import CursorView, Document
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.fields.base import with_article
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _MAX_USES = 12

@@ -38,7 +38,7 @@ from deepbots_cli.scenario.base import (
     unit_of,
     walk_sections,
 )
-from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.fields.base import with_article
 from deepbots_cli.scenario.keys import section_text
 from deepbots_cli.scenario.scenario import Scenario
 

@@ -30,7 +30,7 @@ from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
-from deepbots_cli.scenario.fields import MAX_SOLVED_EPISODES
+from deepbots_cli.scenario.fields.training import MAX_SOLVED_EPISODES
 
 FALSE_STOPS = 0.05
 """The largest probability that a training stops with a policy that is `MARGIN` or more below the required

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from deepbots_cli.scenario.fields import RESERVED_NAMES, suggested_name
+from deepbots_cli.scenario.fields.names import RESERVED_NAMES, suggested_name
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
 _RESERVED = _WORDS_OF_YAML.union(*RESERVED_NAMES.values())

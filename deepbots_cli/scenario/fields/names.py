@@ -1,0 +1,233 @@
+"""Names: those that a scenario defines, references to them, and files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.scenario.fields.base import FieldType, JsonSchema, error, error_at, mismatch, with_article
+
+BUILT_IN_NAMES = frozenset(
+    {
+        "time",
+        "step",
+        "episode_return",
+        "previous_action",
+        "previous_reward",
+        "terminated",
+        "truncated",
+        "ended",
+        "goal_reached",
+    }
+    | {"ground", "arena", "pi", "true", "false"}
+)
+"""The names of values that every scenario has."""
+GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
+"""Keywords of expressions, and special values of fields."""
+NAME_PATTERN = r"[a-z_][a-z0-9_]*"
+MAX_NAME_LENGTH = 64
+
+RESERVED_NAMES: Mapping[str, Collection[str]] = {
+    "a unit": UNITS,
+    "built in": BUILT_IN_NAMES,
+    "a word of the language": GRAMMAR_WORDS,
+}
+"""Names that no shared name may have, by what they are."""
+
+
+# New names
+
+
+def suggested_name(text: str) -> str:
+    """Turn a text into a name, `polePosSensor` as `pole_pos_sensor`; it may begin with a
+    digit, be empty or reserved."""
+    humps = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text[:MAX_NAME_LENGTH])
+    return re.sub(r"[^a-z0-9_]+", "_", humps.lower()).strip("_")
+
+
+@dataclass(frozen=True)
+class Name(FieldType):
+    """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in
+    names."""
+
+    shared: bool = False
+
+    noun = "a name"
+
+    def check(self, value: Any) -> None:
+        if not re.fullmatch(NAME_PATTERN, value):
+            suggestion = suggested_name(value)
+            help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
+            if re.fullmatch(NAME_PATTERN, suggestion):
+                help = f"write `{suggestion}`: {help}"
+            raise error("DB105", f"`{value[:40]}` cannot be a name", help)
+        if len(value) > MAX_NAME_LENGTH:
+            raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
+        if self.shared:
+            for noun, names in RESERVED_NAMES.items():
+                if value in names:
+                    raise error(
+                        "DB202",
+                        f"the name `{value}` is reserved: it is {noun}",
+                        f"choose another name, such as `{value}_value`",
+                    )
+
+    def json_schema(self) -> JsonSchema:
+        about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
+        return {"pattern": f"^{NAME_PATTERN}$", "title": "name", "patternErrorMessage": about}
+
+
+# References
+
+
+class ReferenceKind(NamedTuple):
+    """What a reference names.
+
+    Attributes:
+        sections: The sections of the scenario whose keys are the names, or whose items have a `name`; each
+            with the noun of its names.
+        parts: The parts of robots that have a name: sections of a robot, joints and links of its file.
+        words: The names of the language, each with its meaning.
+        singular: The noun of one item, for a kind that takes one or a list of them.
+    """
+
+    sections: Mapping[NodePath, str] = {}
+    parts: tuple[str, ...] = ()
+    words: Mapping[str, str] = {}
+    singular: str = ""
+
+
+_BODIES: dict[NodePath, str] = {("robots",): "a robot", ("objects",): "an object"}
+_PARAMETERS: dict[NodePath, str] = {("parameters",): "a parameter"}
+_SIGNALS: dict[NodePath, str] = {("signals",): "a signal"}
+REFERENCE_KINDS: Mapping[str, ReferenceKind] = {
+    "action": ReferenceKind({("action",): "an action"}),
+    "actuator": ReferenceKind(parts=("actuators",)),
+    "agent": ReferenceKind({("agents",): "an agent"}),
+    "bodies": ReferenceKind(_BODIES, singular="body"),
+    "bodies or links": ReferenceKind(_BODIES, ("links",), {"ground": "the ground"}, singular="body or link"),
+    "body": ReferenceKind(_BODIES),
+    "body or link": ReferenceKind(_BODIES, ("links",)),
+    "case": ReferenceKind({("evaluation", "cases"): "a case of the evaluation"}),
+    "choice": ReferenceKind(),  # an option or a component of an action
+    "driver": ReferenceKind(
+        {("scripts",): "a script"}, words=dict.fromkeys(("random", "zero"), "actions without a script")
+    ),
+    "ending": ReferenceKind(
+        {
+            ("termination", "success"): "an ending",
+            ("termination", "failure"): "an ending",
+            ("endings",): "an ending",
+            ("truncation",): "a limit",
+        }
+    ),
+    "group": ReferenceKind(parts=("groups", "actuators")),
+    "joint": ReferenceKind(parts=("joints",)),
+    "joint or link": ReferenceKind(parts=("joints", "links")),
+    "joints": ReferenceKind(parts=("joints",), singular="joint"),
+    "layout": ReferenceKind({("reset", "layouts"): "a layout"}),
+    "letter": ReferenceKind(),  # a sign of the map
+    "line": ReferenceKind({("world", "lines"): "a line"}),
+    "link": ReferenceKind(parts=("links",)),
+    "links": ReferenceKind(parts=("links",), singular="link"),
+    "message field": ReferenceKind(),  # what robots send
+    "object": ReferenceKind({("objects",): "an object"}),
+    "option": ReferenceKind(),  # an option of an action
+    "parameter": ReferenceKind(_PARAMETERS),
+    "parameter or signal": ReferenceKind({**_PARAMETERS, **_SIGNALS}),
+    "reading": ReferenceKind(),  # a function of the world with its arguments, such as `position(ball)`
+    "region": ReferenceKind(words={"arena": "the floor of the arena"}),
+    "robot": ReferenceKind({("robots",): "a robot"}),
+    "sensor": ReferenceKind(parts=("sensors",)),
+    "sensor, reading or actuator": ReferenceKind(parts=("sensors", "actuators")),
+    "setting": ReferenceKind(_PARAMETERS),  # or the path of any value
+    "stage": ReferenceKind({("curriculum",): "a stage of the curriculum"}),
+    "value": ReferenceKind({**_PARAMETERS, ("augment",): "an entry of `augment`", **_SIGNALS}),
+}
+"""The kinds of references and patterns, by their nouns."""
+
+
+@dataclass(frozen=True)
+class Reference(FieldType):
+    """The name of something that the scenario or the robot file defines.
+
+    The plural kinds have one name, pattern or group, or a list of them.
+    """
+
+    kind: str
+
+    @property
+    def several(self) -> bool:
+        return bool(REFERENCE_KINDS[self.kind].singular)
+
+    @property
+    def noun(self) -> str:
+        return (
+            f"a list of {REFERENCE_KINDS[self.kind].singular} names"
+            if self.several
+            else f"the name of {with_article(self.kind)}"
+        )
+
+    @property
+    def plural(self) -> str:
+        return f"{self.kind} names"
+
+    @property
+    def accepted_types(self) -> tuple[type, ...]:
+        return (str, list, tuple) if self.several else (str,)
+
+    def validate(self, value: object) -> object:
+        if not (self.several and isinstance(value, (list, tuple))):
+            return super().validate(value)
+        if not value:
+            raise error("DB107", "is empty")
+        for index, item in enumerate(value):
+            if not isinstance(item, str) or not item.strip():
+                singular = with_article(REFERENCE_KINDS[self.kind].singular)
+                raise error_at(index, mismatch(f"the name of {singular}", value=item))
+        return tuple(value)
+
+    def json_schema(self) -> JsonSchema:
+        return super().json_schema() | ({"items": {"type": "string"}, "minItems": 1} if self.several else {})
+
+
+@dataclass(frozen=True)
+class Pattern(FieldType):
+    """A name, or a pattern such as `wheel_*` over the names of this kind."""
+
+    kind: str
+
+    @property
+    def noun(self) -> str:
+        return f"a name or a pattern of {' or '.join(map(with_article, self.kind.split(' or ')))}"
+
+    @property
+    def plural(self) -> str:
+        return f"names or patterns of {self.kind.replace(' or ', 's or ')}s"
+
+
+@dataclass(frozen=True)
+class FilePath(FieldType):
+    """A file of this kind, relative to the file that names it, or the name of a shipped one."""
+
+    kind: str
+
+    @property
+    def noun(self) -> str:
+        return f"the path of {with_article(self.kind)}"
+
+
+SharedName = Annotated[str, Name(shared=True)]
+LocalName = Annotated[str, Name()]
+JointPattern = Annotated[str, Pattern("joint")]
+BodyName = Annotated[str, Reference("body")]
+BodyNames = Annotated[str | tuple[str, ...], Reference("bodies")]
+JointNames = Annotated[str | tuple[str, ...], Reference("joints")]
+LinkNames = Annotated[str | tuple[str, ...], Reference("links")]
+LinkName = Annotated[str, Reference("link")]
+JointName = Annotated[str, Reference("joint")]
+MeshFile = Annotated[str, FilePath("mesh file")]

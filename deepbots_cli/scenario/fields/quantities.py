@@ -1,0 +1,400 @@
+"""Texts of the expression language: quantities, ranges, expressions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Literal
+
+from deepbots_cli.diagnostics.nearest import Replacement
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
+from deepbots_cli.expressions.types import PLANE, SPACE, Components
+from deepbots_cli.scenario.fields.base import FieldType, JsonSchema, Scalar, error, mismatch
+from deepbots_cli.scenario.fields.numbers import (
+    NUMBER_PATTERN,
+    check_bounds,
+    number_help,
+    number_replacement,
+)
+from deepbots_cli.scenario.fields.words import choices_help
+from deepbots_cli.words import counted
+
+MEASURES: Mapping[str, tuple[str, str, str]] = {
+    "length": ("a length", "0.5 m", "m"),
+    "time": ("a duration", "32 ms", "s"),
+    "angle": ("an angle", "15 deg", "rad"),
+    "mass": ("a mass", "0.5 kg", "kg"),
+    "density": ("a density", "1000 kg/m^3", "kg/m^3"),
+    "number": ("a number", "0.5", "1"),
+    "speed": ("a speed", "2 m/s", "m/s"),
+    "angular speed": ("an angular speed", "5 rad/s", "rad/s"),
+    "acceleration": ("an acceleration", "9.81 m/s^2", "m/s^2"),
+    "angular acceleration or acceleration": (
+        "an angular acceleration or an acceleration",
+        "20 rad/s^2",
+        "rad/s^2 or m/s^2",
+    ),
+    "force": ("a force", "0.15 N", "N"),
+    "torque": ("a torque", "0.5 N*m", "N*m"),
+    "torque or force": ("a torque or a force", "10 N*m", "N*m or N"),
+    "stiffness": ("a stiffness", "40 N*m/rad", "N*m/rad or N/m"),
+    "damping": ("a damping", "0.1 N*m*s/rad", "N*m*s/rad or N*s/m"),
+    "moment of inertia or mass": ("a moment of inertia or a mass", "0.01 kg*m^2", "kg*m^2 or kg"),
+    "angle or length": ("an angle or a length", "15 deg", "rad or m"),
+    "angular speed or speed": ("an angular speed or a speed", "5 rad/s", "rad/s or m/s"),
+    "reading": ("a number in the unit of the sensor", "0.01 rad", "of the sensor"),
+    "any": ("a quantity", "0.5 m", "of the value"),
+}
+"""Noun, example and SI unit of each measure."""
+
+_UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
+_ENDS = (
+    rf"\s*({NUMBER_PATTERN})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({NUMBER_PATTERN}(?:["
+    r" ]?[A-Za-z%][\w*/^%]*)?)\s*"
+)
+
+_SCALAR_RANGE = rf"\s*({NUMBER_PATTERN})\s*\.\.\s*({NUMBER_PATTERN})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
+
+
+# Measures
+
+
+@cache
+def measure_dimension(measure: str) -> Dimension | None:
+    """Return the dimension of a measure; None where it is one of several."""
+    unit = MEASURES[measure][2]
+    return None if " " in unit else _dimension(unit)
+
+
+def dimension_of(measure: str, of_reading: Dimension, *, second: bool = False) -> Dimension | None:
+    """Return the dimension of a measure: `of_reading` of a `reading`, None of `any`; of a measure such as
+    `torque or force` the first or the second."""
+    if measure in ("reading", "any"):
+        return of_reading if measure == "reading" else None
+    return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
+
+
+def _dimension(unit: str) -> Dimension:
+    """Return the dimension of a unit such as `N*m`; `1` is that of plain numbers."""
+    tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
+    return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
+
+
+# Literals
+
+
+def count_literal(text: str) -> int | None:
+    """Return how many numbers a literal such as `1 1 m` contains; None if `text` is not a literal, as `1 1
+    scale` with a parameter."""
+    words = text.split()
+    numbers = next((i for i, word in enumerate(words) if not re.fullmatch(NUMBER_PATTERN, word)), len(words))
+    rest = words[numbers:]
+    is_unit = (
+        len(rest) == 1
+        and re.fullmatch(_UNIT, rest[0])
+        and all(name in UNITS for name in re.findall(r"[A-Za-z%]+", rest[0]))
+    )
+    return numbers if numbers and (not rest or is_unit) else None
+
+
+def _range_replacement(value: object) -> str | None:
+    """Return the range that the writer probably meant: two numbers in a list, two numbers separated by `-`,
+    `to` or `:`, or one range per component."""
+    if isinstance(value, Mapping):
+        items = list(value.values())
+    elif isinstance(value, list):
+        items = value
+    else:
+        items = []
+    parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in items]
+    if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
+        lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
+        return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(items) else None
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
+        return f"{value[0]} .. {value[1]}"
+    ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None
+    return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
+
+
+# Field types
+
+
+class Parsed(FieldType):
+    """A text of the expression language."""
+
+    def check_text(self, text: str) -> None:
+        self.tree(text)
+
+    @staticmethod
+    def tree(text: str) -> syntax.Node | None:
+        """Return the tree of an expression; raises its first syntax error."""
+
+        def report(
+            code: str,
+            start: int,
+            end: int,
+            headline: str,
+            remedy: str | None = None,
+            *_: object,
+            **__: object,
+        ) -> None:
+            raise error(code, headline, remedy)
+
+        return parser.parse(text, report)
+
+
+@dataclass(frozen=True)
+class Quantity(Parsed):
+    """A number with a unit, a parameter, or an expression that is known at this time.
+
+    Args:
+        measure: A key of `MEASURES`.
+        components: The length of a vector.
+        known: The time at which the value may change.
+        minimum, maximum: Bounds in SI units; with `exclusive` the minimum itself is refused.
+        urdf: Whether `urdf` may stand for the value of the robot file.
+        words: Texts that are accepted as they are.
+        relative: Whether a percentage of the value is accepted.
+        whole: Whether the number has no fraction.
+        example_text: An example.
+        usual_unit: The probable unit of a number of at least 1 without a unit, if it is not that of SI.
+    """
+
+    measure: str
+    components: int | None = None
+    known: Literal["fixed", "episode", "step"] = "fixed"
+    minimum: float | None = None
+    maximum: float | None = None
+    exclusive: bool = False
+    urdf: bool = False
+    words: tuple[str, ...] = ()
+    relative: bool = False
+    whole: bool = False
+    example_text: str = ""
+    usual_unit: str | None = None
+
+    accepted_types = (str, int, float)
+
+    @property
+    def dimension(self) -> Dimension | None:
+        """The dimension; None if it depends on the owner of the quantity."""
+        return measure_dimension(self.measure)
+
+    @property
+    def axes(self) -> Components | None:
+        """The names of the components of a vector."""
+        return {2: PLANE, 3: SPACE}.get(self.components or 1)
+
+    @property
+    def noun(self) -> str:
+        noun = "a whole number" if self.whole else MEASURES[self.measure][0]
+        return f"{noun} with {self.components} components" if self.components else noun
+
+    @property
+    def example(self) -> str:
+        number, _, unit = ("3", "", "") if self.whole else MEASURES[self.measure][1].partition(" ")
+        return self.example_text or " ".join([number] * (self.components or 1) + [unit]).strip()
+
+    def check(self, value: Any) -> None:
+        if self.measure == "number" and not self.components and (near := number_replacement(value)):
+            raise mismatch(self.noun, number_help(value), near, value=value)
+        count = count_literal(value) if isinstance(value, str) else 1
+        expected = self.components or 1
+        if count not in (None, expected):
+            raise error(
+                "DB106",
+                f"expected {counted(expected, 'number')}, found {count}",
+                self._help_for_count(str(value), count),
+            )
+        if not isinstance(value, str):
+            if self.measure == "number" or value == 0:
+                check_bounds(
+                    value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
+                )
+            else:  # it has no unit, which the compiler reports
+                check_bounds(value)
+            if self.whole and value != int(value):
+                raise mismatch(self.noun, value=value)
+
+    def _help_for_count(self, value: str, count: int | None) -> str | None:
+        """Return an example in the unit of the literal, which may be one of several that the measure has."""
+        words = value.split()
+        units = MEASURES[self.measure][2].split(" or ")
+        unit = words[-1] if count and len(words) > count else ""
+        if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
+            return self.help_for(None)
+        return f"write it like `{words[0]} {unit}`"
+
+    def check_text(self, text: str) -> None:
+        tree = self.tree(text)
+        unit = getattr(tree, "unit", None)
+        unit_names = MEASURES[self.measure][2].split(" or ")
+        if (
+            unit is not None
+            and not unit_names[0].startswith("of ")
+            and unit.text != "%"
+            and unit.dimension not in map(_dimension, unit_names)
+        ):
+            raise error("DB503", f"`{text[:60]}` is not {self.noun}", self.help_for(None))
+        match tree:
+            case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
+                raise error("DB501", f"unknown unit `{word}`", choices_help(word, tuple(UNITS)))
+
+    def help_for(self, value: object) -> str | None:
+        if isinstance(value, list) and self.components:
+            near = self.replacement_for(value)
+            return (
+                f"write the numbers in one text: `{near.text}`"
+                if near
+                else f"write the numbers in one text, like `{self.example}`"
+            )
+        return super().help_for(value)
+
+    def replacement_for(self, value: object) -> Replacement | None:
+        """Return the replacement for a list: `0 0 1 m` for `[0, 0, 1]`."""
+        numbers = value if isinstance(value, list) and len(value) == self.components else []
+        if not numbers or not all(type(number) in (int, float) for number in numbers):
+            return None
+        unit = self.example.split()[self.components or 1 :]
+        return Replacement(" ".join([*map(str, numbers), *unit]), safe=False)
+
+    def json_schema(self) -> JsonSchema:
+        return {"type": "string"} if self.components else super().json_schema()
+
+
+@dataclass(frozen=True)
+class Column(FieldType):
+    """Any number of numbers with one unit, such as `0 5 10 mm`."""
+
+    measure: str
+
+    noun = "a column of numbers"
+    example = "0 5 10"
+    accepted_types = (str, int, float)
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value)
+
+
+@dataclass(frozen=True)
+class Range(Parsed):
+    """Two bounds, `lo .. hi unit`, with `vector` for each component; with `auto` the word `auto` stands for
+    the known interval."""
+
+    measure: str
+    auto: bool = False
+    vector: bool = False
+
+    noun = "a range"
+
+    @property
+    def example(self) -> str:
+        unit = (
+            "" if self.measure == "any" and not self.vector else MEASURES[self.measure][1].partition(" ")[2]
+        )
+        return f"-1 .. 1 {unit}".strip()
+
+    def check(self, value: Any) -> None:
+        if ".." not in value and not (self.auto and value == "auto"):
+            raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
+
+    def help_for(self, value: object) -> str:
+        near = _range_replacement(value)
+        example = self.example
+        shown = f"write `{near}`" if near else f"write it like `{example}`"
+        if self.vector and not near:
+            shown += f" (a vector: `{example.replace('-1 .. 1', '-1 -2 .. 1 2')}`)"
+        return f"{shown}, or `auto`" if self.auto else shown
+
+    def replacement_for(self, value: object) -> Replacement | None:
+        near = _range_replacement(value) if isinstance(value, str) else None
+        return Replacement(near, safe=False) if near else None
+
+    def json_schema(self) -> JsonSchema:
+        return {
+            "type": "string",
+            "pattern": r"\.\.|^auto$" if self.auto else r"\.\.",
+            "patternErrorMessage": self.help_for(None),
+        }
+
+
+@dataclass(frozen=True)
+class Bounds(Range):
+    """The minimum of a plain number, or both of its bounds."""
+
+    measure: str = "number"
+
+    noun = "a minimum or a range"
+    example = "0 .. 10 %"
+    accepted_types = (str, int, float)
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value)
+
+    def replacement_for(self, value: object) -> None:
+        """Return no replacement: a text without `..` is a minimum."""
+
+    def json_schema(self) -> JsonSchema:
+        return FieldType.json_schema(self)
+
+
+@dataclass(frozen=True)
+class Expression(Parsed):
+    """A text of the expression language, evaluated in `context`.
+
+    `boolean` is True for a condition, False for a number, and None for either.
+    """
+
+    context: str
+    boolean: bool | None = None
+
+    @property
+    def noun(self) -> str:
+        return "a condition" if self.boolean else "an expression"
+
+    @property
+    def example(self) -> str:
+        return "abs(x) > 0.4 m" if self.boolean else "2 * speed"
+
+    def help_for(self, value: object) -> str | None:
+        if isinstance(value, list) and self.context == "apply":
+            return (
+                "to set each joint separately, define one actuator for each joint, or use the action"
+                " `each: robot.actuator`"
+            )
+        return super().help_for(value)
+
+    @property
+    def accepted_types(self) -> tuple[type, ...]:
+        return (str, *(() if self.boolean else (int, float)), *(() if self.boolean is False else (bool,)))
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value)
+
+
+# Field types that several sections use
+
+
+Length = Annotated[Scalar, Quantity("length", minimum=0)]
+Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
+Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual_unit="ms")]
+Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
+Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
+Point = Annotated[Scalar, Quantity("length", components=2)]
+Scale = Annotated[Scalar, Quantity("number", components=3)]
+
+RandomizableFactor = Annotated[Scalar, Quantity("number", known="episode", minimum=0)]
+RandomizableShare = Annotated[Scalar, Quantity("number", known="episode", minimum=0, maximum=1)]
+RandomizableDelay = Annotated[
+    Scalar, Quantity("time", known="episode", minimum=0, maximum=60, usual_unit="ms")
+]
+RandomizableCoordinate = Annotated[Scalar, Quantity("length", known="episode")]
+RandomizableAngle = Annotated[Scalar, Quantity("angle", known="episode", words=("any",))]
+RandomizableCount = Annotated[Scalar, Quantity("number", known="episode", minimum=0, whole=True)]
+Signal = Annotated[Scalar, Expression("signal")]
