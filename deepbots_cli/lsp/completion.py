@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from lsprotocol.types import (
     CompletionItem,
@@ -19,28 +19,16 @@ from lsprotocol.types import (
     TextEdit,
 )
 
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inventory import action_at, definition, names_at
-from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.inventory import names_at
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.expressions import parser, syntax
-from deepbots_cli.expressions.check import check
-from deepbots_cli.expressions.dimensions import UNITS, Unit
-from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
-from deepbots_cli.expressions.types import Context, Kind, Scope, Type
+from deepbots_cli.lsp.choices import Choice, unique
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.lookup import (
-    describe_function,
-    describe_shape,
-    describe_symbol,
-    ignore_finding,
-    section_of,
-    shapes_at,
-    summary,
-)
-from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
+from deepbots_cli.lsp.expression_completion import expression_choices, is_expression, word_before
+from deepbots_cli.lsp.lookup import describe_shape, section_of, shapes_at, summary
+from deepbots_cli.lsp.workspace import CursorView
+from deepbots_cli.lsp.written_names import names_in_text
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
 from deepbots_cli.scenario.base import (
     Kinds,
@@ -52,20 +40,10 @@ from deepbots_cli.scenario.base import (
     section_fields,
 )
 from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import REFERENCE_KINDS, FilePath, Pattern, Reference, ReferenceKind
-from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Expression, Quantity, Range
+from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
+from deepbots_cli.scenario.fields.quantities import Quantity, Range
 from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Flag, Word
 from deepbots_cli.scenario.scenario import VERSION
-
-
-class Choice(NamedTuple):
-    """A completion: its text, what it is in a few words (`detail`), and its documentation in Markdown."""
-
-    text: str
-    kind: CompletionItemKind
-    detail: str
-    doc: str = ""
-
 
 _INCLUDE = Choice(
     "include",
@@ -77,6 +55,8 @@ _FILE_KEYS = {
     "remove": "paths to remove from the extended scenario, such as `[observation.tip_speed]`",
 }
 _VERSION_LINE = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
+_SUFFIXES = {"robot file": (".urdf",), "mesh file": MESH_SUFFIXES, "picture": (".png",)}
+_MAX_FILES = 300
 _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
 _COLON = re.compile(r"[\w]*[ \t]*:")
 
@@ -112,7 +92,7 @@ def _keys(view: CursorView) -> Iterator[CompletionItem]:
     cursor, data = view.cursor, view.data
     present = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
-    for choice in _unique(_key_choices(view, data)):
+    for choice in unique(_key_choices(view, data)):
         if choice.text not in present:
             yield _item(view, choice, cursor.start, choice.text + colon)
 
@@ -157,48 +137,14 @@ def _values(view: CursorView) -> Iterator[CompletionItem]:
     # The example is a whole value; among the entries of a mapping, it would be an error.
     if not words and not (cursor.role == "key" and view.keys):
         words = [*_example(view, data)]
-    yield from (_item(view, choice, cursor.start) for choice in _unique(words))
+    yield from (_item(view, choice, cursor.start) for choice in unique(words))
     for shape in shapes_at(cursor.path, data):
-        if isinstance(shape, FieldType) and _is_expression(shape):
-            start = view.offset - len(_word_before(cursor.text))
+        if isinstance(shape, FieldType) and is_expression(shape):
+            start = view.offset - len(word_before(cursor.text))
             is_called = view.document.plain.startswith("(", view.offset)
-            for choice in _unique(_expression_items(view, shape, data)):
+            for choice in unique(expression_choices(view, shape)):
                 yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
             return
-
-
-def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator[Choice]:
-    """Yield the items that may come next in an expression, including names in the text that no analysis has
-    resolved yet."""
-    path, text = view.cursor.path, view.cursor.text
-    if _expects_unit(text):
-        # After `*` or `/`, only single units follow, not `N*m`.
-        goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
-        units = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
-        if not goes_on:
-            yield from (
-                Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
-                for unit in units
-                if unit.text not in UNITS
-            )
-        dimensions = [unit.dimension for unit in units]
-        for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
-            yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
-        if isinstance(field, Expression) and not goes_on:
-            yield from (
-                Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or")
-            )
-        return
-    scope = _scope_of(view.analysis, field, path) if view.analysis else None
-    if scope is not None and view.checked is not None:
-        choices = _expression_choices(text, scope, view.checked)
-        yield from (choice for choice in choices if not _defines(path, choice.text))
-    kind = _expected_kind(text, field)
-    for name in _names_in_text(kind, path, data):
-        if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
-            yield Choice(name, CompletionItemKind.Variable, "")
-    if scope is None and kind != _BODY:
-        yield from functions(frozenset(Family))
 
 
 def _example(view: CursorView, data: Any) -> Iterator[Choice]:
@@ -243,11 +189,8 @@ def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterat
             yield Choice("auto", CompletionItemKind.Keyword, "the known range")
         case Quantity(words=words, urdf=urdf):
             yield from _words((*words, *(("urdf",) if urdf else ())), "a word of the language")
-        case FieldType(example=str() as example) if not _is_expression(field):
+        case FieldType(example=str() as example) if not is_expression(field):
             yield Choice(example, CompletionItemKind.Value, describe_shape(field))
-
-
-_SUFFIXES = {"robot file": (".urdf",), "mesh file": MESH_SUFFIXES, "picture": (".png",)}
 
 
 def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
@@ -261,318 +204,8 @@ def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choic
         yield from (Choice(entry.name, CompletionItemKind.Reference, entry.description) for entry in entries)
         yield from (
             Choice(name, CompletionItemKind.Reference, field.kind)
-            for name in _names_in_text(field.kind, path, view.data)
+            for name in names_in_text(field.kind, path, view.data)
         )
-
-
-# Comments
-
-
-def _codes(view: CursorView) -> list[CompletionItem]:
-    """Return the warnings that a comment may suppress."""
-    match = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
-    if match is None:
-        return []
-    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "linting")
-    start = view.offset - len(match[1])
-    return [
-        _item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start)
-        for rule in warnings
-    ]
-
-
-# Items
-
-
-def _unique(choices: Iterable[Choice]) -> Iterable[Choice]:
-    first: dict[str, Choice] = {}
-    for choice in choices:
-        first.setdefault(choice.text, choice)
-    return first.values()
-
-
-def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
-    before = view.document.plain[: view.offset]
-    # The protocol requires an edit on one line.
-    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))
-    span = view.document.lines.range(start, view.offset)
-    return CompletionItem(
-        label=choice.text,
-        kind=choice.kind,
-        detail=choice.detail or None,
-        documentation=MarkupContent(MarkupKind.Markdown, choice.doc) if choice.doc else None,
-        text_edit=TextEdit(span, text or choice.text),
-        filter_text=choice.text,
-    )
-
-
-# Expressions
-
-_WORD = re.compile(r"[A-Za-z_][\w.]*$")
-_AFTER_NUMBER = re.compile(
-    r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$"
-)
-_GRAMMAR = {
-    "when": "`a when c`: a if the condition is true, otherwise 0",
-    "if": "`a if c else b`: a if the condition is true, otherwise b",
-    "else": "`a if c else b`: a if the condition is true, otherwise b",
-    "and": "both conditions are true",
-    "or": "at least one condition is true",
-    "not": "the condition is false",
-    "true": "always true",
-    "false": "never true",
-}
-_REPEATS = {
-    "every": "draws again after this time: `uniform(0 .. 1) every 5 s`",
-    "each step": "draws again in each step",
-}
-_CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
-_ROBOT_CONTEXTS = ("emit", "apply")
-_BODY = "body or link"
-_VALUE_ON_BOARD = "value on board"
-_MAX_NAMES = 1000
-_MAX_LOOKBACK = 2000
-"""The number of characters before the cursor that are searched for an open bracket."""
-
-
-def _is_expression(field: FieldType) -> bool:
-    return isinstance(field, (Expression, Quantity, Range, Column))
-
-
-def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> Scope | None:
-    """Return the scope of an expression at `path` in a field of this type."""
-    checked = analysis.checked
-    if checked is None or checked.namespace is None:
-        return None
-    if not isinstance(field, Expression):
-        may_vary = isinstance(field, Quantity) and field.known != "fixed"
-        return ParameterScope(checked.namespace, Context.FIELD if may_vary else Context.FIXED)
-    if field.context in _CONTEXTS:
-        return ParameterScope(checked.namespace, _CONTEXTS[field.context])
-    context = Context[field.context.upper()]
-    if field.context not in _ROBOT_CONTEXTS:
-        return SupervisorScope(checked.namespace, context)
-    robot = str(path[1]) if len(path) > 1 else ""
-    scopes = [
-        reading.scope
-        for reading in analysis.readings
-        if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot
-    ]
-    same = next((scope for scope in scopes if scope.context is context), scopes[0] if scopes else None)
-    return RobotScope(checked.namespace, context, robot, dict(same.symbols) if same else {})
-
-
-def _word_before(text: str) -> str:
-    match = _WORD.search(text)
-    return match.group() if match else ""
-
-
-def _expects_unit(text: str) -> bool:
-    """Return whether `text` ends in a number, or in a unit followed by `*` or `/`."""
-    word = _word_before(text)
-    return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
-
-
-def _expected_kind(text: str, field: FieldType) -> str:
-    """Return the kind of name that may end `text`: a kind of `_names_in_text`."""
-    word = _word_before(text)
-    if _expected_parts(text[: len(text) - len(word)]) is not None:
-        return _BODY
-    if not isinstance(field, Expression) or field.context in _CONTEXTS:
-        return "setting"
-    return _VALUE_ON_BOARD if field.context in _ROBOT_CONTEXTS else "value"
-
-
-def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
-    """Yield the items that may replace the name at the end of `text`, except units."""
-    word = _word_before(text)
-    before = text[: len(text) - len(word)]
-    kinds = _expected_parts(before)
-    if kinds is not None:
-        yield from _parts(scope, kinds)
-        return
-    if before.endswith(")."):
-        yield from _components_of_call(before[:-1], scope)
-        return
-    if "." in word:
-        yield from _components(word.rpartition(".")[0], scope)
-    yield from _names(scope, checked)
-    yield from functions(ALLOWED_FAMILIES[scope.context])
-    for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
-        yield Choice(word, CompletionItemKind.Keyword, "", doc)
-
-
-def _measures(field: FieldType) -> list[str]:
-    if not isinstance(field, (Quantity, Range, Column)):
-        return []
-    return [
-        measure
-        for measure in (field.measure, *field.measure.split(" or "))
-        if measure in MEASURES and measure != "any"
-    ]
-
-
-def _unit(measure: str) -> Unit | None:
-    tree = parser.parse(MEASURES[measure][1], ignore_finding)
-    return tree.unit if isinstance(tree, syntax.Number) else None
-
-
-def functions(families: frozenset[Family]) -> Iterator[Choice]:
-    """Yield the functions of these families."""
-    for function in FUNCTIONS.values():
-        if function.family in families:
-            yield Choice(
-                f"{function.name}(",
-                CompletionItemKind.Function,
-                function.signature,
-                describe_function(function),
-            )
-
-
-def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
-    robot = scope.robot if isinstance(scope, RobotScope) else None
-    for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
-        symbol = scope.lookup(name)
-        if symbol is not None and symbol.refusal is None:
-            entry = definition(checked, name, robot)
-            yield Choice(
-                name,
-                CompletionItemKind.Variable,
-                describe_symbol(symbol),
-                entry.description if entry else "built in",
-            )
-
-
-def _components(name: str, scope: Scope) -> Iterator[Choice]:
-    """Return the components of a named vector, such as `name.x`."""
-    symbol = scope.lookup(name)
-    return _component_choices(symbol.type if symbol else None, f"{name}.")
-
-
-def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
-    """Return the components of the vector that the call at the end of the text returns, such as `x`."""
-    depth = 0
-    for index in range(len(text) - 1, max(-1, len(text) - _MAX_LOOKBACK), -1):
-        depth += {")": 1, "(": -1}.get(text[index], 0)
-        if depth == 0:
-            break
-    begin = index - len(_word_before(text[:index]))
-    tree = parser.parse(text[begin:], ignore_finding)
-    typed = check(tree, scope, ignore_finding) if tree is not None else None
-    return _component_choices(typed.type if typed else None, "")
-
-
-def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
-    """Yield each component of a vector, and `xy` for a vector in space."""
-    components = (vector and vector.components) or ()
-    for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
-        words = vector._replace(components=None).description if vector else ""
-        yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
-
-
-def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
-    for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MAX_NAMES]:
-        subject = scope.subject(name, kinds)
-        if subject is not None and subject.kind in kinds:
-            yield Choice(name, CompletionItemKind.Reference, subject.kind.description)
-
-
-def _expected_parts(before: str) -> frozenset[Kind] | None:
-    """Return the kinds of parts that the argument at the end of the text may name; None for a value or
-    outside of a call."""
-    called = _open_call(before)
-    if called is None:
-        return None
-    name, index = called
-    function = FUNCTIONS.get(name)
-    params: tuple[Param, ...] = function.params if function is not None else ()
-    if not params or (function is not None and function.family is Family.DRAW):
-        return None
-    param = params[min(index, len(params) - 1)]
-    return (
-        param.kinds
-        if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/"))
-        else None
-    )
-
-
-def _open_call(before: str) -> tuple[str, int] | None:
-    """Return the innermost open call at the end of the text: its function and the index of the argument."""
-    depth = commas = 0
-    for index in range(len(before) - 1, max(-1, len(before) - _MAX_LOOKBACK), -1):
-        sign = before[index]
-        if sign == ")":
-            depth += 1
-        elif sign == "," and depth == 0:
-            commas += 1
-        elif sign == "(" and depth:
-            depth -= 1
-        elif sign == "(":
-            match = _WORD.search(before[:index])
-            return (match.group(), commas) if match else None
-    return None
-
-
-# Names in the text, whether or not an analysis knows them
-
-_ON_BOARD = ReferenceKind({("parameters",): "a parameter", ("action",): "an action"}, ("sensors", "receive"))
-"""The names in expressions of a robot controller."""
-_WRITTEN_PARTS = ("sensors", "actuators", "receive")
-"""The sections of a robot whose keys are names, not names or patterns of parts of its file."""
-
-
-def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
-    """Yield the names in `data` that a reference of this kind may name at `path`."""
-    for section in _sections(kind, path):
-        value = value_at(data, section)
-        if isinstance(value, dict):
-            yield from (name for name in value if not _defines(path, name))
-        elif isinstance(value, list):
-            names = (value_at(item, ("name",)) for item in value)
-            yield from (name for name in names if isinstance(name, str) and name)
-    if kind == "value":
-        yield from _sent(data)
-    if kind == "message field":
-        yield from (name for name in _sent(data) if not name.startswith(f"{path[1]}."))
-    if kind == "letter":
-        cells = dict.fromkeys(str(value_at(data, (*path[:3], "map"))).split())
-        yield from (letter for letter in cells if letter != ".")
-
-
-def _sent(data: Any) -> Iterator[str]:
-    """Yield the full names of what robots send."""
-    robots = value_at(data, ("robots",))
-    for robot in robots if isinstance(robots, dict) else ():
-        sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
-        if isinstance(sent, (dict, list)):
-            yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
-
-
-def _defines(path: NodePath, name: str) -> bool:
-    """Return whether `path` is the definition of the name, which cannot refer to itself."""
-    return path[:-1] in REFERENCE_KINDS["value"].sections and path[-1] == name
-
-
-def _sections(kind: str, path: NodePath) -> Iterator[NodePath]:
-    if kind in ("choice", "option"):
-        if action := action_at(path):
-            yield ("action", action, "choices")
-        return
-    if kind == "value" and path[:1] == ("observation",):
-        yield ("augment",)
-        return
-    reference = _ON_BOARD if kind == _VALUE_ON_BOARD else REFERENCE_KINDS[kind]
-    robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
-    if robot:
-        yield from ((*robot, part) for part in reference.parts if part in _WRITTEN_PARTS)
-    yield from reference.sections
-    if path[:1] == ("agents",) and len(path) > 1:
-        yield from ((*path[:2], *section) for section in reference.sections)
-
-
-# Files
-
-_MAX_FILES = 300
 
 
 def _files(
@@ -600,3 +233,37 @@ def _files(
             yield Choice(name, CompletionItemKind.File, "a file")
         elif path.is_dir() and not path.name.startswith("."):
             yield Choice(f"{name}/", CompletionItemKind.Folder, "a folder")
+
+
+# Comments
+
+
+def _codes(view: CursorView) -> list[CompletionItem]:
+    """Return the warnings that a comment may suppress."""
+    match = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
+    if match is None:
+        return []
+    warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "linting")
+    start = view.offset - len(match[1])
+    return [
+        _item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start)
+        for rule in warnings
+    ]
+
+
+# Items
+
+
+def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
+    before = view.document.plain[: view.offset]
+    # The protocol requires an edit on one line.
+    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))
+    span = view.document.lines.range(start, view.offset)
+    return CompletionItem(
+        label=choice.text,
+        kind=choice.kind,
+        detail=choice.detail or None,
+        documentation=MarkupContent(MarkupKind.Markdown, choice.doc) if choice.doc else None,
+        text_edit=TextEdit(span, text or choice.text),
+        filter_text=choice.text,
+    )
