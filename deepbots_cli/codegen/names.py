@@ -34,7 +34,8 @@ RUNTIME_NAMES = (
     ),
     *(function.memory for function in FUNCTIONS.values() if function.memory),
     *sorted(FORMULA_NAMES),
-    *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
+    *("clip", "python_function", "quaternion", "scale", "scale_each", "scale_freely"),
+    *("to_body_frame", "total"),
 )
 """The names that a printed module may import from `deepbots_cli.runtime`."""
 COLUMN_NAMES = (

@@ -601,7 +601,7 @@ def _after_what_they_use(endings: tuple[Expression, ...]) -> list[Expression]:
     return list(order.values())
 
 
-def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
+def bind_python_functions(supervisor: SupervisorPrinter) -> list[str]:
     """Return statements that import the functions of Python that the scenario names."""
     items = [("reward term", term.name, term.foreign, False) for term in supervisor.agent.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
@@ -609,7 +609,8 @@ def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     for noun, name, function, truth in items:
         if function is not None:
             arguments = ", ".join(map(quoted, (noun, name, function.module, function.function)))
-            lines.append(f"{function_attribute(supervisor, noun, name)} = foreign({arguments}, {truth})")
+            attribute = function_attribute(supervisor, noun, name)
+            lines.append(f"{attribute} = python_function({arguments}, {truth})")
     return lines
 
 

@@ -12,7 +12,7 @@ from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangem
 from deepbots_cli.codegen.robot import controller_name
 from deepbots_cli.codegen.step import (
     advance_methods,
-    bind_foreign,
+    bind_python_functions,
     choice_tables,
     observe_method,
     start_method,
@@ -164,7 +164,12 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
     if supervisor.readers.needs_paths:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
-    return [*lines, *supervisor.bind_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
+    return [
+        *lines,
+        *supervisor.bind_lines(),
+        *bind_pushes(supervisor),
+        *bind_python_functions(supervisor),
+    ] or ["pass"]
 
 
 # The paper's methods, which read the results of `_observe` and change nothing

@@ -12,7 +12,8 @@ parallel.py     several agents as an environment of PettingZoo, and its window
 spaces.py       action and observation spaces, forms of actions, rewards for other goals
 observations.py the observations of policies while an episode runs
 observing.py    observations from named values, without a world
-formulas.py     functions that generated code calls: pure ones, ones with memory, terms in Python
+formulas.py     functions that generated code calls: pure ones, and ones with memory
+python_terms.py reward terms and endings that are functions of a user's Python module
 messages.py     channels of messages, and their formats
 streams.py      named random streams under one root seed, draws of an episode, values in place of draws
 placement.py    the poses of bodies at the beginning of an episode
@@ -49,7 +50,6 @@ from deepbots_cli.runtime.formulas import (
     clamp,
     clip,
     distance,
-    foreign,
     ground_distance,
     pitch,
     roll,
@@ -64,4 +64,5 @@ from deepbots_cli.runtime.formulas import (
 )
 from deepbots_cli.runtime.paths import Follower, Ways
 from deepbots_cli.runtime.placement import Arrangement
+from deepbots_cli.runtime.python_terms import python_function
 from deepbots_cli.runtime.supervisor import Supervisor

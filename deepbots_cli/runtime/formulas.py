@@ -13,19 +13,10 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
-from importlib import import_module
 from math import pi, tau
-from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-import numpy as np
-
-from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.frames import Frame, Quaternion, Triple
-
-if TYPE_CHECKING:
-    from deepbots_cli.runtime.supervisor import Supervisor
-
 
 _SUM_COMPENSATES = sys.version_info >= (3, 12)
 
@@ -419,36 +410,3 @@ class DurationOfVector(VectorMemory, Duration):
 _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
     kind.component: kind for kind in (DeltaOfVector, PreviousOfVector, RisingEdgeOfVector, DurationOfVector)
 }
-
-
-def foreign(noun: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
-    """Return a function that computes the term `name` from the supervisor: a truth value if `truth`,
-    otherwise a number.
-
-    Raises:
-        UsageError: There is no such function, or its module cannot be imported.
-    """
-    called = f"the {noun} '{name}' in Python ({module}:{function})"
-    try:
-        imported = getattr(import_module(module), function)
-    except Exception as error:  # whatever the module does while it is imported
-        raise UsageError(f"{called} cannot be imported: {type(error).__name__}: {error}") from error
-    if not callable(imported):
-        raise UsageError(f"{called} is not a function")
-
-    def call(supervisor: Supervisor) -> Any:
-        try:
-            value = imported(supervisor)
-        except Exception as error:  # whatever the function does
-            raise EvaluationError(
-                f"step {supervisor.step_count}: {called} failed: {type(error).__name__}: {error}"
-            ) from error
-        is_truth = isinstance(value, (bool, np.bool_))
-        if is_truth != truth or not (is_truth or isinstance(value, Real)):
-            expected = "True or False" if truth else "a number"
-            raise EvaluationError(
-                f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {expected}"
-            )
-        return bool(value) if truth else float(value)
-
-    return call
