@@ -7,10 +7,10 @@ decorator `rule` gives a rule its code; its page is in `rule_pages`, by this cod
 
 names.py         places left to the author, unused definitions, equality of measurements,    DB109, DB205, DB411,
                  angles that jump                                                            DB506
-robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
+robots.py        commands, actuators, wheels that slip, robots that topple                   DB312 to DB315, DB317,
                                                                                              DB319, DB322,
-                                                                                             DB324, DB325,
-                                                                                             DB615
+                                                                                             DB324, DB325
+rays.py          rays of sensors that meet nothing                                           DB615
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
                                                                                              DB323, DB507, DB809,
                                                                                              DB812
