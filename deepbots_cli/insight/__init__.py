@@ -7,7 +7,8 @@ episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
 scenario_facts.py  what a scenario has already, and the units of its file
 linted.py      what lint says of a scenario
-diagnosis.py   the table of causes why a training does not learn, with the causes of the learner
+diagnosis.py   the table of causes why a training does not learn, with causes in faults
+learner.py     causes in the learner: its rate, horizon and exploration
 rewards.py     causes in the reward
 observations.py  causes in the observation
 stages.py      causes in stages, starts and rare success

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.insight.rewards import rising_term
-from deepbots_cli.insight.statements import Numbers, statement
+from deepbots_cli.insight.statements import Numbers, sentence, statement
 from deepbots_cli.insight.training import TrainingEvidence, usual_settings
 from deepbots_cli.learning.runs.decline import Decline
 from deepbots_cli.program.task import Schedule
@@ -101,7 +101,7 @@ def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
         return {
             **numbers,
             "likelihood": 0.5,
-            "fall": text[0].upper() + text[1:],
+            "fall": sentence(text),
             "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays"
             " for something other than"
             f" success{_paying_term(evidence)}.",
@@ -124,8 +124,8 @@ def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
         **numbers,
         # Before the rows of single settings; after faults of the reward if no setting is far from usual.
         "likelihood": 0.945 if causes and causes[0].weight >= 1.0 else 0.9,
-        "fall": text[0].upper() + text[1:],
-        "reasons": reasons[0].upper() + reasons[1:],
+        "fall": sentence(text),
+        "reasons": sentence(reasons),
         "advice": advice,
         "suspects": [suspect._asdict() for suspect in causes],
         "settings": settings,

@@ -169,6 +169,11 @@ MAX_LISTED = 4
 """The largest number of terms, options and numbers of the observation in one sentence."""
 
 
+def sentence(words: str) -> str:
+    """Return words with a capital letter at their beginning."""
+    return words[0].upper() + words[1:]
+
+
 def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
     """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than `limit`."""
     return sentence_list([*parts[:limit], *([f"{len(parts) - limit} more"] if len(parts) > limit else [])])
