@@ -22,7 +22,6 @@ from deepbots_cli.runtime.spaces import joined, parts_of_rows
 from deepbots_cli.view.frames import COLORS, LinkName
 from deepbots_cli.view.plots import (
     THEMES,
-    TrainingLog,
     ending_colors,
     plot_agents,
     plot_band,
@@ -35,6 +34,7 @@ from deepbots_cli.view.plots import (
     style_panel,
     term_styles,
 )
+from deepbots_cli.view.training_logs import TrainingLog
 from deepbots_cli.view.trajectories import Moving, has_moved
 
 if TYPE_CHECKING:

@@ -49,11 +49,11 @@ from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
-from deepbots_cli.view import pictures, plots, trajectories
+from deepbots_cli.view import pictures, training_logs, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.players import open_player
-from deepbots_cli.view.plots import TrainingLog
+from deepbots_cli.view.training_logs import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
 from deepbots_cli.words import counted
 
@@ -98,7 +98,7 @@ class ReportRun:
                 f"{path} contains no evaluation of its best model after the training; create one with:"
                 f" deepbots eval {quote(str(path))}"
             )
-        (log,) = plots.read_logs([path])
+        (log,) = training_logs.read_logs([path])
         return ReportRun(run, log, quoted[1])
 
     @property
@@ -190,7 +190,9 @@ class Report:
     def __post_init__(self) -> None:
         try:
             self.agents = [
-                ReportAgent(member, [plots.read_agent_log(entry.run.path, member) for entry in self.runs])
+                ReportAgent(
+                    member, [training_logs.read_agent_log(entry.run.path, member) for entry in self.runs]
+                )
                 for member in self.runs[0].run.program.members.values()
             ]
         except RunError as error:

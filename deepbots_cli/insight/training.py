@@ -45,7 +45,7 @@ from deepbots_cli.rollout.drivers import action_from_values, constant_driver, na
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.plots import logs_of, scalars_of
+from deepbots_cli.view.training_logs import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
 """The number of short episodes of each driver (policy, random actions, no commands), the largest number of

@@ -17,7 +17,7 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import folder_kind
-from deepbots_cli.view.plots import read_logs
+from deepbots_cli.view.training_logs import read_logs
 
 MAX_POINTS = 400
 """The number of points of a line on the page."""

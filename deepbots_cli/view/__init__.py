@@ -19,7 +19,8 @@ recordings.py       episodes as MCAP files, written and read
 logs.py             playing the log of a robot
 replay.py           playing a recording, and running it again to compare
 trajectories.py     the moving parts of an episode, and their paths
-plots.py            learning curves of runs
+training_logs.py    the logs of trainings as curves
+plots.py            the plots of these curves
 
 viser is in the extra `view`; pictures and clips other than offline pages do without it.
 """

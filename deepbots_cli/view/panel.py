@@ -20,7 +20,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.runtime.overview import follows_robot
-from deepbots_cli.view import panel_html, plots
+from deepbots_cli.view import panel_html, training_logs
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import COLORS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
@@ -393,14 +393,14 @@ class TrainingTab:
         self._read_at = math.inf
         try:
             record = RunRecord.read(run.path)
-            episodes, evaluations = plots.logs_of(run.path)
+            episodes, evaluations = training_logs.logs_of(run.path)
         except RunError as error:
             self.text.content = panel_html.notice(
                 "the training cannot be shown", html.escape(str(error)), "#D55E00"
             )
             return
         rows = panel_html.training_rows(
-            plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success
+            training_logs.stage_starts(record, episodes), evaluations, success=run.program.defines_success
         )
         self.text.content = panel_html.table(rows)
         if record.status == "running":

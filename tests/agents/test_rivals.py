@@ -22,7 +22,8 @@ from deepbots_cli.runtime.agents import driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.plots import plot, read_logs
+from deepbots_cli.view.plots import plot
+from deepbots_cli.view.training_logs import read_logs
 from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.worlds import RAIL
 

@@ -22,7 +22,7 @@ from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.statistics import mean_interval
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.rollout import Episode
-from deepbots_cli.view.plots import StageStart
+from deepbots_cli.view.training_logs import StageStart
 from tests.view.browser import CHROMIUM, browser
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.learning import train
 from deepbots_cli.learning.sb3.critics import _discounted
-from deepbots_cli.view.plots import scalars_of
+from deepbots_cli.view.training_logs import scalars_of
 
 
 def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_time_limit():

@@ -21,7 +21,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
 from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, write_record
-from deepbots_cli.view import plots
+from deepbots_cli.view import plots, training_logs
 from deepbots_cli.view.panel_html import training_rows
 
 
@@ -126,7 +126,7 @@ def runs(tmp_path):
 
 
 def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
-    logs = plots.read_logs([runs], window=2)
+    logs = training_logs.read_logs([runs], window=2)
     assert [log.name for log in logs] == ["a0", "a0", "b0"]
     steps, values = logs[0].returns
     assert list(steps) == [10, 20, 30, 40]
@@ -147,7 +147,7 @@ def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
         (tmp_path / group / "group.json").write_text("{}")
         for seed in (0, 1):
             _run(tmp_path / group / f"seed-{seed}", digest, [seed, 2, 4, 6])
-    figure = plots.plot(plots.read_logs([tmp_path / "slow", tmp_path / "fast"]))
+    figure = plots.plot(training_logs.read_logs([tmp_path / "slow", tmp_path / "fast"]))
     assert [line.get_label() for line in figure.axes[0].get_legend_handles_labels()[0]] == [
         "slow (2 seeds)",
         "fast (2 seeds)",
@@ -159,12 +159,12 @@ def test_runs_of_one_folder_name_are_distinguished_by_their_paths(tmp_path):
     for path in paths:
         path.parent.mkdir()
         _run(path, path.parent.name, [0, 2, 4, 6])
-    assert [log.name for log in plots.read_logs(paths)] == [str(path) for path in paths]
+    assert [log.name for log in training_logs.read_logs(paths)] == [str(path) for path in paths]
 
 
 def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_unknown_successes(runs):
     _events(runs / "b0" / "tensorboard", reward__closer=[(10, 50.0), (40, 90.0)])
-    logs = plots.read_logs([runs / "a0", runs / "b0"])
+    logs = training_logs.read_logs([runs / "a0", runs / "b0"])
     figure = plots.plot(logs)
     assert figure.axes[2].get_ylim() == figure.axes[4].get_ylim()
     assert figure.axes[2].get_ylim()[1] >= 90.0
@@ -177,7 +177,7 @@ def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_un
 
 
 def test_terms_of_scenarios_that_have_none_in_common_have_a_scale_each(runs):
-    logs = plots.read_logs([runs / "a0", runs / "b0"])
+    logs = training_logs.read_logs([runs / "a0", runs / "b0"])
     logs[1].terms = {"found": (np.array([10.0, 40.0]), np.array([50.0, 90.0]))}
     figure = plots.plot(logs)
     assert figure.axes[2].get_ylim()[1] < 10.0 < figure.axes[4].get_ylim()[1]
@@ -186,7 +186,7 @@ def test_terms_of_scenarios_that_have_none_in_common_have_a_scale_each(runs):
 def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 4, 6], endings=["found", "crashed", "crashed", "crashed"])
     _run(tmp_path / "b", "y", [0, 2, 4, 6], endings=["crashed", "found", "found", "lost"])
-    figure = plots.plot(plots.read_logs([tmp_path / "a", tmp_path / "b"]))
+    figure = plots.plot(training_logs.read_logs([tmp_path / "a", tmp_path / "b"]))
     colors = [
         {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections}
         for panel in (figure.axes[3], figure.axes[5])
@@ -198,14 +198,14 @@ def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
 def test_more_endings_than_colors_have_a_color_each(tmp_path):
     names = [f"ending_{number}" for number in range(12)]
     _run(tmp_path / "a", "x", [0.0] * 12, endings=names, stages=[""] * 12)
-    assert len(set(plots.ending_colors(plots.read_logs([tmp_path / "a"])).values())) == 12
+    assert len(set(plots.ending_colors(training_logs.read_logs([tmp_path / "a"])).values())) == 12
 
 
 @pytest.mark.slow
 def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):
     log = runs / "b0" / "monitor.csv"
     log.write_text(log.read_text().replace("crashed", "crashed_" + "into_a_thing_" * 6))
-    logs = plots.read_logs([runs / "a0", runs / "b0"])
+    logs = training_logs.read_logs([runs / "a0", runs / "b0"])
     logs[-1].name = "a folder with a name that is long" * 4
     figure = plots.plot(logs)
     FigureCanvasAgg(figure).draw()
@@ -227,7 +227,7 @@ STAGES = ("open", "open", "crowded", "crowded")
 )  # while it trains, the first episode says it
 def test_the_stages_of_a_curriculum_are_marked_with_their_names(tmp_path, completed, begun):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed=completed)
-    logs = plots.read_logs([tmp_path / "a"])
+    logs = training_logs.read_logs([tmp_path / "a"])
     assert logs[0].stages == [("open", 0.0), ("crowded", begun)]
     for panel in plots.plot(logs).axes:
         assert [text.get_text() for text in panel.texts] == ["open", "crowded"]
@@ -244,12 +244,12 @@ def test_a_log_with_a_stage_for_each_episode_is_plotted_in_time(tmp_path):
         stages=names,
         completed={"stage_0": -(10**400)},
     )
-    assert len(plots.read_logs([tmp_path / "a"])[0].stages) <= 100
+    assert len(training_logs.read_logs([tmp_path / "a"])[0].stages) <= 100
 
 
 def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
-    logs = plots.read_logs([tmp_path / "a"])
+    logs = training_logs.read_logs([tmp_path / "a"])
     assert [list(part) for part in logs[0].returns] == [
         [10, 20, 22, 30, 40],
         pytest.approx([0, 1, np.nan, 40, 50], nan_ok=True),
@@ -263,7 +263,7 @@ def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
 
 def test_an_evaluation_shows_the_stage_it_was_made_in(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
-    returns = plots.plot(plots.read_logs([tmp_path / "a"])).axes[0]
+    returns = plots.plot(training_logs.read_logs([tmp_path / "a"])).axes[0]
     marks = {line.get_label(): (line.get_marker(), line.get_xydata().tolist()) for line in returns.lines}
     assert marks["evaluations in stage crowded"] == ("s", [[30.0, 2.0]])
 
@@ -276,16 +276,18 @@ def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
         stages=("open", "a_narrow_one", "crowded", "crowded"),
         completed={"open": 11, "a_narrow_one": 14},
     )
-    panel = plots.plot(plots.read_logs([tmp_path / "a"])).axes[0]
+    panel = plots.plot(training_logs.read_logs([tmp_path / "a"])).axes[0]
     assert [text.get_text() for text in panel.texts] == ["1", "2", "crowded"]
     assert panel.get_xlabel() == "timesteps; stage 1 open, 2 a_narrow_one"
 
 
 def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
-    episodes, evaluations = plots.logs_of(tmp_path / "a")
+    episodes, evaluations = training_logs.logs_of(tmp_path / "a")
     text = "".join(
-        training_rows(plots.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True)
+        training_rows(
+            training_logs.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True
+        )
     )
     cells = re.findall(r"<td[^>]*>([^<]+)", text)
     assert cells[1:5] == ["1. open", "0", "2. crowded", "22"]
@@ -304,7 +306,7 @@ def test_the_score_of_a_teacher_is_a_line_and_its_lessons_have_a_panel(runs):
         success_rate=[(10, 0.75), (40, 0.75)],
         weight=[(10, 1.0), (40, 0.0)],
     )
-    returns, successes, lessons, *_ = plots.plot(plots.read_logs([runs / "a0"])).axes
+    returns, successes, lessons, *_ = plots.plot(training_logs.read_logs([runs / "a0"])).axes
     for panel, score in ((returns, 7.0), (successes, 0.75)):
         (line,) = (line for line in panel.lines if line.get_label() == "teacher by_hand")
         assert line.get_xydata().tolist() == [[0, score], [10, score], [40, score]]
@@ -319,26 +321,26 @@ def test_trainings_with_a_teacher_have_a_panel_each_beside_one_without(runs):
     _run(runs / "c0", "z", [1, 2, 3, 4])
     titles = [
         panel.get_title("left")
-        for panel in plots.plot(plots.read_logs([runs / "a0", runs / "b0", runs / "c0"])).axes
+        for panel in plots.plot(training_logs.read_logs([runs / "a0", runs / "b0", runs / "c0"])).axes
     ]
     assert titles[2:5] == ["a0: teacher by_hand", "b0: teacher by_hand", "a0: reward terms of an episode"]
 
 
 def test_a_training_that_a_recording_teaches_has_a_line_of_its_own(runs):
     (runs / "a1" / "demonstrations.mcap").touch()
-    logs = plots.read_logs([runs / "a0", runs / "a1"])
+    logs = training_logs.read_logs([runs / "a0", runs / "a1"])
     assert [(log.name, log.teacher) for log in logs] == [("a0", None), ("a1", "demonstrations.mcap")]
 
 
 def test_the_success_rates_of_evaluations_are_dots_too(runs):
-    successes = plots.plot(plots.read_logs([runs / "a0"])).axes[1]
+    successes = plots.plot(training_logs.read_logs([runs / "a0"])).axes[1]
     assert [line.get_xydata().tolist() for line in successes.lines if line.get_marker() == "o"] == [
         [[30.0, 0.5]]
     ]
 
 
 def test_endings_are_shares_of_episodes(runs):
-    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]
     assert tops == pytest.approx([0.75, 1.0])
     assert [area.get_label() for area in figure.axes[3].collections] == ["crashed", "found"]
@@ -351,14 +353,14 @@ def test_a_part_of_the_training_with_one_episode_is_not_a_spike_of_endings(runs)
     ]
     head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
     (runs / "a0" / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *lines, ""]))
-    areas = plots.plot(plots.read_logs([runs / "a0"])).axes[3].collections
+    areas = plots.plot(training_logs.read_logs([runs / "a0"])).axes[3].collections
     crashed = areas[0].get_paths()[0].vertices[:, 1]
     assert [area.get_label() for area in areas] == ["crashed", "found"]
     assert crashed[crashed > 0].min() == pytest.approx(0.99)
 
 
 def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_there_are_some(runs):
-    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
     (runs / "a0" / "evaluations" / "training.jsonl").unlink()
     evaluation = {
@@ -374,7 +376,7 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
         "solved": None,
     }
     (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
-    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     returns, successes = figure.axes[:2]
     assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
     assert returns.lines[-1].get_xydata().tolist() == [[40, 3.5]]
@@ -396,7 +398,7 @@ def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(run
         "model_steps": 17,
     }
     (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
-    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
 
 
@@ -412,12 +414,12 @@ def test_files_of_other_programs_are_plotted(tmp_path, capsys):
 
 def test_runs_that_cannot_be_plotted_are_an_error(tmp_path, runs):
     with pytest.raises(RunError, match="neither a run nor a folder"):
-        plots.read_logs([tmp_path / "nothing"])
+        training_logs.read_logs([tmp_path / "nothing"])
     with pytest.raises(RunError, match="hold none of"):
-        plots.read_logs([_events(tmp_path / "other", loss=[(0, 1.0)])])
+        training_logs.read_logs([_events(tmp_path / "other", loss=[(0, 1.0)])])
     (runs / "a0" / "monitor.csv").write_text("#{}\nr,l,t\n")
     with pytest.raises(RunError, match="no finished episode"):
-        plots.read_logs([runs / "a0"])
+        training_logs.read_logs([runs / "a0"])
 
 
 @pytest.mark.slow
@@ -426,9 +428,9 @@ def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
     before."""
     (tmp_path / "monitor.csv").write_text("#{}\nr,l,t,steps,is_success\n" + "1,1,1,1,1\n" * 300_000)
     script = (
-        "import sys; from pathlib import Path; from deepbots_cli.view import plots; from"
+        "import sys; from pathlib import Path; from deepbots_cli.view import training_logs; from"
         " tests.fuzz.workbench import peak_memory\n"
-        "before = peak_memory(); print(len(plots.logs_of(Path(sys.argv[1]))[0]), peak_memory() - before)"
+        "before = peak_memory(); print(len(training_logs.logs_of(Path(sys.argv[1]))[0]), peak_memory() - before)"
     )
     command = [sys.executable, "-c", script, str(tmp_path)]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True)
@@ -459,21 +461,21 @@ def test_names_of_endings_that_are_all_different_are_refused(runs):
     with pytest.raises(
         RunError, match="the names of its stages and endings have more than 1,000,000 letters"
     ):
-        plots.read_logs([runs / "a0"])
+        training_logs.read_logs([runs / "a0"])
 
 
 def test_evaluations_in_a_training_that_take_gigabytes_are_refused(runs):
     line = json.dumps({"steps": 30, "returns": [1] * 600_000, "successes": [1] * 600_000})
     (runs / "a0" / "evaluations" / "training.jsonl").write_text(f"{line}\n{line}\n")
     with pytest.raises(RunError, match="has more than 1,000,000 episodes"):
-        plots.read_logs([runs / "a0"])
+        training_logs.read_logs([runs / "a0"])
 
 
 def test_a_long_log_is_drawn_by_some_of_its_means(runs):
     rows = "".join(f"{n % 2},10,0.1,{n},{10 * n},0.1,0,found,\n" for n in range(5, 50_000))
     log = runs / "a0" / "monitor.csv"
     log.write_text(log.read_text().rpartition("\n")[0] + "\n" + rows)
-    steps, values = plots.read_logs([runs / "a0"], window=100)[0].returns
+    steps, values = training_logs.read_logs([runs / "a0"], window=100)[0].returns
     assert (len(steps), steps[0], steps[-1], values[-1]) == (20_000, 10, 499_990, 0.5)
 
 
@@ -482,7 +484,7 @@ def test_a_log_with_impossible_steps_is_damaged(runs, steps):
     log = runs / "a0" / "monitor.csv"
     log.write_text(log.read_text().replace(",40,", f",{steps},"))
     with pytest.raises(RunError, match="one of its logs cannot be read"):
-        plots.read_logs([runs / "a0"])
+        training_logs.read_logs([runs / "a0"])
 
 
 @pytest.mark.parametrize(
@@ -492,7 +494,7 @@ def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
     (runs / "a0" / name).unlink(missing_ok=True)
     os.mkfifo(runs / "a0" / name)
     with pytest.raises(RunError, match="not a regular file"):
-        plots.read_logs([runs / "a0"])
+        training_logs.read_logs([runs / "a0"])
 
 
 def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
@@ -500,7 +502,7 @@ def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
     log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
     assert main(["plot", str(runs / "a0"), "--output", str(tmp_path / "plot.png")]) == 0
-    labels = plots.plot(plots.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
+    labels = plots.plot(training_logs.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
     assert len(labels) == 21
     assert "others" in labels
 

@@ -28,12 +28,12 @@ def command(
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
     """Plot the learning curves of runs."""
-    from deepbots_cli.view import plots
+    from deepbots_cli.view import plots, training_logs
     from deepbots_cli.view.pictures import check_target
 
     check_target(out, plots.SUFFIXES, force=force)
     with terminal.transient_line("reading the logs ..."):
-        logs = plots.read_logs(runs, window, by_agent=True)
+        logs = training_logs.read_logs(runs, window, by_agent=True)
     figure = plots.plot(logs, theme="dark" if dark else "light")
     with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
