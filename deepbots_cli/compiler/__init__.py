@@ -75,7 +75,7 @@ from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
-from deepbots_cli.document.hints import number_fix
+from deepbots_cli.document.value_hints import number_fix
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Reset
 from deepbots_cli.program.robots import Link

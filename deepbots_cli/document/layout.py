@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document.hints import LOADER
 from deepbots_cli.document.nodes import (
     MappingNode,
     Node,
@@ -26,6 +25,7 @@ from deepbots_cli.document.nodes import (
     to_data,
 )
 from deepbots_cli.document.parse import parse
+from deepbots_cli.document.syntax_hints import LOADER
 
 _MAX_PASSES = 6
 _OPENING, _CLOSING = frozenset("{["), frozenset("}]")

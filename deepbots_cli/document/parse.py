@@ -20,7 +20,7 @@ from yaml.error import MarkedYAMLError
 from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, ScalarEvent, StreamEndEvent
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
-from deepbots_cli.document import hints
+from deepbots_cli.document import syntax_hints, value_hints
 from deepbots_cli.document.nodes import (
     Entry,
     MappingNode,
@@ -88,7 +88,7 @@ def parse(
             offset = error.problem_mark.index
             findings.add("DB005", Span(source, offset, offset), _TOO_DEEP, _LIMIT_HELP)
         else:
-            broken = hints.syntax_error_finding(source, error)
+            broken = syntax_hints.syntax_error_finding(source, error)
             findings.append(broken)
     except _OverLimitError:  # `noticed` contains the finding
         pass
@@ -119,7 +119,7 @@ class _Builder:
         self.text = text
         self.findings = findings
         self.budget = budget
-        self.events: Iterator[Event] = yaml.parse(text, Loader=hints.LOADER)
+        self.events: Iterator[Event] = yaml.parse(text, Loader=syntax_hints.LOADER)
         self.anchors: dict[str, Node | None] = {}
         # PyYAML ends a block collection at the next token, behind blank lines and comments.
         self.end = 0  # the end of the last token
@@ -199,7 +199,7 @@ class _Builder:
             self.findings.add("DB105", scalar.span, "the number is too large", "write a smaller number")
             return None
         if scalar.style == "plain":
-            hints.report_unusual_value(scalar, self.findings)
+            value_hints.report_unusual_value(scalar, self.findings)
         return scalar
 
     def scalar(self, event: Event) -> ScalarNode:
@@ -225,7 +225,7 @@ class _Builder:
         items = [self.node(event, depth + 1) for event in self.children()]
         span = self.close(start)
         scalars = [item for item in items if isinstance(item, ScalarNode)]
-        cut = hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
+        cut = value_hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
         empty = [item for item in scalars if item.value is None]
         for item in empty:
             self.findings.add("DB107", item.span, "a list item is empty", "give it a value, or remove it")
@@ -240,9 +240,9 @@ class _Builder:
         scalars = [node for pair in pairs for node in pair if isinstance(node, ScalarNode)]
         cut = []
         if start.flow_style:
-            cut = hints.report_values_cut_by_commas(scalars, self.findings) or hints.report_decimal_commas(
-                pairs, self.findings
-            )
+            cut = value_hints.report_values_cut_by_commas(
+                scalars, self.findings
+            ) or value_hints.report_decimal_commas(pairs, self.findings)
         entries: dict[str, Entry] = {}
         keys_without_value: list[ScalarNode] = []
         first_keys: dict[str, ScalarNode] = {}
@@ -256,7 +256,7 @@ class _Builder:
                 continue
             if not isinstance(key.value, str):
                 headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
-                self.findings.add("DB103", key.span, headline, hints.help_for_key(key))
+                self.findings.add("DB103", key.span, headline, value_hints.help_for_key(key))
                 continue
             first = first_keys.setdefault(key.text, key)
             if first is not key:
@@ -269,7 +269,7 @@ class _Builder:
                     labels=also,
                 )
             elif isinstance(value, ScalarNode) and value.value is None:
-                hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
+                value_hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
                 keys_without_value.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
@@ -290,7 +290,7 @@ class _Builder:
         key = self.scalar(event)
         if self.anchored(event, key) is None:
             return None
-        if hints.report_missing_colon(key, self.findings):
+        if syntax_hints.report_missing_colon(key, self.findings):
             return None
         if key.style == "plain" and key.text == "<<":
             remedy = "use `extends` for a whole file, or `include` for a part of one"

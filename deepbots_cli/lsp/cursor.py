@@ -13,9 +13,9 @@ import yaml
 from yaml.error import MarkedYAMLError
 
 from deepbots_cli.document.files import FORBIDDEN_CHARACTERS, MAX_BYTES
-from deepbots_cli.document.hints import LOADER
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import MAX_DEPTH
+from deepbots_cli.document.syntax_hints import LOADER
 
 Role = Literal["key", "value", "aside"]
 

@@ -18,9 +18,10 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document import nodes
-from deepbots_cli.document.hints import GIVE_A_VALUE, missing_colon
 from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
 from deepbots_cli.document.parse import resolve_plain_scalar
+from deepbots_cli.document.syntax_hints import missing_colon
+from deepbots_cli.document.value_hints import GIVE_A_VALUE
 from deepbots_cli.scenario.base import (
     LENIENT,
     Forms,

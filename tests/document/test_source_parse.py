@@ -240,7 +240,7 @@ def test_the_parser_in_python_gives_the_same_nodes_as_the_one_in_c(
 ) -> None:
     trees = []
     for loader in (yaml.CBaseLoader, yaml.BaseLoader):
-        monkeypatch.setattr("deepbots_cli.document.hints.LOADER", loader)
+        monkeypatch.setattr("deepbots_cli.document.syntax_hints.LOADER", loader)
         node, _ = read(text)
         assert node is not None
         trees.append(contents(node))

@@ -1,4 +1,4 @@
-"""YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake.
+"""The messages of syntax errors of YAML.
 
 The message of the parser contains only what it expected. This message selects the case, and the text around
 the error determines the correction.
@@ -7,7 +7,6 @@ the error determines the correction.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,16 +14,11 @@ import yaml
 from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
-from deepbots_cli.document.nodes import Node, ScalarNode
+from deepbots_cli.document.nodes import ScalarNode
 from deepbots_cli.words import counted
-
-GIVE_A_VALUE = "write a value, or remove the key"
-"""The help for an empty key, until a later pass replaces it by the values that the key takes."""
 
 LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 """The parser in C, or the one in Python (40 times slower) where PyYAML was built without libyaml."""
-
-# Syntax errors
 
 _QUOTE_HELP = "put the whole value in quotes, or after `|` on a line of its own"
 _NO_KEY = "a line without a key"
@@ -34,7 +28,7 @@ _TAB_INDENT = re.compile(r"[ ]*\t")
 _INDENT = re.compile(r"[ \t]*")
 _NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
 _HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
-_GLUED = re.compile(r"[\w.]+:(?=\S)")
+GLUED = re.compile(r"[\w.]+:(?=\S)")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*=(?!=)[ \t]*(.*)")
 _NEXT_PAIR = re.compile(r"(?<=[^\s,:{\[])\s+(?=[A-Za-z_][\w.]*:(?:\s|[{\[]))")
 _MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)")
@@ -42,7 +36,7 @@ _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
 _TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
 _CLOSING = {"{": "}", "[": "]"}
 _PAIR_BEHIND_COMMA = re.compile(r",\s*[A-Za-z_][\w.]*:\s")
-_MAX_SHOWN = 60
+MAX_SHOWN = 60
 _MAX_WRITTEN = 120
 _MAX_LINES_ABOVE = 200
 _STEP = 2
@@ -60,7 +54,7 @@ class _Line(NamedTuple):
 
     @property
     def name(self) -> str:
-        return f"`{self.key[:_MAX_SHOWN]}`" if self.key else "this line"
+        return f"`{self.key[:MAX_SHOWN]}`" if self.key else "this line"
 
 
 @dataclass(frozen=True)
@@ -164,7 +158,7 @@ def _tab(problem: _Problem) -> Finding | None:
     for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
         if match := _TAB_INDENT.match(text, start):
             above = problem.line_above(start)
-            line = problem.rest_of_line(start).strip()[:_MAX_SHOWN]
+            line = problem.rest_of_line(start).strip()[:MAX_SHOWN]
             spaces = ""
             if above is not None:
                 spaces = " " * (above.indent + 2 if above.opens else above.indent)
@@ -289,7 +283,7 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
     corrected = " ".join(f"{text[start:at].strip()},{problem.rest_of_line(at)}".split())
-    remedy = f"separate keys by commas: `{corrected[:_MAX_SHOWN]}`, or put the value in quotes"
+    remedy = f"separate keys by commas: `{corrected[:MAX_SHOWN]}`, or put the value in quotes"
     fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
     return problem.finding("a comma is missing before this key", remedy, problem.at, fix=fix)
 
@@ -375,7 +369,7 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         )
     if explained := _value_and_block(problem, above) or _value_out_of_place(problem, line, above):
         return explained
-    line_text = problem.rest_of_line(problem.line_start).strip()[:_MAX_SHOWN]
+    line_text = problem.rest_of_line(problem.line_start).strip()[:MAX_SHOWN]
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     remedy = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
@@ -411,7 +405,7 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
     is_first = holder.opens and holder.indent >= above.indent
     if not is_first and holder.indent != line.indent:
         return None
-    value = problem.rest_of_line(above.start).strip()[:_MAX_SHOWN]
+    value = problem.rest_of_line(above.start).strip()[:MAX_SHOWN]
     word = "below" if is_first else "like"
     headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
     remedy = f"indent it like the line below: `{' ' * line.indent}{value}`"
@@ -433,6 +427,20 @@ def missing_colon(line: str) -> tuple[str, str] | None:
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
 
 
+def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
+    """Report `key {a: 1}`, in which `key {a` is read as a key; return whether it is reported."""
+    if key.style != "plain" or not _NO_COLON_BEFORE_BRACKET.match(key.text):
+        return False
+    name = key.text.split()[0]
+    text = key.span.source.text
+    end = text.find("\n", key.span.end)
+    value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
+    remedy = f"write a colon after the key: `{name}: {value[:MAX_SHOWN]}`"
+    fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
+    findings.add("DB001", key.span, _NO_KEY, remedy, fix=fix)
+    return True
+
+
 def _indented_by(spaces: int) -> str:
     return f"indented by {counted(spaces, 'space')}"
 
@@ -442,18 +450,18 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     remedy, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
         remedy, edit = "begin a comment with `#`", (0, 2, "#")
-    elif match := _GLUED.match(line):
-        remedy = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:_MAX_SHOWN]}`"
+    elif match := GLUED.match(line):
+        remedy = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:MAX_SHOWN]}`"
         edit = (match.end(), match.end(), " ")
     elif match := _ASSIGNED.match(line):
-        remedy = f"write a colon: `{f'{match[1]}: {match[2][:_MAX_SHOWN]}'.rstrip()}`"
+        remedy = f"write a colon: `{f'{match[1]}: {match[2][:MAX_SHOWN]}'.rstrip()}`"
         edit = (match.end(1), match.start(2), ": " if match[2] else ":")
     elif correction := missing_colon(line):
         key, corrected = correction
         otherwise = (
             "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
         )
-        remedy = f"write a colon after the key: `{corrected[:_MAX_SHOWN]}`{otherwise}"
+        remedy = f"write a colon after the key: `{corrected[:MAX_SHOWN]}`{otherwise}"
         edit = (0, len(key), f"{key}:")
     fix = (
         Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False)
@@ -504,10 +512,10 @@ def _behind_value(problem: _Problem) -> Finding | None:
         near, *others = sorted([near, *others], key=lambda level: level.indent >= below.indent)
     fix = _indented(problem, line.start, line.indent, near.indent)
     headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
-    remedy = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:_MAX_SHOWN]}`"
+    remedy = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:MAX_SHOWN]}`"
     if _is_first(problem, near) and near == problem.line_above(line.start) and _continues(line, below):
         fix = _indented(problem, near.start, near.indent, line.indent)
-        value = problem.rest_of_line(near.start).strip()[:_MAX_SHOWN]
+        value = problem.rest_of_line(near.start).strip()[:MAX_SHOWN]
         remedy = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
     elif others:
         other = others[0]
@@ -547,235 +555,3 @@ def _quoted(text: str) -> str:
         if '"' in text and "'" not in text
         else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
     )
-
-
-# Values cut by a comma, or emptied by a `#`
-
-_QUOTABLE = re.compile(r"""[^"\\#\n]*""")
-_DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
-_WHERE = re.compile(r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
-_DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
-_HAS_COLON = re.compile(r"\s*:")
-_HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
-_COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
-_NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
-_WHOLE_PART, _DECIMALS = re.compile(r"(?<![\w.])[0-9]+$"), re.compile(r",[0-9]")
-_THOUSANDS = re.compile(r",\d{3}(?!\d)")
-_COMMA_HELP = (
-    "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
-)
-
-
-def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
-    """Report `key {a: 1}`, in which `key {a` is read as a key; return whether it is reported."""
-    if key.style != "plain" or not _NO_COLON_BEFORE_BRACKET.match(key.text):
-        return False
-    name = key.text.split()[0]
-    text = key.span.source.text
-    end = text.find("\n", key.span.end)
-    value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
-    remedy = f"write a colon after the key: `{name}: {value[:_MAX_SHOWN]}`"
-    fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
-    findings.add("DB001", key.span, _NO_KEY, remedy, fix=fix)
-    return True
-
-
-def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
-    """Report values that a comma inside `{...}` or `[...]` cuts in pieces, and return their spans.
-
-    `scalars` are the scalars of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has
-    an open parenthesis that `1)` closes.
-    """
-    cut: list[Span] = []
-    start, balance = -1, 0
-    for scalar in scalars:
-        if scalar.style != "plain":
-            continue
-        opened = scalar.text.count("(") - scalar.text.count(")")
-        if start < 0 and opened > 0:
-            start, balance = scalar.span.start, 0
-        if start >= 0:
-            balance += opened
-            if balance <= 0:
-                cut.append(Span(scalar.span.source, start, scalar.span.end))
-                start = -1
-    for span in cut:
-        text = " ".join(span.text.split())
-        quoted = f': "{text}"' if len(text) <= _MAX_SHOWN and '"' not in text else ""
-        remedy = f"put the value in quotes{quoted}, or on a line of its own"
-        fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
-        if draw := _DRAW.fullmatch(text):
-            better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
-            remedy, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
-        elif call := _WHERE.fullmatch(text):
-            remedy, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
-    return cut
-
-
-def report_decimal_commas(
-    pairs: Iterable[tuple[ScalarNode | None, Node | None]], findings: Findings
-) -> list[Span]:
-    """Report numbers that a comma inside `{...}` cuts in two, and return the spans of their values.
-
-    `pairs` are the keys and values of the mapping, in file order. In `{y: 1,5 cm}`, the value of `y` is `1`,
-    and the key `5 cm` has none.
-    """
-    cut: list[Span] = []
-    last: Span | None = None
-    for key, value in pairs:
-        is_empty = isinstance(value, ScalarNode) and value.style == "plain" and not value.text
-        behind = key.span.source.text[last.end : key.span.start + 1] if last and key and is_empty else ""
-        if last and key and _DECIMALS.fullmatch(behind) and _WHOLE_PART.search(last.text):
-            start = cut.pop().start if cut and cut[-1].end == last.end else last.start
-            cut.append(Span(key.span.source, start, key.span.end))
-        if key and is_empty:
-            last = key.span
-        elif isinstance(value, ScalarNode) and value.style == "plain":
-            last = value.span
-        else:
-            last = None
-    for span in cut:
-        text, fix = span.text.replace(",", "."), None
-        remedy = f"write a decimal point: `{text}`"
-        if _THOUSANDS.search(span.text):
-            remedy = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
-        else:
-            fix = Fix((Edit(span, text),), safe=False)
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
-    return cut
-
-
-def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *, is_flow: bool) -> None:
-    """Report a key without a value, with the probable reason."""
-    text, end = key.span.source.text, key.span.end
-    hidden = _HIDDEN.match(text, end)
-    following = _NEXT_LINE.match(text, end)
-    remedy, fix = GIVE_A_VALUE, None
-    if value.style != "plain":
-        remedy = (
-            f"a leading `{value.span.text[0]}` begins a block of text; put the value in quotes:"
-            f' "{value.span.text}"'
-        )
-    elif value.text:
-        remedy = "remove the key: deepbots has no null value"
-    elif is_flow and _GLUED.match(key.text):
-        remedy = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
-    elif (
-        is_flow
-        and (" " in key.text or "=" in key.text)
-        and not _HAS_COLON.match(text, end)
-        and (correction := missing_colon(key.text))
-    ):
-        remedy = f"write a colon after the key: `{correction[1]}`"
-        fix = Fix.replacing(key.span, key.text, correction[1], safe=False)
-    elif is_flow and not _HAS_COLON.match(text, end):
-        remedy = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
-    elif hidden:
-        remedy = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
-        if _COLOR.fullmatch(hidden[1]) and not is_flow:
-            fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
-    elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
-        remedy = "write a value, or indent the lines that belong to this key"
-    findings.add("DB107", key.span, f"`{key.text}` has no value", remedy, fix=fix)
-
-
-def help_for_key(key: ScalarNode) -> str:
-    """Return the help for a key that is not text; a number without a colon is the rest of a value that a
-    comma cuts."""
-    if not key.text:
-        return "write `name: value`"
-    if not _HAS_COLON.match(key.span.source.text, key.span.end):
-        return _COMMA_HELP + "put a value with a comma in quotes"
-    return f'put it in quotes: "{key.text}"'
-
-
-# Plain values that YAML 1.1 reads differently
-
-# `y` and `n` are left out: they are coordinates and counts far more often than answers.
-_YAML11 = {
-    **dict.fromkeys(("on", "On", "ON", "yes", "Yes", "YES"), "true"),
-    **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
-}
-# Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24
-# characters is not a number.
-_PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
-_GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
-_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
-_RADIX = re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)")
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,([0-9]+)")
-_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
-_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
-_GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
-
-
-def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
-    """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
-    text, span = scalar.text, scalar.span
-    if text in _YAML11:
-        remedy = f"write {_YAML11[text]}, or put it in quotes if you mean text"
-        headline = f"`{text}` is text, but YAML 1.1 reads it as {_YAML11[text]}"
-        # Where a truth value is needed, a later pass reports an error, whose fix comes first.
-        findings.add("DB003", span, headline, remedy, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
-    elif (odd := _odd_number(text)) is not None:
-        headline, remedy, number = odd
-        if isinstance(scalar.value, str):
-            remedy = f"{remedy}, or put it in quotes if you mean text"
-            number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
-        findings.add(
-            "DB004", span, headline, remedy, fix=Fix((Edit(span, number),), safe=True) if number else None
-        )
-
-
-def number_fix(span: Span) -> Fix | None:
-    """Return the fix of an odd number where a number is needed; None if it can be read in several ways."""
-    odd = _odd_number(span.text)
-    return Fix((Edit(span, odd[2]),), safe=True) if odd and odd[2] else None
-
-
-def _odd_number(text: str) -> tuple[str, str, str | None] | None:
-    """Return headline, help and the only possible meaning of a text that looks like a number, or is another
-    number in other languages."""
-    if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
-        return None
-    if _LEADING_ZERO.fullmatch(text):
-        return (
-            f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal",
-            f"write {int(text)}",
-            str(int(text)),
-        )
-    if _RADIX.fullmatch(text):
-        return (
-            f"`{text}` is read as text, because only decimal numbers are supported",
-            f"write {int(text, 0)}",
-            str(int(text, 0)),
-        )
-    if decimal := _DECIMAL_COMMA.fullmatch(text):
-        number = text.replace(",", ".")
-        certain = len(decimal[1]) != 3  # `1,500` may be either
-        return (
-            f"`{text}` is read as text, because decimals need a point",
-            f"write {number} for a decimal",
-            number if certain else None,
-        )
-    if _COMMAS.fullmatch(text):
-        number = text.replace(",", "_")
-        return (
-            f"`{text}` is read as text, because decimals need a point",
-            f"write {number}",
-            number if _GROUPED.fullmatch(number) else None,
-        )
-    if _SEXAGESIMAL.fullmatch(text):
-        return (
-            f"`{text}` is read as text, but YAML 1.1 reads it as a number in base 60",
-            "write a duration with its unit, such as 750 s",
-            None,
-        )
-    if _GROUPS.fullmatch(text):
-        number = text.replace("_", "")
-        return (
-            f"`{text}` is read as text, because its digits are not grouped in threes",
-            f"write {number}",
-            number,
-        )
-    return None
