@@ -48,13 +48,13 @@ from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
 from deepbots_cli.scenario.agent import ALL_AGENTS, Measured, PythonTerm
 from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.episode import Disturbance as DisturbanceSpec
+from deepbots_cli.scenario.episode import JointState
+from deepbots_cli.scenario.episode import Truncation as TruncationSpec
 from deepbots_cli.scenario.fields.quantities import Quantity
 from deepbots_cli.scenario.fields.training import read_until
 from deepbots_cli.scenario.fields.words import choices_help
-from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
-from deepbots_cli.scenario.scenario import JointState
-from deepbots_cli.scenario.scenario import Route as RouteSpec
-from deepbots_cli.scenario.scenario import Truncation as TruncationSpec
+from deepbots_cli.scenario.robots import Route as RouteSpec
 
 _PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 

@@ -11,7 +11,10 @@ actuators.py    the sections of actuators
 curriculum.py   the sections of a curriculum: stages, levels
 training.py     the sections of training
 agent.py        what an agent does, sees and is rewarded for; several agents
-scenario.py     Scenario, the whole file: robots, messages, the task
+robots.py       robots and their messages
+episode.py      how an episode begins, is disturbed and ends
+evaluation.py   the evaluation, `tune`, and the tests of a scenario
+scenario.py     Scenario, the whole file; deployment
 synonyms.py     words that people write instead of a word of the language: the table synonyms.yaml
 isaac_lab.py    terms of Isaac Lab with their lines, the table isaac_lab.json; advice for sections that are
                 written as there

@@ -50,7 +50,8 @@ from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import FilePath, Name, Pattern, Reference
 from deepbots_cli.scenario.fields.quantities import Expression, Range
 from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Word
-from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
+from deepbots_cli.scenario.robots import Robot
+from deepbots_cli.scenario.scenario import VERSION, Scenario
 
 Json = dict[str, Any]
 
