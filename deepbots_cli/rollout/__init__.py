@@ -1,14 +1,15 @@
 """Sources and drivers: the named scenario, episodes as a stream of steps, and experience for a learner.
 
-episode.py     `steps`, an episode of one environment; the result of an episode
-source.py      the resolution of a name, path or object to a scenario
-drivers.py     drivers: a script, random or zero actions, a list of actions, a person
-recordings.py  the episodes in a recording
-robot_logs.py  the episodes in the log of a robot, with its scenario
-worlds.py      worlds that run side by side, single ones or a batch
-collector.py   fragments of experience, by shards of worlds
-seats.py       the experience of each of several agents in the same worlds
-policies.py    a trained policy as a driver; evaluations in several worlds at a time
+episode.py            `steps`, an episode of one environment; the result of an episode
+source.py             the resolution of a name, path or object to a scenario
+drivers.py            drivers: a script, random or zero actions, a list of actions, a person
+recordings.py         the episodes in a recording
+robot_logs.py         the episodes in the log of a robot, with its scenario
+worlds.py             worlds that run side by side, single ones or a batch
+collector.py          fragments of experience, from worlds in this process
+sharded_collector.py  fragments of experience, from shards of worlds
+seats.py              the experience of each of several agents in the same worlds
+policies.py           a trained policy as a driver; evaluations in several worlds at a time
 
 Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`,
 side by side. Outside of this package, wrappers pass `step` on, and benchmarks time it.
