@@ -5,8 +5,8 @@ server.py                 request handlers, findings as diagnostics, background 
 workspace.py              open documents, their analyses and locations, and the view of the cursor that answers
                           requests
 cursor.py                 the path of the cursor in a text that may be broken YAML
-lookup.py                 shapes of the schema, definitions and hover text at a path or the cursor; document
-                          symbols
+lookup.py                 shapes of the schema and definitions at a path or the cursor; document symbols
+hover.py                  hover texts
 uses.py                   the uses of a name
 completion.py             completion of keys, words, names and files
 expression_completion.py  completion of expressions

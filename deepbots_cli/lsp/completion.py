@@ -26,7 +26,8 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.lsp.choices import Choice, unique
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.expression_completion import expression_choices, is_expression, word_before
-from deepbots_cli.lsp.lookup import describe_shape, section_of, shapes_at, summary
+from deepbots_cli.lsp.hover import describe_shape, summary
+from deepbots_cli.lsp.lookup import section_of, shapes_at
 from deepbots_cli.lsp.workspace import CursorView
 from deepbots_cli.lsp.written_names import names_in_text
 from deepbots_cli.robots.meshes import MESH_SUFFIXES

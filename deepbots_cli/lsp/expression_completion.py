@@ -17,7 +17,8 @@ from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.choices import Choice
-from deepbots_cli.lsp.lookup import describe_function, describe_symbol, ignore_finding
+from deepbots_cli.lsp.hover import describe_function, describe_symbol
+from deepbots_cli.lsp.lookup import ignore_finding
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
 from deepbots_cli.lsp.written_names import VALUE_ON_BOARD, defines, names_in_text
 from deepbots_cli.scenario.fields.base import FieldType

@@ -1,5 +1,5 @@
 """Look-ups by path and cursor: the shapes that the schema allows; the expression, key or value under the
-cursor, its definition and hover text; document symbols."""
+cursor and its definition; document symbols."""
 
 from __future__ import annotations
 
@@ -11,21 +11,17 @@ from typing import Any, NamedTuple
 
 from lsprotocol import types
 
-from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
+from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.values import ScopedExpression, SourceText
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
+from deepbots_cli.document import Entry, MappingNode, descend, shipped
 from deepbots_cli.document.files import resolve_reference
 from deepbots_cli.document.nodes import NodePath, follow_dotted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
-from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Kind, Symbol, Type, shortened_list, walk
-from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.expressions.functions import FUNCTIONS, Form
+from deepbots_cli.expressions.types import Kind, Type, walk
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
@@ -36,25 +32,18 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    hover_text,
-    noun_of,
-    section_description,
     section_fields,
 )
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.words import counted
 
 _OPTION = Reference("option")
-
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
 _COLON = re.compile(r"[\"']?[ \t]*:")
 _VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
-
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")
-
 _DEPTH = 4
 _SECTIONS = {
     "parameters": types.SymbolKind.Constant,
@@ -413,261 +402,3 @@ def _document_symbol(
     return types.DocumentSymbol(
         entry.key.text, kind, full_range, document.lines.range(key.start, key.end), children=below or None
     )
-
-
-# Hover texts
-
-_CODE = re.compile(r"DB\d{3}")
-_MAX_CHARACTERS = 300
-
-_LONGEST_NOUN = 120
-
-
-def hover(view: CursorView) -> types.Hover | None:
-    """Return the hover text of a place; None for white space and text without a meaning."""
-    contents = _suppressed_code(view) or _expression(view) or _key_or_value(view)
-    if contents is None:
-        return None
-    text, start, end = contents
-    return types.Hover(
-        types.MarkupContent(types.MarkupKind.Markdown, text), view.document.lines.range(start, end)
-    )
-
-
-HoverText = tuple[str, int, int]
-"""Markdown, and the start and end of the described text as offsets in the document."""
-
-
-def _suppressed_code(view: CursorView) -> HoverText | None:
-    """Return the page of a rule whose code a suppressing comment names."""
-    text = view.document.plain
-    begin = text.rfind("\n", 0, view.offset) + 1
-    end = text.find("\n", view.offset)
-    line = text[begin : end if end >= 0 else len(text)]
-    comment = line.find("deepbots:")
-    if comment >= 0:
-        for match in _CODE.finditer(line, max(0, comment)):
-            if begin + match.start() <= view.offset <= begin + match.end() and (
-                page := describe_rule(match.group())
-            ):
-                return page, begin + match.start(), begin + match.end()
-    return None
-
-
-def _expression(view: CursorView) -> HoverText | None:
-    node = expression_at(view)
-    if node is None or view.known_offset is None:
-        return None
-    text = _node_text(view, node)
-    if not text:
-        return None
-    span = node.reading.text.part(node.node.start, node.node.end)
-    moved = view.offset - view.known_offset
-    return text, span.start + moved, span.end + moved
-
-
-def _node_text(view: CursorView, located: ExpressionNode) -> str | None:
-    node, name = located.node, located.name
-    if isinstance(node, syntax.Call) and located.cursor <= node.name_end and node.function in FUNCTIONS:
-        node_type = located.type
-        return describe_function(FUNCTIONS[node.function]) + (
-            f"\n\nHere it is {describe_type(node_type)}." if node_type else ""
-        )
-    if name is not None:
-        return _name_text(view, located, name)
-    node_type = located.type
-    source = " ".join(located.reading.text.text[node.start : node.end].split())
-    return f"`{source[:_MAX_CHARACTERS]}`: {describe_type(node_type)}" if node_type else None
-
-
-def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
-    checked = view.checked
-    if checked is None:
-        return None
-    entry = definition(checked, name, node.robot)
-    if node.kinds is not None:
-        subject = node.reading.scope.subject(name, node.kinds)
-        return f"`{name}`: {subject.kind.description}{_definition_line(entry)}" if subject else None
-    symbol = node.reading.scope.lookup(name)
-    if symbol is None:  # the name is a component of a vector, or a unit
-        node_type = node.type
-        if node_type:
-            return f"`{name}`: {describe_type(node_type)}{_definition_line(entry)}"
-        return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
-    description = f"{entry.description}, " if entry else ""
-    return f"`{name}`: {description}{describe_symbol(symbol)}{_definition_line(entry)}"
-
-
-def _definition_line(entry: NameEntry | None) -> str:
-    """Return the source line of a definition as a code block; empty if there is none."""
-    if entry is None or entry.span is None:
-        return ""
-    line = entry.span.source.line(entry.span.start_position.line).strip()[:_MAX_CHARACTERS]
-    language = "xml" if line.startswith("<") else "yaml"
-    return f"\n\n```{language}\n{line}\n```"
-
-
-def _key_or_value(view: CursorView) -> HoverText | None:
-    target = key_or_value_at(view)
-    if target is None or not target.text or not target.start <= view.offset <= target.end:
-        return None
-    text = _key_text(view, target) if target.is_key else _value_text(view, target)
-    return (text, target.start, target.end) if text else None
-
-
-def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
-    kinds = _kinds(view, target)
-    if kinds is not None:
-        return f"**{target.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
-    part = section_of(target.path, view.data)
-    if part is not None:
-        return hover_text(part, str(target.path[-1]))
-    for shape in shapes_at(target.path[:-1], view.data):
-        if isinstance(shape, MappingOf):
-            text = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
-            return text or f"`{target.text}`: a name of your choice, for {describe_shape(shape.value)}"
-    return None
-
-
-def _kinds(view: CursorView, target: KeyOrValue) -> Kinds | None:
-    """Return the kinds among which the value of this key chooses."""
-    above = shapes_at(target.path[:-1], view.data) if target.path else ()
-    return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == target.path[-1]), None)
-
-
-def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
-    """Return the description of a name at its definition."""
-    checked = view.checked
-    if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
-        return None
-    defined = next(
-        (
-            entry
-            for entry in checked.namespace.definitions.values()
-            if entry.path == target.path and entry.symbol is not None
-        ),
-        None,
-    )
-    is_sensor = target.path[:1] == ("robots",) and target.path[2:3] == ("sensors",)
-    if defined is not None and defined.symbol is not None:
-        return (
-            f"`{target.text}`: {'a sensor' if is_sensor else defined.origin.value},"
-            f" {describe_symbol(defined.symbol)}"
-        )
-    if is_sensor:
-        boards = (
-            reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope)
-        )
-        symbol = next(
-            (
-                board.symbols[target.text]
-                for board in boards
-                if board.robot == target.path[1] and target.text in board.symbols
-            ),
-            None,
-        )
-        return f"`{target.text}`: a sensor, {describe_symbol(symbol)}" if symbol is not None else None
-    node, _, steps = descend(checked.document.root, target.path)
-    if steps < len(target.path) or not isinstance(node, ScalarNode):
-        return None
-    span = node.part(0, len(node.text))
-    own_reading = next(
-        (reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None
-    )
-    return f"`{target.text}`: {describe_type(own_reading.trees[0].type)}" if own_reading is not None else None
-
-
-def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
-    for field in field_types_at(target.path, view.data):
-        text = _reference_text(view, target, field)
-        if text:
-            return text
-    kinds = _kinds(view, target)
-    if kinds is not None and target.text in kinds.names:
-        return f"`{target.text}`: {section_description(kinds.models[target.text])}"
-    steps = next(
-        (
-            target.path[:end]
-            for end in range(len(target.path), 0, -1)
-            if isinstance(target.path[end - 1], str)
-        ),
-        (),
-    )
-    part = section_of(steps, view.data)
-    return hover_text(part, str(steps[-1])) if part is not None else None
-
-
-def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> str | None:
-    checked = view.checked
-    if checked is None or not isinstance(field, (Reference, Pattern)):
-        return None
-    match = next(
-        (entry for entry in names_at(checked, field.kind, target.path) if entry.name == target.text), None
-    )
-    return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
-
-
-def summary(part: type[Section], key: str) -> str:
-    """Return the noun of a key's value, shortened for a completion list."""
-    noun = noun_of(section_fields(part)[key])
-    return noun if len(noun) <= _LONGEST_NOUN else f"{noun[:_LONGEST_NOUN]}…"
-
-
-def describe_shape(shape: Shape) -> str:
-    """Return the noun of a shape, with an example if it has one."""
-    example = getattr(shape, "example", None)
-    return f"{noun_of(shape)}, such as `{example}`" if example else noun_of(shape)
-
-
-def describe_function(function: Function) -> str:
-    lines = ["```text", function.signature, "```", function.doc]
-    return "\n".join(lines + (["", f"For example `{function.example}`."] if function.example else []))
-
-
-def describe_type(value_type: Type) -> str:
-    """Return the dimension, components and interval of a type, and when it is known: `a length (m), from 0 to
-    2.7 m, fixed`."""
-    if value_type.picture is not None:
-        rows, columns, channels = value_type.picture
-        return f"a picture of {columns} x {rows} pixels with {counted(channels, 'channel')}"
-    words = [value_type.description]
-    if value_type.components is not None:
-        words.append(f"with the components {shortened_list(value_type.components)}")
-    if not value_type.boolean and value_type.interval != EVERYTHING:
-        words.append(_interval(value_type.interval, str(value_type.dimension)))
-    return ", ".join([*words, value_type.known.description])
-
-
-def _interval(interval: Interval, dimension: str) -> str:
-    unit = "" if dimension == "1" else f" {dimension}"
-    if interval.is_single:
-        return f"{interval.low:.6g}{unit}"
-    if not interval.is_finite:
-        low, high = interval.low > -float("inf"), interval.high < float("inf")
-        if low:
-            return f"at least {interval.low:.6g}{unit}"
-        if high:
-            return f"at most {interval.high:.6g}{unit}"
-        return ""
-    return f"from {interval.low:.6g} to {interval.high:.6g}{unit}"
-
-
-def describe_symbol(symbol: Symbol) -> str:
-    """Return the type and value of a name, or the reason why it has no value."""
-    if symbol.refusal is not None:
-        return f"no value here: {symbol.refusal}"
-    if symbol.type is None:
-        return "its definition has a finding"
-    text = describe_type(symbol.type)
-    if symbol.value is None or len(symbol.value) < 2:
-        return text
-    return f"{text}: {' '.join(f'{number:.6g}' for number in symbol.value)}"
-
-
-def describe_rule(code: str) -> str | None:
-    """Return the page of a rule by its code; None if no rule has the code."""
-    rule = RULES.get(code)
-    if rule is None:
-        return None
-    head = f"**{code}** {rule.name} ({rule.severity}{', in preview' if rule.preview else ''}): {rule.summary}"
-    return "\n\n".join([head, *(page.markdown() for page in pages_of(code))])

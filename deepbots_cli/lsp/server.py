@@ -34,7 +34,8 @@ from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import (
     CursorView,

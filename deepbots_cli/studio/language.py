@@ -19,7 +19,8 @@ from deepbots_cli.document.edits import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.nodes import NodePath, entries_at
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.lookup import document_symbols, hover
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.lookup import document_symbols
 from deepbots_cli.lsp.server import Checker, CodeActions, formatting
 from deepbots_cli.lsp.workspace import (
     CursorView,

@@ -13,7 +13,8 @@ from lsprotocol import types
 
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.insight.inspection import Row, link_rows
-from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import CursorView, Document
 from deepbots_cli.robots.model import Joint

@@ -17,7 +17,8 @@ from lsprotocol.types import Position, Range
 
 from deepbots_cli.installation import install_hint
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
 from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
 from tests.few import LIGHT, few
