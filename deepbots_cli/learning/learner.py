@@ -342,7 +342,7 @@ class ArrayLearner(Learner):
             raise RuntimeError("a learner without worlds cannot collect")
 
         def on_step(step: WorldsStep) -> bool:
-            self.steps += len(step.dones)
+            self.steps += len(step.ended)
             return self._monitor.on_step()
 
         actor = self.actor() if isinstance(collector, ShardedCollector) else self.act

@@ -14,7 +14,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from time import perf_counter
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.levels import LIMITS, SUCCESS
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import Lesson, LocalCollector
 from deepbots_cli.rollout.sharded_collector import (
     Evaluated,
@@ -41,7 +42,7 @@ from deepbots_cli.rollout.sharded_collector import (
     RunningEpisode,
     ShardResult,
 )
-from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, AgentTerms, Array, BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, Array, SingleWorlds, Worlds, WorldsOptions
 from deepbots_cli.runtime.streams import derive_seed
 
 
@@ -63,21 +64,6 @@ class WorldPlan:
 def world_seed(run: Run, world: int) -> int:
     """Return the seed of the first episode of a world."""
     return derive_seed(run.record.seed, "environment", world)
-
-
-class _Calls(TypedDict):
-    """The functions that worlds call."""
-
-    on_step: Callable[[], None]
-    on_episode: Callable[[int, Episode], None]
-    options: Callable[[int], Mapping[str, Any] | None]
-
-
-class _OfAgents(TypedDict):
-    """The arguments of worlds about several agents."""
-
-    agent_terms: AgentTerms
-    agents_alone: Sequence[str]
 
 
 def make_worlds(
@@ -135,7 +121,8 @@ def make_worlds(
         seed = next_seed(world)
         return None if seed is None else (guarded(stages[world]), seed)
 
-    calls: _Calls = {"on_step": on_step, "on_episode": end, "options": options}
+    calls: WorldsOptions = {"on_step": on_step, "on_episode": end, "options": options}
+    shared: WorldsOptions = {**calls, **_agent_options(run.program)}
     env: Worlds
     if not reasons_against_batch(run.program, len(seeds), engine, plan.build):
         recorder = BatchFailureRecorder(run, guarded, next_episode, curriculum, note)
@@ -145,19 +132,19 @@ def make_worlds(
             stages if levels is None else None,
             next_seed=next_seed,
             recorder=recorder,
-            **calls,
-            **_agent_settings(run.program),
+            **shared,
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_agent_settings(run.program))
+        env = SingleWorlds(worlds, seeds, next_world=next_world, **shared)
     stack.callback(env.close)
     return env
 
 
-def _agent_settings(program: Program) -> _OfAgents:
+def _agent_options(program: Program) -> WorldsOptions:
+    """Return the arguments of worlds about several agents."""
     members = program.members.items()
     return {
         "agent_terms": {name: [*member.terms.values()] for name, member in members},

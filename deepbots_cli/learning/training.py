@@ -47,7 +47,7 @@ from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -419,7 +419,7 @@ def _validate_setup(
         build(stage.program.with_critic).close()
     with closing(build(program.with_critic)) as world:
         # One world stands for all: the learner reads their spaces, and steps none.
-        worlds = Worlds([world] * training.environments, [0] * training.environments)
+        worlds = SingleWorlds([world] * training.environments, [0] * training.environments)
         learner = create_learner(training, program, LocalCollector(worlds), 0)
         if training.shards > 1:
             learner.actor()

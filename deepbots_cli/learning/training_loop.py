@@ -53,7 +53,7 @@ from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollector
 from deepbots_cli.rollout.sharded_collector import Answer, ShardedCollector
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -237,7 +237,7 @@ class TrainingProcess:
             pool = self.executor.shards(stack, run, training, self.build, self.reporter.note)
             sizes = [len(numbers) for numbers in shards.world_numbers(training)]
             seeds = [shards.world_seed(run, world) for world in range(training.environments)]
-            return ShardedCollector(pool, seeds, stages, sizes, Worlds([agents], [0]).agents, counter)
+            return ShardedCollector(pool, seeds, stages, sizes, SingleWorlds([agents], [0]).agents, counter)
         worlds = shards.make_worlds(
             stack,
             shards.WorldPlan(

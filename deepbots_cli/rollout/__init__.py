@@ -5,14 +5,16 @@ source.py             the resolution of a name, path or object to a scenario
 drivers.py            drivers: a script, random or zero actions, a list of actions, a person
 recordings.py         the episodes in a recording
 robot_logs.py         the episodes in the log of a robot, with its scenario
-worlds.py             worlds that run side by side, single ones or a batch
+worlds.py             worlds that run side by side: what all have, and single worlds
+batch_worlds.py       the worlds of a batch, on arrays
 collector.py          fragments of experience, from worlds in this process
 sharded_collector.py  fragments of experience, from shards of worlds
 seats.py              the experience of each of several agents in the same worlds
 policies.py           a trained policy as a driver; evaluations in several worlds at a time
 
-Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`,
-side by side. Outside of this package, wrappers pass `step` on, and benchmarks time it.
+Environments are stepped in `episode.steps`, one at a time, and in `worlds.SingleWorlds` and
+`batch_worlds.BatchEpisodes`, side by side. Outside of this package, wrappers pass `step` on, and benchmarks
+time it.
 """
 
 from deepbots_cli.rollout.episode import (

@@ -213,7 +213,7 @@ class LocalCollector:
             agent_rewards.append(step.agent_rewards)
             agent_phases.append(step.agent_phases)
             endings += [(number, ending) for ending in step.endings]
-            observations, starts = step.observations, step.dones
+            observations, starts = step.observations, step.ended
         columns = {
             name: np.stack([decision.columns[name] for decision in decisions])
             for name in decisions[0].columns
@@ -255,7 +255,7 @@ class LocalCollector:
         began = perf_counter()
         outcome = self.worlds.step_all(actions)
         self.times.worlds += perf_counter() - began
-        self.starts = outcome.dones
+        self.starts = outcome.ended
         return outcome
 
     def state(self) -> ShardState:
@@ -269,7 +269,7 @@ class LocalCollector:
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
         if observation_digest(self.repeat(state.episodes)) == state.observed:
             return True
-        self.worlds.starts = list(seeds)
+        self.worlds.seeds = list(seeds)
         self.worlds.reset()
         self.starts = np.ones(self.rows, bool)
         return False

@@ -95,8 +95,8 @@ class OfferedCollector(FetchingCollector):
                 if is_last
                 else apply_to_parts(itemgetter(number + 1), fragment.observations)
             )
-            dones = fragment.following_starts if is_last else fragment.starts[number + 1]
-            yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
+            ended = fragment.following_starts if is_last else fragment.starts[number + 1]
+            yield WorldsStep(following, rewards, ended, [{}] * self.rows, endings.get(number, []))
 
 
 def own_ending(seat: SeatLayout, ending: Ending) -> Ending:

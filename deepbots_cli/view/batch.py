@@ -14,8 +14,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Driver, Start
+from deepbots_cli.rollout.batch_worlds import BatchEpisodes
 from deepbots_cli.rollout.drivers import HAND, POLICY, action_from_values
-from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.spaces import joined
@@ -84,7 +84,7 @@ class BatchPlayer(Player):
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]
-        self._running = BatchEpisodes(self.batch, of_agents=True)
+        self._running = BatchEpisodes(self.batch, by_copy=True)
         self._endings: dict[int, dict[str, Any]] = {}
         """The endings of the episodes of worlds, as fields of a frame."""
         self._rewards = np.zeros(self.batch.count)

@@ -17,7 +17,8 @@ from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
+from deepbots_cli.rollout.worlds import SingleWorlds, observation_digest
 from tests.agents.test_agents import SEVERAL
 from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.few import every, few
@@ -56,7 +57,7 @@ ROLES = {
 def compare(program: Program, steps: int = 80) -> int:
     """Assert that a batch and single worlds show the same, also after they are brought back. Return the
     number of episodes."""
-    single = Worlds([api.build(program, engine="mujoco") for _ in range(WORLDS)], range(WORLDS))
+    single = SingleWorlds([api.build(program, engine="mujoco") for _ in range(WORLDS)], range(WORLDS))
     batch = BatchWorlds(lambda stage: api.build_batch(program, WORLDS), range(WORLDS))
     single.action_space.seed(1)
     episodes = 0

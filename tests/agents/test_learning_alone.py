@@ -14,9 +14,10 @@ from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.sb3.internals import samples_chosen
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.seats import SeatCollector
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds, Worlds
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_endings_alone import ALONE
 from tests.learning.interruption import At, outcome
@@ -41,7 +42,7 @@ def _worlds(file: Path, kind: str, count: int) -> Worlds:
         return BatchWorlds(
             lambda stage: api.build_batch(program, count, engine="mujoco"), range(count), **options
         )
-    return Worlds([api.build(program) for _ in range(count)], range(count), **options)
+    return SingleWorlds([api.build(program) for _ in range(count)], range(count), **options)
 
 
 def _ahead(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:

@@ -20,10 +20,11 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_agents import SEVERAL
 from tests.learning.interruption import At, outcome
@@ -61,7 +62,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
         return Decision(generator.uniform(-1, 1, (1, 2)).astype(np.float32))
 
     terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    with closing(Worlds([api.build(program)], [7], agent_terms=terms)) as worlds:
+    with closing(SingleWorlds([api.build(program)], [7], agent_terms=terms)) as worlds:
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 50)
     assert fragment is not None
@@ -90,7 +91,7 @@ def test_a_batch_pays_each_agent_what_single_worlds_do(tmp_path: Path) -> None:
     program = api.compile(write_scenario(tmp_path, SHARED), overrides=["world.engine=mujoco"]).program
     terms = {name: [*member.terms.values()] for name, member in program.members.items()}
     actions = np.random.default_rng(0).uniform(-1, 1, (30, 8, 2)).astype(np.float32)
-    single = Worlds([api.build(program) for _ in range(8)], range(8), agent_terms=terms)
+    single = SingleWorlds([api.build(program) for _ in range(8)], range(8), agent_terms=terms)
     batch = BatchWorlds(
         lambda stage: api.build_batch(program, 8, engine="mujoco"), range(8), agent_terms=terms
     )

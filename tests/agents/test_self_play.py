@@ -19,7 +19,7 @@ from deepbots_cli.learning.checkpoint_files import latest_checkpoint
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.learning.interruption import At, outcome
@@ -58,7 +58,7 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
     seats = [SeatLayout(member, program.agent) for member in program.members.values()]
     sides = Sides.divided(4, 0.5)
     assert (sides.first.tolist(), sides.second.tolist()) == ([0, 1, 2], [0, 1, 3])
-    with closing(Worlds([api.build(program) for _ in range(4)], range(4), agent_terms=terms)) as worlds:
+    with closing(SingleWorlds([api.build(program) for _ in range(4)], range(4), agent_terms=terms)) as worlds:
         of_all = LocalCollector(worlds)
         fragment = of_all.collect(act, 40)
         collector = SidesCollector(of_all, seats, sides)

@@ -17,7 +17,7 @@ from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS
 from tests.learning.interruption import At, outcome
@@ -79,7 +79,9 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
         actions = np.tile(np.float32([1.0, 0.1]), (2, 1))
         return Decision(actions, {f"{name}/values": actions[:, place] for place, name in enumerate(terms)})
 
-    worlds = Worlds([api.build(program) for _ in range(2)], [7, 8], agent_terms=terms, agents_alone=alone)
+    worlds = SingleWorlds(
+        [api.build(program) for _ in range(2)], [7, 8], agent_terms=terms, agents_alone=alone
+    )
     with closing(worlds):
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 80)

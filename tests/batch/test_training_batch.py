@@ -21,9 +21,10 @@ from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.policies import ordered_episodes, play_batch, play_episodes
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
+from deepbots_cli.rollout.worlds import SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
 SEEDS = (3, 4, 5)
@@ -54,7 +55,7 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(
         on_episode=lambda world, episode: episodes["batch"].append((world, episode)),
     )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
-    usual = Worlds(
+    usual = SingleWorlds(
         singles, SEEDS, on_episode=lambda world, episode: episodes["single"].append((world, episode))
     )
     with closing(batched), closing(usual):
@@ -119,7 +120,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
             )
         else:
             singles = [api.build(program, engine="mujoco") for _ in SEEDS]
-            env = Worlds(singles, SEEDS, on_episode=count, next_world=next_world)
+            env = SingleWorlds(singles, SEEDS, on_episode=count, next_world=next_world)
         transitions: list[object] = [env.reset().tolist()]
         of_stages = []
         with closing(env):
@@ -130,7 +131,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
                     (
                         step.observations.tolist(),
                         step.rewards.tolist(),
-                        step.dones.tolist(),
+                        step.ended.tolist(),
                         [ending.episode for ending in step.endings],
                     )
                 )
@@ -176,7 +177,7 @@ def evaluated(
     assert program.agent.training is not None
     singles = [api.build(program, engine="mujoco") for _ in range(2)]
     numbers = range(len(seeds))
-    with closing(Worlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
+    with closing(SingleWorlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
         policy = learner.create(
             learner.Setup(program.agent.training, many.observation_space, many.action_space)
         )

@@ -34,7 +34,7 @@ from deepbots_cli.learning.sb3.rollouts import ExplorationActor
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, AdaptiveRate, Hindsight, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.scenario.training import ALGORITHMS
 from tests.few import few
 
@@ -273,7 +273,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 
 
 def copies_of(program: Program, world: Any = Reach) -> Any:
-    return CollectorEnvironment(LocalCollector(Worlds([world(program), world(program)], [0, 1])))
+    return CollectorEnvironment(LocalCollector(SingleWorlds([world(program), world(program)], [0, 1])))
 
 
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
                 note=lambda text: None,
             )
             assert again.repeat(histories).tolist() == trajectory[-1][0]
-    assert type(worlds).__name__ == "Worlds"
+    assert type(worlds).__name__ == "SingleWorlds"
     assert steps[0] == steps[1]
 
 

@@ -42,7 +42,7 @@ from deepbots_cli.program.task import (
     Training,
 )
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.rollout.worlds import Worlds, observation_digest
+from deepbots_cli.rollout.worlds import SingleWorlds, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 from tests.few import few
@@ -330,7 +330,7 @@ def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> N
 def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
     """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
     compiled = api.compile(name, permissions=Permissions(code=True))
-    with closing(Worlds([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
+    with closing(SingleWorlds([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
         env.reset()
         env.action_space.seed(1)
         ended, steps = 0, 0
@@ -342,7 +342,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
         (history,) = env.histories()
         digest = observation_digest(env.observations)
     kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
-    with closing(Worlds([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
+    with closing(SingleWorlds([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
         env.reset()
         assert observation_digest(env.repeat([kept])) == digest
 

@@ -16,7 +16,7 @@ from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Network, Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from tests.few import few
 
 SIZE = 3
@@ -83,7 +83,7 @@ class Team(gym.Env[Any, Any]):
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     program = stand_in.scenario()
     episodes: list[tuple[int, Episode]] = []
-    copies = Worlds(
+    copies = SingleWorlds(
         [Team(program), Team(program)],
         [1, 2],
         on_episode=lambda world, episode: episodes.append((world, episode)),
@@ -104,7 +104,7 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
             [team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)]
         )
         step = copies.step_all(actions)
-        observations, rewards, dones, endings = step.observations, step.rewards, step.dones, step.endings
+        observations, rewards, dones, endings = step.observations, step.rewards, step.ended, step.endings
         assert (rewards == 1.0).all()
     world = int(np.argmax(dones)) // SIZE
     rows = range(world * SIZE, world * SIZE + SIZE)

@@ -36,7 +36,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from tests.learning.interruption import At
 from tests.private_members import private_members
 
@@ -129,7 +129,7 @@ def test_the_value_of_the_observation_at_a_time_limit_is_added_to_the_last_rewar
     settings = hyper(num_steps_per_env=16, learning_rate=1e-12, schedule="fixed")  # the values stay
     training = replace(SHORT, hyperparameters=settings)
     program = stand_in.compiled(training=training, continuous=True, max_steps=5).program
-    collector = LocalCollector(Worlds([stand_in.build(program)], [0]))
+    collector = LocalCollector(SingleWorlds([stand_in.build(program)], [0]))
     spaces = collector.observation_space, collector.action_space
     untrained = learner.create(Setup(training, *spaces, collector=collector))
     assert isinstance(untrained, RslLearner)

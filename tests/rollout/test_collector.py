@@ -16,6 +16,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import (
     Actor,
     Decision,
@@ -26,7 +27,7 @@ from deepbots_cli.rollout.collector import (
     ShardState,
     join,
 )
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.batch import EpisodeHistory
 
 PROGRAM = api.compile("cartpole").program
@@ -38,7 +39,7 @@ def shard(number: int, kind: str, worlds: int = 2) -> LocalCollector:
     if kind == "batch":
         pytest.importorskip("deepbots_cli.engines.mujoco")
         return LocalCollector(BatchWorlds(lambda stage: api.build_batch(PROGRAM, worlds), seeds))
-    return LocalCollector(Worlds([api.build(PROGRAM) for _ in seeds], seeds))
+    return LocalCollector(SingleWorlds([api.build(PROGRAM) for _ in seeds], seeds))
 
 
 def act(observations: Any, starts: Any, masks: Any) -> Decision:
@@ -101,7 +102,7 @@ def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
 def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
     """However they arrive, they are what one shard with all the worlds collects."""
     shards = [shard(number, "single") for number in (0, 1)]
-    whole = LocalCollector(Worlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21]))
+    whole = LocalCollector(SingleWorlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21]))
     with closing(whole.worlds), closing(shards[0].worlds), closing(shards[1].worlds):
         arrived = {number: collected(shards[number], 50) for number in (1, 0)}
         assert is_equal(join([arrived[0], arrived[1]]), collected(whole, 50))

@@ -19,7 +19,7 @@ from deepbots_cli.rollout.episode import random_state
 
 PACKAGE = Path(deepbots_cli.__file__).parent
 STEPPING = {
-    *("rollout/episode.py", "rollout/worlds.py"),
+    *("rollout/episode.py", "rollout/worlds.py", "rollout/batch_worlds.py"),
     "insight/speed.py",  # a benchmark
 }
 

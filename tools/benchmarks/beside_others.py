@@ -25,7 +25,8 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
+from deepbots_cli.rollout.batch_worlds import BatchWorlds
+from deepbots_cli.rollout.worlds import SingleWorlds, Worlds
 from tools.benchmarks.report import Row, options, pairs, ratio, show
 
 AGENTS = {
@@ -54,7 +55,7 @@ def stepped(worlds: Worlds, steps: int) -> Iterator[Callable[[], float]]:
 
 
 def row(what: str, program: Program, worlds: int, steps: int, count: int) -> Row:
-    single = Worlds([api.build(program, engine="mujoco") for _ in range(worlds)], range(worlds))
+    single = SingleWorlds([api.build(program, engine="mujoco") for _ in range(worlds)], range(worlds))
     batch = BatchWorlds(lambda _: api.build_batch(program, worlds), range(worlds))
     with stepped(single, steps) as one_by_one, stepped(batch, steps) as together:
         return Row(what, ratio(pairs(one_by_one, together, count)), "", None, at_least=True)

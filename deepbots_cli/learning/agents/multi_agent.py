@@ -206,7 +206,7 @@ class MultiAgentLearner(Learner):
         assert collector is not None
 
         def on_step(step: WorldsStep) -> bool:
-            self.steps += len(step.dones)
+            self.steps += len(step.ended)
             return self._monitor.on_step()
 
         actor = self.actor()

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.sharded_collector import FetchingCollector
-from deepbots_cli.rollout.worlds import Worlds, WorldsStep
+from deepbots_cli.rollout.worlds import SingleWorlds, WorldsStep
 
 
 class CollectorEnvironment(VecEnv):
@@ -87,7 +87,7 @@ def as_returned(step: WorldsStep) -> VecEnvStepReturn:
             "TimeLimit.truncated": timed_out,
             "episode": {"r": episode.total_return, "l": episode.length},
         }
-    return step.observations, step.rewards, step.dones, step.infos
+    return step.observations, step.rewards, step.ended, step.infos
 
 
 class _Spaces(gym.Env[Any, Any]):
@@ -107,5 +107,5 @@ def spaces_only(
     """Return an environment without a world, for a policy that is not to learn, or that learns from worlds in
     other processes."""
     return CollectorEnvironment(
-        LocalCollector(Worlds([_Spaces(observation_space, action_space)] * rows, [0] * rows))
+        LocalCollector(SingleWorlds([_Spaces(observation_space, action_space)] * rows, [0] * rows))
     )

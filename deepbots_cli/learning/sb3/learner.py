@@ -380,7 +380,7 @@ class OnPolicyLearner(StableLearner):
 
     def _on_step(self, step: WorldsStep) -> bool:
         model = self.model
-        model.num_timesteps += len(step.dones)
+        model.num_timesteps += len(step.ended)
         if self._followers:
             observations, rewards, dones, infos = as_returned(step)
             self._callback.update_locals(
