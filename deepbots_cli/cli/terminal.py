@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 from deepbots_cli.display import Display
+from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
 
 if TYPE_CHECKING:
@@ -214,9 +215,29 @@ class ProgressBar:
         self._display.close()
 
 
+def output_file(output: Path | None) -> Path | None:
+    """Return the file that an option `--output` names; None for standard output, which is also named `-`."""
+    return None if output == Path("-") else output
+
+
+def refuse_input(output: Path, files: Iterable[Path], contents: Iterable[bytes]) -> None:
+    """Refuse to write over an input of a scenario, or over a copy of one.
+
+    Args:
+        output: The file to write.
+        files: The resolved paths of the inputs.
+        contents: The contents of the inputs.
+
+    Raises:
+        UsageError: The file has the path or the content of an input.
+    """
+    if output.resolve() in files or (output.is_file() and output.read_bytes() in contents):
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
+
+
 def print_or_write(text: str, output: Path | None, *, force: bool) -> None:
-    """Write a text to a file; print it if there is none, or if it is `-`."""
-    if output is None or output == Path("-"):
+    """Write a text to a file; print it if there is none."""
+    if output is None:
         print(text, end="")
     else:
         check_output(output, force=force)

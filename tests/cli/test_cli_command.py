@@ -443,3 +443,14 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     assert ran.out == ""
     assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [("compile", "cartpole.yaml"), ("lsp", "--schema", "--for", "cartpole.yaml")]
+)
+def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments):
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
+    (tmp_path / "-").write_bytes((tmp_path / "cartpole.yaml").read_bytes())
+    printed = deepbots(*arguments)
+    assert printed.code == 0
+    assert deepbots(*arguments, "-o", "-") == printed

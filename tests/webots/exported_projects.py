@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands.new import write_new
+from deepbots_cli.cli.new_files import write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name

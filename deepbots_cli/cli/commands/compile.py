@@ -10,7 +10,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
-from deepbots_cli.cli.commands.new import Files, write_new
+from deepbots_cli.cli.new_files import Files, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
@@ -25,7 +25,8 @@ def command(
     scenario: Scenario,
     overrides: Overrides = None,
     output: Annotated[
-        Path | None, option("--output -o FILE", "Write to this file; by default, print.", OUTPUT)
+        Path | None,
+        option("--output -o FILE", "Write to this file. By default, or with - as FILE, print.", OUTPUT),
     ] = None,
     project: Annotated[
         Path | None,
@@ -65,8 +66,10 @@ def command(
             )
         check_new_folder(project, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
-    if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
-        raise UsageError(f"{output} is an input of the scenario; name another output file")
+    output = terminal.output_file(output)
+    if output is not None:
+        sources = () if compiled.document is None else compiled.document.files
+        terminal.refuse_input(output, sources, compiled.inputs.values())
     terminal.note_warnings(compiled.findings, scenario)
     if project is not None:
         paths = write_new(project_files(compiled), project, force=force)

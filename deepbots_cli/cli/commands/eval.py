@@ -29,8 +29,8 @@ from deepbots_cli.cli.command import (
     option,
     written_options,
 )
-from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.gates import Gates, Requirement
 from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics.junit import Case, xml_report

@@ -13,8 +13,8 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, AllowPaths, Force, Json, Overrides, option
-from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.new_files import write_new
 from deepbots_cli.cli.sources import run_to_export
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError

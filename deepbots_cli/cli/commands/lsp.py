@@ -13,8 +13,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, option
-from deepbots_cli.cli.commands.new import modeline
-from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.cli.new_files import modeline
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions
@@ -69,12 +68,13 @@ def command(
 
 def _schema(scenario: str | None, output: Path | None, *, force: bool, folders: Sequence[str | Path]) -> None:
     """Print or write the JSON Schema of scenario files; with the names of a scenario, if there is one."""
+    output = terminal.output_file(output)
     if scenario is None:
         terminal.print_or_write(schema_text(), output, force=force)
         return
     checked = api.load(scenario, permissions=Permissions(folders))
-    if output is not None and _is_read(checked, output):
-        raise UsageError(f"{output} is an input of the scenario; name another output file")
+    if output is not None:
+        terminal.refuse_input(output, checked.document.files, checked.inputs.contents().values())
     terminal.print_or_write(schema_text(scenario_names(checked)), output, force=force)
     if checked.findings.errors:
         terminal.note(
@@ -86,10 +86,3 @@ def _schema(scenario: str | None, output: Path | None, *, force: bool, folders: 
             f"write as the first line of {checked.document.path.name}:"
             f" {modeline(checked.document.path, output)}"
         )
-
-
-def _is_read(checked: CheckedScenario, output: Path) -> bool:
-    """Return whether the file is an input of the scenario, by its path or its content."""
-    if output.resolve() in checked.document.files:
-        return True
-    return output.is_file() and output.read_bytes() in checked.inputs.contents().values()

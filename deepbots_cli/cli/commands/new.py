@@ -17,6 +17,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import OUTPUT, Force, Json, option
+from deepbots_cli.cli.new_files import Files, modeline, write_new
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
@@ -27,16 +28,13 @@ from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting, unwritable_message
+from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.starters.webots import Starter
-
-Files = dict[PurePosixPath, bytes]
-"""The contents of files by path below the folder that they are written to."""
 
 
 _WORKFLOW = """\
@@ -434,46 +432,6 @@ def _show(
     if todos is not None:
         facts["places"] = todos
     terminal.show(facts, *lines, as_json=as_json, next_commands=further)
-
-
-def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the files into `folder`. A file that is already there with the same content is left alone, and
-    another one is replaced with `force`.
-
-    Raises:
-        UsageError: Other files are in the way; the message lists them. Or a file cannot be written. No new
-            file is left in either case.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
-    contents = {folder / target: content for target, content in files.items()}
-    existing = {path for path in contents if path.exists() or path.is_symlink()}
-    if in_the_way := [path for path in existing if not path.is_file() or path.read_bytes() != contents[path]]:
-        refuse_overwriting(*in_the_way, force=force)
-    for path in in_the_way:
-        check_writable(path)
-    for path in in_the_way:
-        with atomic_write(path) as draft:
-            draft.write_bytes(contents[path])
-    begun: list[Path] = []
-    for path in contents.keys() - existing:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            # `x` fails if another program has written the file in the meantime.
-            with path.open("xb") as file:
-                begun.append(path)
-                file.write(contents[path])
-        except OSError as error:
-            for begun_file in begun:
-                begun_file.unlink(missing_ok=True)
-            raise UsageError(unwritable_message(path, error)) from error
-    return list(contents)
-
-
-def modeline(scenario: Path, schema: Path) -> str:
-    """Return the first line of a scenario, from which a YAML language server finds the schema."""
-    relative = Path(os.path.relpath(schema.resolve(), scenario.resolve().parent))
-    return f"# yaml-language-server: $schema={relative.as_posix()}"
 
 
 def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:

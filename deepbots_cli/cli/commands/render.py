@@ -30,7 +30,7 @@ from deepbots_cli.cli.command import (
     option,
     start_values,
 )
-from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, failed_episodes
+from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, failed_episodes
 from deepbots_cli.cli.pages import Shown
 from deepbots_cli.cli.sources import is_robot, open_robot
 from deepbots_cli.cli.tables import Row
