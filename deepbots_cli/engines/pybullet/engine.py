@@ -342,7 +342,7 @@ class PyBulletEngine:
                     raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        return state.joints(self._client, *self._joints(robot, joints), self._cache)
+        return state.joint_reader(self._client, *self._joints(robot, joints), self._cache)
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         body, indices = self._joints(robot, joints)
@@ -358,21 +358,21 @@ class PyBulletEngine:
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         return self._bound(
-            (body, link), lambda owner, index: state.pose(self._client, owner, index, self._cache)
+            (body, link), lambda owner, index: state.pose_reader(self._client, owner, index, self._cache)
         )
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         return self._bound(
-            (body, link), lambda owner, index: state.velocity(self._client, owner, index, self._cache)
+            (body, link), lambda owner, index: state.velocity_reader(self._client, owner, index, self._cache)
         )
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         return self._bound(
-            (body, link), lambda owner, index: state.motion(self._client, owner, index, self._cache)
+            (body, link), lambda owner, index: state.motion_reader(self._client, owner, index, self._cache)
         )
 
     def angular_momentum(self, robot: str) -> VectorReader:
-        return state.angular_momentum(self._client, self._pool(robot).current, self._cache)
+        return state.angular_momentum_reader(self._client, self._pool(robot).current, self._cache)
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)

@@ -57,7 +57,7 @@ class Body:
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
         self.self_collision = False
-        self.suspended = False
+        self._is_deactivated = False
         self.number = number
         self.model = model
         self.fixed = fixed
@@ -108,7 +108,7 @@ class Body:
     def _scale(self, index: int, of_mass: float, of_inertia: float) -> None:
         self.dynamics(index)  # reads it before it changes
         self._factors[index] = of_mass, of_inertia
-        if not self.suspended:
+        if not self._is_deactivated:
             self._apply_weight(index)
 
     def _apply_weight(self, index: int) -> None:
@@ -124,16 +124,16 @@ class Body:
         )
 
     def deactivate(self) -> None:
-        """Fix the body in its place. PyBullet treats a body without mass as fixed and does not simulate it.
-        This does nothing for a fixed body."""
-        if not self.fixed and not self.suspended:
-            self.suspended = True
+        """Take the mass of the body. PyBullet does not simulate a body without mass, so the body stays where it
+        is. This does nothing for a fixed body."""
+        if not self.fixed and not self._is_deactivated:
+            self._is_deactivated = True
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
 
     def activate(self) -> None:
-        """Let the body move again, with its set mass."""
-        if self.suspended:
-            self.suspended = False
+        """Give a deactivated body its set mass again."""
+        if self._is_deactivated:
+            self._is_deactivated = False
             self._factors.setdefault(BASE_LINK, (1.0, 1.0))
             self._apply_weight(BASE_LINK)
 
@@ -198,14 +198,16 @@ class ReadCache:
         return self._readers.setdefault(key, reader)
 
 
-def joints(client: int, number: int, indices: tuple[int, ...], read_cache: ReadCache) -> JointReader:
+def joint_reader(client: int, number: int, indices: tuple[int, ...], read_cache: ReadCache) -> JointReader:
+    """Return a reader of the states of joints."""
     read: JointReader = partial(p.getJointStates, number, indices, client)
     return (
         read if len(indices) <= MAX_UNCACHED_JOINTS else read_cache.cached(("joints", number, indices), read)
     )
 
 
-def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseReader:
+def pose_reader(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseReader:
+    """Return a reader of the pose of a link."""
     number = owner.number
     if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
@@ -214,19 +216,21 @@ def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseRea
         return read_cache.cached(key, lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
     if owner.is_centered:
         return partial(p.getBasePositionAndOrientation, number, client)
-    root_frames = _root_frames(client, owner, read_cache)
+    root_frames = _root_frame_reader(client, owner, read_cache)
     return lambda: root_frames()[1]
 
 
-def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> VelocityReader:
+def velocity_reader(client: int, owner: Body, index: int, read_cache: ReadCache) -> VelocityReader:
+    """Return a reader of the velocity and the angular velocity of a link, at its origin."""
     if index == BASE_LINK and owner.center == ZERO_VECTOR:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
-    read_motion = motion(client, owner, index, read_cache)
+    read_motion = motion_reader(client, owner, index, read_cache)
     return lambda: read_motion()[1]
 
 
-def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> MotionReader:
+def motion_reader(client: int, owner: Body, index: int, read_cache: ReadCache) -> MotionReader:
+    """Return a reader of the pose and the velocities of a link."""
     number = owner.number
     if index != BASE_LINK:
         # The arguments 1, 1: with velocities, and with kinematics of the present state.
@@ -244,7 +248,7 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
     if owner.is_centered:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
         return read_cache.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
-    root_frames = _root_frames(client, owner, read_cache)
+    root_frames = _root_frame_reader(client, owner, read_cache)
 
     def of_origin() -> Motion:
         center, pose = root_frames()
@@ -254,7 +258,7 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
     return read_cache.cached(("motion", number, index), of_origin)
 
 
-def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
+def angular_momentum_reader(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
     """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed
     base no mass; it counts with that of the model."""
     number = owner.number
@@ -271,8 +275,8 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
         ]
         total = 0.0
         momentum = ZERO_VECTOR
-        first = ZERO_VECTOR
-        flow = ZERO_VECTOR
+        first_moment = ZERO_VECTOR
+        linear_momentum = ZERO_VECTOR
         for index, (position, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
@@ -280,15 +284,16 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
             x, y, z = frames.rotate_back(rotation, turning)
             spin = frames.rotate(rotation, (ix * x, iy * y, iz * z))
             momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
-            first = frames.add(first, frames.scaled(arm, mass))
-            flow = frames.add(flow, frames.scaled(speed, mass))
+            first_moment = frames.add(first_moment, frames.scaled(arm, mass))
+            linear_momentum = frames.add(linear_momentum, frames.scaled(speed, mass))
             total += mass
-        return frames.subtract(momentum, frames.scaled(frames.cross(first, flow), 1.0 / total))
+        of_center = frames.scaled(frames.cross(first_moment, linear_momentum), 1.0 / total)
+        return frames.subtract(momentum, of_center)
 
     return read_cache.cached(("angular momentum", number), read)
 
 
-def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
+def _root_frame_reader(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
     """Return a reader of the center of mass of a root link, and of the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 

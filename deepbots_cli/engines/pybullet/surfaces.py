@@ -236,7 +236,7 @@ class Rays:
         refresh = (
             None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
         )
-        pose = state.pose(self._client, body, index, self._cache)
+        pose = state.pose_reader(self._client, body, index, self._cache)
         rounded = self._round_surfaces
 
         def read() -> list[float]:
@@ -260,7 +260,7 @@ class Rays:
         """Return a reader of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
         ends = [frames.add(origin, frames.rotate(rotation, (reach, 0.0, 0.0))) for origin, rotation in rays]
         points = [origin for origin, _ in rays], ends
-        pose = state.pose(self._client, body, index, self._cache)
+        pose = state.pose_reader(self._client, body, index, self._cache)
         mask = ~self._collision_group_bit(body)
 
         def read() -> list[float]:
@@ -285,8 +285,8 @@ class Rays:
     ) -> SightReader:
         """Return a reader of whether nothing is between a point on a link and the origin of another link, but
         for their bodies."""
-        pose = state.pose(self._client, body, index, self._cache)
-        target = state.pose(self._client, other_body, other_index, self._cache)
+        pose = state.pose_reader(self._client, body, index, self._cache)
+        target = state.pose_reader(self._client, other_body, other_index, self._cache)
         mask = ~self._collision_group_bit(body)
         mount = (point, frames.IDENTITY_ROTATION)
         cast = partial(p.rayTestBatch, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client)
@@ -377,5 +377,5 @@ def _rounded(client: int, body: Body, index: int, read_cache: ReadCache) -> Roun
     if not isinstance(geometry.shape, RoundShape):
         return None
     return RoundSurface(
-        geometry.shape, state.pose(client, body, index, read_cache), frames.frame(geometry.origin)
+        geometry.shape, state.pose_reader(client, body, index, read_cache), frames.frame(geometry.origin)
     )
