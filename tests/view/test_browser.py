@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,24 +23,33 @@ CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read
 
 @contextmanager
 def served(source: str | Showing, **options: Any) -> Iterator[Page]:
-    """A page whose loop runs in a thread of its own."""
-    pages = []
+    """A page whose loop runs in a thread of its own. An error of the page is raised at the end."""
+    pages: list[Page] = []
+    errors: list[BaseException] = []
     stop = threading.Event()
 
     def run() -> None:
-        pages.append(Page(Showing(source) if isinstance(source, str) else source, port=0, **options))
-        pages[0].run(stop.is_set)
-        pages[0].close()
+        try:
+            page = Page(Showing(source) if isinstance(source, str) else source, port=0, **options)
+            pages.append(page)
+            with closing(page):
+                page.run(stop.is_set)
+        except BaseException as error:  # noqa: BLE001  # raised in the thread of the test
+            errors.append(error)
 
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        while not pages and thread.is_alive():
+        while not pages and not errors:
             time.sleep(0.05)
-        yield pages[0]
+        if pages:
+            yield pages[0]
     finally:
         stop.set()
         thread.join(20)
+        assert not thread.is_alive()
+        if errors:
+            raise errors[0]
 
 
 @pytest.fixture(scope="module")
@@ -114,12 +123,12 @@ def test_keys_buttons_and_tabs_work(new_tab):
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
-        _soon(lambda: page.world._labels[0].visible)
+        _soon(lambda: page.world.shows_names)
 
 
 def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
     with served("find_ball") as page:
-        page._tasks.put(page.step_once)
+        page.submit(page.step_once)
         tab = new_tab()
         tab.open(page.address, 480, 800)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
@@ -132,7 +141,7 @@ def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
 
 def test_two_worlds_are_seen_side_by_side(new_tab):
     with served("find_ball", compare=Showing("find_ball"), driver="around") as page:
-        page._tasks.put(page.step_once)
+        page.submit(page.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait(
@@ -145,13 +154,13 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
 
 def test_worlds_of_a_batch_are_chosen(new_tab):
     with served(Showing("find_ball", engine="mujoco", worlds=4), driver="random") as page:
-        page._tasks.put(page.step_once)
+        page.submit(page.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('world 0 of 4')")
         _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))
         first = _world(tab)
-        page._tasks.put(lambda: page.playback.choose_world(2))
+        page.submit(lambda: page.playback.choose_world(2))
         tab.wait("document.body.innerText.includes('world 2 of 4')")
         _soon(lambda: (np.abs(_world(tab) - first).sum(axis=2) > 60).sum() > 20)  # the robot stands elsewhere
         assert tab.errors == []
@@ -191,8 +200,6 @@ def test_two_browsers_see_one_world_and_closed_ones_leave_nothing(new_tab):
 
 
 def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
-    from contextlib import closing
-
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.pictures import Viewpoint, write_clip
 
@@ -214,7 +221,7 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
-        page._tasks.put(lambda: page.seek(40))
+        page.submit(lambda: page.seek(40))
         tab.wait("document.body.innerText.includes('step 40,')")
         tab.wait("document.body.innerText.includes('message to epuck')")
         assert tab.errors == []
