@@ -124,8 +124,8 @@ class Body:
         )
 
     def deactivate(self) -> None:
-        """Take the mass of the body. PyBullet does not simulate a body without mass, so the body stays where it
-        is. This does nothing for a fixed body."""
+        """Take the mass of the body. PyBullet does not simulate a body without mass, which stays in its place.
+        This does nothing for a fixed body."""
         if not self.fixed and not self._is_deactivated:
             self._is_deactivated = True
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
