@@ -1,5 +1,4 @@
-"""The dialogs for a new scenario (from a template, a shipped scenario or a robot file) and for two versions
-of a file."""
+"""The dialogs for the name of a new scenario and for two versions of a file, and the control for a robot file."""
 
 from __future__ import annotations
 
@@ -12,7 +11,6 @@ from itertools import count
 from pathlib import Path
 
 from nicegui import events, ui
-from nicegui.elements.mixins.validation_element import ValidationElement
 
 from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document.shipped import scenario_names, scenario_path
@@ -33,10 +31,10 @@ class Kind(StrEnum):
     robot = "--urdf"
 
 
-_KIND_NAMES = {
-    Kind.template: "a template",
-    Kind.shipped: "a copy of a shipped scenario",
-    Kind.robot: "a robot file",
+_TITLES = {
+    Kind.template: "A new scenario from the template {}",
+    Kind.shipped: "A copy of the shipped scenario {}",
+    Kind.robot: "A new scenario for the robot {}",
 }
 
 
@@ -61,118 +59,53 @@ def _summary(text: str) -> str:
     return summary[1] if summary else ""
 
 
-def _described(summaries: dict[str, str]) -> dict[str, str]:
-    return {name: f"{name}: {summary}" if summary else name for name, summary in summaries.items()}
-
-
-async def new_scenario(session: Session, kind: Kind = Kind.template, choice: str = "cartpole") -> Path | None:
-    """Ask for name and origin, and write the scenario. Returns its file, None if nothing was written.
+async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None:
+    """Ask for a name, and write a scenario. Returns its file, None if nothing was written.
 
     Args:
-        kind: What is chosen first.
-        choice: The template, the shipped scenario, or the robot file that is chosen first.
+        origin: The template, the shipped scenario, or the robot file that it begins with.
     """
+    title = _TITLES[kind].format(Path(origin).name)
+
+    async def write() -> None:
+        if not name.validate():
+            return
+        create.set_enabled(False)
+        state.set_text("writing ...")
+        text, code = await session.commands.call(["new", str(name.value), kind.value, origin])
+        create.set_enabled(True)
+        state.set_text("")
+        if code:
+            name.error = text.strip().partition("\n\n")[0]
+        else:
+            dialog.submit(session.folder / f"{name.value}.yaml")
+
     with ui.dialog().props('aria-label="A new scenario"') as dialog, ui.card().classes("studio-dialog"):
-        dialog_of = _NewScenario(session, kind, choice, dialog.submit)
-    dialog_of.focus()
+        ui.label(title).classes("studio-heading")
+        name = ui.input(
+            "Name",
+            value=_free_name(session, Path(origin).stem),
+            validation=lambda value: _problem_of_name(session, value or ""),
+        )
+        name.classes("studio-wide").props('hint="The file is NAME.yaml."').on("keydown.enter", write)
+        with ui.element("div").classes("studio-bar studio-dialog-buttons"):
+            state = ui.label("").classes("studio-status").props('role="status"')
+            ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
+            create = ui.button("Create", on_click=write).props("no-caps unelevated")
+    name.run_method("select")
     written: Path | None = await dialog
     return written
 
 
-class _NewScenario:
-    """The content of the dialog. An error is shown beside the field that it is about."""
-
-    def __init__(
-        self, session: Session, kind: Kind, choice: str, submit: Callable[[Path | None], object]
-    ) -> None:
-        self._session, self._submit = session, submit
-        ui.label("A new scenario").classes("studio-heading")
-        self._suggested = _free_name(session, Path(choice).stem)
-        self._name = ui.input("Name", value=self._suggested)
-        self._name.classes("studio-wide").props('hint="The file is NAME.yaml."').on(
-            "keydown.enter", self._write
-        )
-        self._name.on_value_change(lambda: self._show_problem(self._name, ""))
-        self._kind = ui.radio(_KIND_NAMES, value=kind).props('inline dense aria-label="It begins with"')
-        first = choice if kind == Kind.template else "cartpole"
-        self._template = ui.select(_described(templates()), value=first, label="Template")
-        first = choice if kind == Kind.shipped else "cartpole"
-        shipped = _described(shipped_scenarios())
-        self._shipped = ui.select(shipped, value=first, label="Scenario", with_input=True)
-        self._robot = RobotUpload(session, lambda path: self._suggest(path.stem))
-        if kind == Kind.robot:
-            self._robot.path = Path(choice)
-            self._robot.show(f"{self._robot.path.name} is in the folder")
-        self._origins: dict[Kind, ui.element] = {
-            Kind.template: self._template.classes("studio-wide"),
-            Kind.shipped: self._shipped.classes("studio-wide"),
-            Kind.robot: self._robot.element.classes("studio-wide"),
-        }
-        for each, element in self._origins.items():
-            element.bind_visibility_from(self._kind, "value", value=each)
-        self._template.on_value_change(lambda event: self._suggest(event.value))
-        self._shipped.on_value_change(lambda event: self._suggest(event.value))
-        with ui.element("div").classes("studio-bar studio-dialog-buttons"):
-            self._state = ui.label("").classes("studio-status").props('role="status"')
-            ui.button("Cancel", on_click=lambda: submit(None)).props("flat no-caps")
-            self._button = ui.button("Create", on_click=self._write).props("no-caps unelevated")
-
-    def focus(self) -> None:
-        """Lead the keyboard to the name."""
-        self._name.run_method("select")
-
-    def _suggest(self, name: str | None) -> None:
-        """Suggest a name in place of another suggestion."""
-        if name and (self._name.value or "") in ("", self._suggested):
-            self._suggested = _free_name(self._session, name)
-            self._name.set_value(self._suggested)
-
-    @property
-    def _origin(self) -> str:
-        """The template, the shipped scenario, or the robot file that is chosen; empty without one."""
-        value = {
-            Kind.template: self._template.value,
-            Kind.shipped: self._shipped.value,
-            Kind.robot: self._robot.path,
-        }[self._kind.value]
-        return str(value or "")
-
-    async def _write(self) -> None:
-        session, name, kind = self._session, str(self._name.value or "").strip(), Kind(self._kind.value)
-        origin = self._origins[kind]
-        problem = _problem_of_name(session, name)
-        self._show_problem(self._name, problem)
-        missing = "" if self._origin else f"choose {_KIND_NAMES[kind]} first"
-        self._show_problem(origin, missing)
-        if problem or missing:
-            return
-        self._button.set_enabled(False)
-        self._state.set_text("writing ...")
-        text, code = await session.commands.call(["new", name, kind.value, self._origin])
-        self._button.set_enabled(True)
-        self._state.set_text("")
-        if code:
-            self._show_problem(origin, text.strip().partition("\n\n")[0])
-        else:
-            self._submit(session.folder / f"{name}.yaml")
-
-    def _show_problem(self, field: ui.element, text: str) -> None:
-        """Show what is wrong with a field, or nothing, beside it."""
-        if isinstance(field, ValidationElement):
-            field.error = text or None
-        else:
-            self._robot.show(text, is_error=True)
-
-
-def _problem_of_name(session: Session, name: str) -> str:
-    """Return what is wrong with the name of a new scenario; empty for a possible name."""
+def _problem_of_name(session: Session, name: str) -> str | None:
+    """Return what is wrong with the name of a new scenario; None for a possible name."""
     if not name:
         return "write a name"
     if not _NAME.fullmatch(name):
         return "write up to 61 letters, digits, _ and -, without spaces; begin with a letter"
     if (session.folder / f"{name}.yaml").exists():
         return f"{name}.yaml exists already; choose another name"
-    return ""
+    return None
 
 
 def _free_name(session: Session, name: str) -> str:

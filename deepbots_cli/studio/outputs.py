@@ -104,6 +104,7 @@ class Result:
     def update(self) -> None:
         if self._task is not None and self._output is not None:
             self._output.show(self._task)
+            self._box.classes(replace=f"studio-result {'studio-runs' if self._task.is_running else ''}")
 
     def shows(self, place: ui.element) -> bool:
         """Return whether an element that `fill` has returned is still the one for content."""

@@ -61,7 +61,7 @@ class StudioPage:
         ui.page_title(f"deepbots studio: {session.folder.name}")
         ui.context.client.content.classes("studio-loads")
         self._add_header()
-        self._start_page = StartPage(session, self._new)
+        self._start_page = StartPage(session, self._new, lambda: self._show_areas(starts=False))
         self._main = ui.element("div").classes("studio-main")
         with self._main:  # in the element `main` of NiceGUI
             self._columns = Division("text", "Width of the text", 46)
@@ -77,7 +77,7 @@ class StudioPage:
             for name, label in (("text", "Text"), ("robot", "Robot"), ("work", "Training")):
                 scroll = f"() => document.querySelector('.studio-{name}').scrollIntoView()"
                 ui.button(label).props("flat no-caps").on("click", js_handler=scroll)
-        self._show_areas(has_file=session.current is not None)
+        self._show_areas(starts=session.current is None)
         ui.context.client.on_delete(session.listen(self._changed))
         ui.timer(0, self._start, once=True)
 
@@ -111,7 +111,7 @@ class StudioPage:
                 'dense no-caps unelevated title="Ctrl+S"'
             )
             self._save.classes("studio-save")
-            ui.button("New ...", on_click=lambda: self._new()).props("dense flat no-caps")
+            ui.button("New ...", on_click=lambda: self._show_areas(starts=True)).props("dense flat no-caps")
             layout = ui.button("Format", on_click=self._format).props("dense flat no-caps")
             ui.button("Explain ...", on_click=self._explain_here).props(
                 'dense flat no-caps title="the word at the cursor (F1)"'
@@ -187,7 +187,7 @@ class StudioPage:
             self._notices.show(self._session.notice)
 
     def _show_files(self) -> None:
-        session = self._session
+        session, has_file = self._session, self._file is not None
         if self._file is None or self._file.path not in session.files:
             current = session.files.get(session.current) if session.current else None
             self._show_file(current)
@@ -198,14 +198,15 @@ class StudioPage:
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
-        self._show_areas(has_file=self._file is not None)
+        if has_file != (self._file is not None):
+            self._show_areas(starts=self._file is None)
         self._robot.update_sources()
 
-    def _show_areas(self, *, has_file: bool) -> None:
-        """Show the areas of a file, or in a folder without one, what to begin with."""
-        self._start_page.element.set_visibility(not has_file)
+    def _show_areas(self, *, starts: bool) -> None:
+        """Show what a new scenario begins with, or the areas of a file."""
+        self._start_page.show(starts, can_leave=self._file is not None)
         for element in (self._main, *self._of_text):
-            element.set_visibility(has_file)
+            element.set_visibility(not starts)
 
     def _show_file(self, file: OpenFile | None) -> None:
         self._file = file
@@ -369,9 +370,10 @@ class StudioPage:
 
         self._guarded(write)
 
-    async def _new(self, kind: Kind = Kind.template, choice: str = "cartpole") -> None:
-        path = await new_scenario(self._session, kind, choice)
+    async def _new(self, kind: Kind, origin: str) -> None:
+        path = await new_scenario(self._session, kind, origin)
         if path is not None:
+            self._show_areas(starts=False)
             self._guarded(lambda: self._session.show(path))
             self._show_file(self._session.files.get(path))
             self._show_files()

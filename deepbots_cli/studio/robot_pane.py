@@ -218,6 +218,7 @@ class RobotPane:
                             with ui.element("kbd"):
                                 ui.label(_KEY_SIGNS.get(name, name))
                         ui.label(effect)
+                ui.label("Too fast? Lower the speed.").classes("studio-choice-about")
             numbers = zip(("last return", "best", "goal"), results, strict=False)
             texts = (f"{name} {value:.4g}" for name, value in numbers if value is not None)
             ui.label(", ".join(filter(None, (ended, *texts)))).classes("studio-keys-results")

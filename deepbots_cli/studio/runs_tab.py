@@ -16,7 +16,7 @@ from nicegui import events, ui
 
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.runs.changes import changed_values
+from deepbots_cli.learning.runs.changes import TIMESTEPS, changed_values
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.charts import comparison_chart
@@ -67,7 +67,7 @@ _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("name", "run", "left", _SHORT),
     ("state", "state", "left", _WIDE),
-    ("return", "mean return", "right", {**_SHORT, ":format": _RETURN}),
+    ("return", "mean return", "right", {"classes": "studio-return", ":format": _RETURN}),
     ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
     ("solved", "solved", "left", _SHORT),
     ("steps", "steps", "right", {**_SHORT, ":format": _COUNT}),
@@ -311,12 +311,17 @@ class RunsTab:
             commands = [str(cause.get("command") or ""), *_COMMAND.findall(advice)]
             for text in (text for text in dict.fromkeys(commands) if text not in shown):
                 shown.add(text)
-                self._add_advised_command(shlex.split(text)[1:], output)
+                words = shlex.split(text)[1:]
+                self._add_advised_command(words, output)
+                if "--timesteps" in words:
+                    self._add_training(words[-1])
             if not any(text.startswith("deepbots resume") for text in commands):
                 self._add_advised_values(cause.get("settings") or {}, "Write {} into the text")
             for change in _changes(cause):
-                if change["is_written"]:
-                    path_of_value, before = change["path"], change["before"]
+                path_of_value, before = change["path"], change["before"]
+                if path_of_value == TIMESTEPS:
+                    self._add_training(before)
+                elif change["is_written"]:
                     words = f"Set {path_of_value} back to {before}" if before else f"Remove {path_of_value}"
                     self._add_advised_values({path_of_value: before}, words)
 
@@ -328,6 +333,18 @@ class RunsTab:
                 on_click=lambda: self.act(lambda: self._run_advised(command, output)),
             )
             button.props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
+
+    def _add_training(self, timesteps: str) -> None:
+        """Add a button that trains the scenario from the start in a new run, which can be compared with the
+        other one."""
+
+        def train() -> None:
+            self._session.training_options["--timesteps"] = timesteps
+            self._train()
+
+        number = timesteps.replace("_", ",")
+        button = ui.button(f"Train again from the start, {number} timesteps", on_click=train)
+        button.props('dense outline no-caps title="a new run, to compare with this one"')
 
     def _add_advised_values(self, settings: dict[str, Any], words: str) -> None:
         """Add a button that writes values into the text; in its `words`, braces are their place. Once the
@@ -391,11 +408,11 @@ def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _unbroken(text: object) -> str:
-    """Return the text with no line break around an arrow, or between a sign and its number or name."""
+    """Return the text with no line break before an arrow, or between a sign and its number or name."""
     return re.sub(
         r"(?<=\de-)(?=\d)|(?<![\w-])-+",
         lambda signs: "".join(f"{sign}\u2060" for sign in signs[0]) or "\u2060",
-        str(text or "").replace(" -> ", "\u00a0→\u00a0"),
+        str(text or "").replace(" -> ", "\u00a0→ "),
     )
 
 

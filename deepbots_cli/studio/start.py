@@ -1,4 +1,4 @@
-"""What the page shows in a folder without a scenario: what to begin with."""
+"""What a new scenario begins with: the page shows it in a folder without a scenario, and after `New ...`."""
 
 from __future__ import annotations
 
@@ -24,16 +24,24 @@ Begin = Callable[[Kind, str], Awaitable[object]]
 
 
 class StartPage:
-    """The choices for a first scenario; `begin` is called with what was chosen."""
+    """The choices for a new scenario.
 
-    def __init__(self, session: Session, begin: Begin) -> None:
+    Attributes:
+        element: The element of them.
+    """
+
+    def __init__(self, session: Session, begin: Begin, leave: Callable[[], object]) -> None:
+        """`begin` is called with what was chosen, and `leave` if nothing is."""
         self._begin = begin
         with (
             ui.element("section")
             .classes("studio-start")
-            .props('aria-label="A first scenario"') as self.element,
+            .props('aria-label="A new scenario"')
+            .on("keydown.escape", leave) as self.element,
             ui.element("div").classes("studio-start-inside"),
         ):
+            self._leave = ui.button("Back to the text", icon=ICONS["back"], on_click=leave)
+            self._leave.props("dense outline no-caps")
             ui.label("What do you want to begin with?").classes("studio-title").props(
                 'role="heading" aria-level="2"'
             )
@@ -44,6 +52,13 @@ class StartPage:
             RobotUpload(session, lambda path: begin(Kind.robot, str(path)))
             _heading("gallery", "Gallery", "whole tasks, each trained and tested; you get a copy")
             self._add_choices(Kind.shipped, shipped_scenarios(), "")
+
+    def show(self, shown: bool, *, can_leave: bool) -> None:
+        """Show the choices or hide them; `can_leave` if there is a text to go back to."""
+        self._leave.set_visibility(can_leave)
+        self.element.set_visibility(shown)
+        if shown and can_leave:
+            ui.run_javascript(f"getHtmlElement({self._leave.id})?.focus()")
 
     def _add_choices(self, kind: Kind, summaries: Mapping[str, str], classes: str) -> None:
         with ui.element("div").classes(f"studio-choices {classes}"):

@@ -140,7 +140,7 @@ class TrainingTab:
             return
         activity = task.activity if task is not None and is_running else ""
         if is_running and not activity and (run.state == "finished" or training.stands_still):
-            activity = "evaluating ..."
+            activity = "evaluating ..." if task is not None and task.output() else "starting ..."
         text = training.problem or status(run, None if activity else training.seconds_left)
         self._text.set_text(", ".join(filter(None, (f"{run.path.name}: {text}", activity))))
         key = (run.path, training.curves, self._is_dark)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -186,8 +185,11 @@ def test_a_narrow_page_shows_the_fields_of_its_dialogs(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 480, 800)
         page.wait(RUNS, 60)
-        for button, field in (("New ...", "Name"), ("Explain ...", "A word")):
+        for button, field in (("Explain ...", "A word"), ("New ...", "Name")):
             page.click(button)
+            if field == "Name":
+                page.wait("document.querySelector('.studio-choice')?.checkVisibility()")
+                page.tab.run("document.querySelector('.studio-choice').click()")
             shown = f"[...document.querySelectorAll('.q-dialog .q-field')].find(e => e.innerText.includes('{field}'))"
             page.wait(f"{shown}?.checkVisibility()")
             page.press(ESCAPE)
@@ -257,27 +259,37 @@ def test_an_empty_folder_offers_what_to_begin_with(tmp_path, new_tab):
         assert "\nname: Wheeled\n" in (tmp_path / "wheeled.yaml").read_text("utf-8")
 
 
-def test_an_error_of_a_new_scenario_is_beside_its_field(folder, new_tab):
-    shutil.copy(folder / "mine.yaml", folder / "other.yaml")
+def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)
+        start = "!!document.querySelector('.studio-start').offsetParent"
         page.click("New ...")
+        page.wait("document.activeElement.innerText == 'Back to the text'")
+        page.press(ESCAPE)
+        page.wait(f"!({start}) && !!document.querySelector('.cm-editor').offsetParent")
+        page.click("New ...")
+        page.wait(start)
+        page.tab.run("document.querySelector('.studio-choice').click()")
         field = "document.querySelector('.studio-dialog input[aria-label=Name]')"
         page.wait(f"document.activeElement == {field}")
         page.press(("a", 65), modifiers=2)
-        page.type("other")
+        page.type("mine")
         page.click("Create")
         message = f"{field}.closest('.q-field').querySelector('[role=alert]')?.innerText"
-        page.wait(f"{message} == 'other.yaml exists already; choose another name'")
+        page.wait(f"{message} == 'mine.yaml exists already; choose another name'")
         page.tab.run(f"{field}.focus()")
         page.press(("End", 35))
         page.type("s")
-        page.tab.run("document.querySelectorAll('.studio-dialog .q-radio')[2].click()")
-        page.click("Create")
-        upload = "document.querySelector('.studio-dialog .studio-upload')?.innerText ?? ''"
-        page.wait(f"({upload}).includes('choose a robot file first')")
         page.wait(f"!({message})")
-        page.press(ESCAPE)
+        page.press(ENTER)
+        page.wait(
+            "document.querySelector('.studio-files input')?.value == 'mines.yaml'"
+            " || document.querySelector('.studio-files').innerText.includes('mines.yaml')",
+            60,
+        )
+        page.wait(f"!({start})")
+        assert "\nname: Mines\n" in (folder / "mines.yaml").read_text("utf-8")
+        assert not page.tab.errors
 
 
 def test_the_word_at_the_cursor_is_explained_with_its_places(folder, new_tab):

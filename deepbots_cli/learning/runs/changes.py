@@ -18,7 +18,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
-_TIMESTEPS = "--timesteps"
+TIMESTEPS = "--timesteps"
 SEED = "--seed"
 MAX_COMPARED = 5
 """The number of solved runs that are compared. A comparison took 0.07 s (CartPole) to 0.4 s (Quadruped)."""
@@ -67,7 +67,7 @@ def changed_values(before: Run, after: Run) -> list[ChangedValue]:
     if one.total_timesteps != other.total_timesteps and not any(
         "total_timesteps" in value.path for value in values
     ):
-        values.append(ChangedValue(_TIMESTEPS, f"{one.total_timesteps:_}", f"{other.total_timesteps:_}"))
+        values.append(ChangedValue(TIMESTEPS, f"{one.total_timesteps:_}", f"{other.total_timesteps:_}"))
     if one.seed != other.seed:
         values.append(ChangedValue(SEED, str(one.seed), str(other.seed)))
     return values
