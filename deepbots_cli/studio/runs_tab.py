@@ -322,8 +322,8 @@ class RunsTab:
                 if path_of_value == TIMESTEPS:
                     self._add_training(before)
                 elif change["is_written"]:
-                    words = f"Set {path_of_value} back to {before}" if before else f"Remove {path_of_value}"
-                    self._add_advised_values({path_of_value: before}, words)
+                    label = f"Set {path_of_value} back to {before}" if before else f"Remove {path_of_value}"
+                    self._add_advised_values({path_of_value: before}, label)
 
     def _add_advised_command(self, command: list[str], output: ui.element) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
