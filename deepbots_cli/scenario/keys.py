@@ -122,7 +122,8 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
             kind = to_data(descend(root, (*path[:-1], kinds.key))[0])
             to_keep = f" to keep `{kinds.key}: {kind}`" if isinstance(kind, str) else ""
             return Suggestion(_beside(f"remove this line{to_keep}: {only}", section))
-    if near and (is_typo(key, near.text) or _is_lacking(root, path[:-1], section, near.text)):
+    is_part = near is not None and near.text.endswith(key)  # its first letters were deleted
+    if near and (is_part or is_typo(key, near.text) or _is_lacking(root, path[:-1], section, near.text)):
         return Suggestion(
             _beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near
         )
