@@ -228,12 +228,18 @@ class Panel:
         running = "press a key to begin" if playback.waiting else "running"
         state = frame.ending or ("paused" if playback.paused else running)
         state = f"{world.title}: {state}" if world.title else state
+        member = player.program.members.get(self._agent.name)
+        solved = (member.program if member else player.program).agent.solved
+        goal = solved.mean_return if solved is not None else None
         color = "#0072B2"
         if frame.ended_by:
             unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
-            color = "#009E73" if frame.is_success or frame.succeeded else unsuccessful
+            reaches_goal = goal is not None and agent.episode_return >= goal
+            color = "#009E73" if frame.is_success or frame.succeeded or reaches_goal else unsuccessful
         # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
         total = "" if player.reader.layout.of_robot else f"<br>return so far {agent.episode_return:.4g}"
+        if total and goal is not None:
+            total += f", goal {goal:g}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
         return panel_html.notice(state, f"{numbers}{note}{self._score()}", color)
