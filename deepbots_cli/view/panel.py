@@ -234,7 +234,7 @@ class Panel:
         color = "#0072B2"
         if frame.ended_by:
             unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
-            reaches_goal = goal is not None and agent.episode_return >= goal
+            reaches_goal = frame.truncated and goal is not None and agent.episode_return >= goal
             color = "#009E73" if frame.is_success or frame.succeeded or reaches_goal else unsuccessful
         # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
         total = "" if player.reader.layout.of_robot else f"<br>return so far {agent.episode_return:.4g}"

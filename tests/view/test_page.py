@@ -103,6 +103,19 @@ def test_time_goes_on_stands_still_and_begins_again():
         assert "failure: fallen" in page.banner.content
 
 
+@pytest.mark.parametrize(("goal", "color"), [(5, "#009E73"), (6, "#808080")])
+def test_an_episode_that_reaches_the_return_of_a_solved_task_is_green(tmp_path, goal, color):
+    path = tmp_path / "mine.yaml"
+    short = CARTPOLE.replace("max_steps: 200", "max_steps: 5").replace(">= 195", f">= {goal}")
+    path.write_text(short, encoding="utf-8")
+    with closing(Page(Showing(str(path)), port=0, driver="zero")) as page:
+        for _ in range(5):
+            page.step_once()
+        assert page.player.frame.truncated
+        assert f"return so far 5, goal {goal}" in page.banner.content
+        assert color in page.banner.content
+
+
 def test_keys_drive_and_let_go():
     with closing(Page(Showing("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
