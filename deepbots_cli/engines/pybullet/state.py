@@ -124,7 +124,7 @@ class Body:
         )
 
     def deactivate(self) -> None:
-        """Take the mass of the body. PyBullet does not simulate a body without mass, which stays in its place.
+        """Take the mass of the body. PyBullet does not simulate a body without mass: it stays in place.
         This does nothing for a fixed body."""
         if not self.fixed and not self._is_deactivated:
             self._is_deactivated = True
