@@ -205,7 +205,7 @@ class ProgressBar:
             return parts[0]
         speed = count / elapsed
         if speed >= 1.0:
-            parts.append(f"{speed:,.0f} {self._unit}/s")
+            parts.append(f"{speed:,.0f} {self._unit.partition(' ')[0]}/s")
         if speed > 0.0 and count < self._total:
             parts.append(f"{(self._total - count) / speed:.0f} s to go")
         return "  ".join(parts)

@@ -27,7 +27,7 @@ from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
-    from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.learning import EvaluationResult, TrainingResult
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.executor import Executor
 
@@ -131,15 +131,23 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     )
     trained = Run.open(result.run)
     is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
-    with (
-        _evaluating(result.run, quiet=quiet or is_confirmed),
-        terminal.progress(always=False) as show_episode,
-    ):
-        evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
-        cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
-    evaluated = records.evaluation_json(evaluation, cases)
-    if evaluation.confirmation is None or cases:
-        records.write_evaluation(trained, evaluated)
+    names = [case.name for case in trained.program.cases]
+    cases: list[EvaluationResult] = []
+    with _evaluating(result.run, quiet=quiet or is_confirmed):
+        with terminal.progress(always=False) as show_episode:
+            evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
+        try:
+            for number, name in enumerate(names, 1):
+                unit = f"episodes of case {name} ({number} of {len(names)})"
+                with terminal.progress(unit, always=False) as show_episode:
+                    case = learning.evaluate(
+                        trained, case=name, permissions=permissions, on_episode=show_episode
+                    )
+                cases.append(case)
+        finally:  # after an interruption, the run keeps the cases that are finished
+            evaluated = records.evaluation_json(evaluation, cases)
+            if evaluation.confirmation is None or cases:
+                records.write_evaluation(trained, evaluated)
     solved = run_verdict(trained.path, trained.record).solved
     run, film, logs = (
         quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard")

@@ -451,3 +451,9 @@ def test_a_world_of_webots_that_cannot_be_read_is_one_sentence(deepbots, tmp_pat
     assert sentence in created.err
     assert "Traceback" not in created.err
     assert not (tmp_path / "mine.yaml").exists()
+
+
+def test_a_robot_in_place_of_a_shipped_scenario_leads_to_its_option(deepbots):
+    refused = deepbots("new", "mine", "--from", "package://pybullet_data/laikago/laikago_toes.urdf")
+    assert refused.code == 2
+    assert "deepbots new mine --urdf package://pybullet_data/laikago/laikago_toes.urdf" in refused.err

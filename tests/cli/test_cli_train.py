@@ -17,6 +17,7 @@ import time
 import urllib.request
 from importlib.util import find_spec
 from io import StringIO
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -268,6 +269,23 @@ def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, mon
     assert [case["case"] for case in report["cases"]] == ["short"]
     assert report["unfinished"] == ["case steep"]
     assert "not evaluated: case steep" in ran.err
+
+
+def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, monkeypatch):
+    class InterruptedInSteep(terminal.ProgressBar):
+        def __init__(self, total, unit):
+            if unit == "episodes of case steep (2 of 2)":
+                raise KeyboardInterrupt
+            super().__init__(total, unit)
+
+    monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
+    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+    ran = deepbots(*TINY, "--run", "cut", "--set", cases)
+    assert ran.code == 130
+    assert "interrupted; the training is finished, evaluate it with: deepbots eval cut" in ran.err
+    (path,) = Path("cut/evaluations").glob("*.json")
+    kept = json.loads(path.read_text("utf-8"))
+    assert [case["case"] for case in kept["cases"]] == ["short"]
 
 
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):

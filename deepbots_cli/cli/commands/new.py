@@ -330,6 +330,11 @@ def from_shipped(shipped_name: str, name: str) -> Files:
             raise UsageError(
                 f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {advice}"
             )
+        if shipped_name.startswith("package://") or shipped_name.endswith(".urdf"):
+            raise UsageError(
+                f"--from copies a scenario, and {shipped_name} is a robot; for a scenario with this robot:"
+                f" deepbots new {quote(name)} --urdf {quote(shipped_name)}"
+            )
         raise UsageError(
             f"there is no shipped scenario '{shipped_name}'{did_you_mean(shipped_name, names)}; shipped"
             f" scenarios are: {', '.join(names)}"
