@@ -59,7 +59,11 @@ Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6
 """The number of digits of a pose, for um and udeg."""
-_FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
+_SENSOR_SETTINGS = (
+    *("pose", "align", "grid", "spacing"),
+    *("noise", "bias", "drift", "range", "resolution", "period", "latency"),
+)
+"""The keys of a sensor that are shown as they are written."""
 
 
 def scenario_tables(
@@ -460,8 +464,8 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
             "of": list(sensor.subjects),
             "unit": sensor.unit,
             **{
-                fault: text_at(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault)
-                for fault in _FAULTS
+                key: text_at(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, key)
+                for key in _SENSOR_SETTINGS
             },
         }
         for robot in scenario.robots
