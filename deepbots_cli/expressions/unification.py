@@ -427,6 +427,10 @@ def _differing(
     remedy = f"both sides need the same components; select them, as in `v.{example}`"
     if set(first) == set(second):
         remedy = "list the names of both groups in the same order"
+        swapped = next((pair for pair in zip(first, second, strict=False) if pair[0] != pair[1]), None)
+        if swapped is not None:
+            remedy += f": the second has `{swapped[1]}` where the first has `{swapped[0]}`"
+        remedy += "; in poses, write the same patterns first, and exceptions after them"
     return report_at(
         report,
         "DB404",

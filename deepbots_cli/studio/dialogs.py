@@ -87,7 +87,9 @@ async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None
             value=_free_name(session, Path(origin).stem),
             validation=lambda value: _problem_of_name(session, value or ""),
         )
-        name.classes("studio-wide").props('hint="The file is NAME.yaml."').on("keydown.enter", write)
+        name.classes("studio-wide").on("keydown.enter", write)
+        file = ui.label().classes("studio-status")
+        file.bind_text_from(name, "value", lambda value: f"The file is {value}.yaml." if value else "")
         with ui.element("div").classes("studio-bar studio-dialog-buttons"):
             state = ui.label("").classes("studio-status").props('role="status"')
             ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")

@@ -104,21 +104,28 @@ def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
     return list(names.items())
 
 
+_FACTOR = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
+_FACTORS = {"half": "0.5", "twice": "2", "double": "2"}
+"""What multiplies a length in a phrase, such as `2 times as long`."""
+
+
 def parts_like(checked: CheckedScenario, phrase: str) -> list[RobotPart]:
     """Return the links and the joints of the robots that a phrase names."""
     words = {word.lower() for word in re.findall(r"\w+", phrase)}
+    number = _FACTOR.search(phrase)
+    factor = number[0] if number else _FACTORS.get(" ".join(words & _FACTORS.keys()), "1.5")
     parts = []
     for robot in (checked.robots or {}).values():
         for row in link_rows(robot.model):
             if str(row["link"]).lower() in words:
-                parts.append(_link_part(robot.name, row))
+                parts.append(_link_part(robot.name, row, factor))
         for joint in robot.model.moving_joints:
             if joint.name.lower() in words:
                 parts.append(_joint_part(robot.name, joint))
     return parts[:_MAX_PARTS]
 
 
-def _link_part(robot: str, row: Row) -> RobotPart:
+def _link_part(robot: str, row: Row, factor: str) -> RobotPart:
     shapes = row["seen_as"] or row["collides_as"]
     assert isinstance(shapes, list)
     sizes = f": {', '.join(shapes)} m" if shapes else ""
@@ -129,7 +136,7 @@ def _link_part(robot: str, row: Row) -> RobotPart:
         " robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
         " `mass`, `friction` and `color` replace those of the robot file."
     )
-    return RobotPart(text, f"robots.{robot}.links.{row['link']}.scale", "1 1 1.5")
+    return RobotPart(text, f"robots.{robot}.links.{row['link']}.scale", f"1 1 {factor}")
 
 
 def _joint_part(robot: str, joint: Joint) -> RobotPart:

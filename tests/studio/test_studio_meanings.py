@@ -61,21 +61,30 @@ def test_a_phrase_finds_names_of_the_text(tmp_path):
     assert ("pole_angle", 9) in asyncio.run(run())
 
 
-def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path):
+@pytest.mark.parametrize(
+    ("phrase", "factor"),
+    [
+        ("make the pole longer", "1.5"),
+        ("make the pole 2 times as long", "2"),
+        ("pole 0.75x", "0.75"),
+        ("half the pole", "0.5"),
+    ],
+)
+def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path, phrase, factor):
     (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
 
     async def run() -> tuple[list[RobotPart], str]:
         async with Running(tmp_path) as running:
             file = running.session.open(Path("mine.yaml"))
             await running.checked(file.path)
-            parts = running.session.language.parts_like(file.path, "make the pole longer")
+            parts = running.session.language.parts_like(file.path, phrase)
             running.session.show(file.path)
             running.session.write_values({part.path: part.value for part in parts})
             return parts, file.text
 
     (part,), text = asyncio.run(run())
     assert part.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
-    assert "links: {pole: {scale: 1 1 1.5}}" in text
+    assert f"links: {{pole: {{scale: 1 1 {factor}}}}}" in text
 
 
 def test_a_phrase_without_an_entry_gets_the_nearest_one():
