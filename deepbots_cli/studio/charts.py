@@ -47,13 +47,15 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
 def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
     """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
     lines = []
+    by_length = sorted(curves, key=lambda name: curves[name].last_step, reverse=True)
     for color, (name, run) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
         for line in (
             _line(name, run.returns, 0),
             _line(name, run.evaluations, 0, "marks"),
             _line(f"{name} success", _percent(run.successes), 1, "dashes"),
         ):
-            lines.append({**line, "itemStyle": {"color": color}})
+            # A shorter run lies over a longer one: with the same seed, the lines may begin alike.
+            lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
     has_successes = any(run.successes for run in curves.values())
     return _chart([*lines, *_goals(curves.values(), dark=dark)], curves.values(), has_successes, dark)
 

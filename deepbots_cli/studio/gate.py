@@ -38,10 +38,11 @@ html:root[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --m
   --mantine-color-dark-6: #20242c; --mantine-color-dark-5: #2a2f39; --mantine-color-dark-4: #343a46;
   --mantine-color-dark-3: #566073; --mantine-color-dark-2: #a9b2c0; --mantine-color-placeholder: #a9b2c0; }
 [data-mantine-color-scheme="dark"] [style*="rgb(20, 20, 20)"] { background: #16191f !important; }
-[data-mantine-color-scheme="dark"] [role="tab"][data-active] * { color: #8fc1f5 !important; }
+[data-mantine-color-scheme="dark"] [role="tab"][aria-selected="true"] { color: #8fc1f5 !important; }
 [data-mantine-color-scheme="dark"] canvas[data-engine] { filter: brightness(0.72); }
 @media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
 .mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }
+html:root [role="tab"] { padding-inline: 0.36em !important; }
 .mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
 @media (min-width: 36.01em) { div:has(> div > .tabler-icon-cloud-check) { display: none !important; } }
 html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
@@ -74,7 +75,7 @@ const look = setInterval(() => {
 - no notice of viser that the browser draws by software: it covers the robot;
 - no head of the controls while they are connected, because the page has the name of the scenario already; in a
   narrow window, it opens and closes them;
-- labels of enough contrast, and a place for the scroll bar beside the buttons;
+- labels of enough contrast, a place for the scroll bar beside the buttons, and all tabs in one row;
 - the dark colors of `studio.css`, in which the floor of the scene does not glare;
 - the keys that lead out of the page, and those of the editor;
 - a word and a ring in place of the controls until they are connected.

@@ -134,7 +134,11 @@ class TrainingTab:
         self._text.classes(replace=f"studio-status {kind}")
         self._steps.set_visibility(training is None)
         if training is None or run is None:
-            self._text.set_text(f"{training.path.name}: starting, which takes some seconds ..." if training and is_running else "")
+            self._text.set_text(
+                f"{training.path.name}: starting, which takes some seconds ..."
+                if training and is_running
+                else ""
+            )
             self._drawn = None
             self._draw(Curves(), has_successes=False)
             return
