@@ -105,8 +105,9 @@ def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
 
 
 _FACTOR = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
-_FACTORS = {"half": "0.5", "twice": "2", "double": "2"}
-"""What multiplies a length in a phrase, such as `2 times as long`."""
+_FACTORS = {"half": "0.5", "shorter": "0.5", "smaller": "0.5", "lighter": "0.5", "twice": "2", "double": "2"}
+_OF_MASS = {"heavier", "lighter", "heavy", "light", "mass", "weight"}
+"""Words of a phrase: what multiplies a length or a mass, as `2 times` does, and that it is the mass."""
 
 
 def parts_like(checked: CheckedScenario, phrase: str) -> list[RobotPart]:
@@ -118,14 +119,14 @@ def parts_like(checked: CheckedScenario, phrase: str) -> list[RobotPart]:
     for robot in (checked.robots or {}).values():
         for row in link_rows(robot.model):
             if str(row["link"]).lower() in words:
-                parts.append(_link_part(robot.name, row, factor))
+                parts.append(_link_part(robot.name, row, factor, of_mass=bool(words & _OF_MASS)))
         for joint in robot.model.moving_joints:
             if joint.name.lower() in words:
                 parts.append(_joint_part(robot.name, joint))
     return parts[:_MAX_PARTS]
 
 
-def _link_part(robot: str, row: Row, factor: str) -> RobotPart:
+def _link_part(robot: str, row: Row, factor: str, *, of_mass: bool) -> RobotPart:
     shapes = row["seen_as"] or row["collides_as"]
     assert isinstance(shapes, list)
     sizes = f": {', '.join(shapes)} m" if shapes else ""
@@ -136,7 +137,8 @@ def _link_part(robot: str, row: Row, factor: str) -> RobotPart:
         " robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
         " `mass`, `friction` and `color` replace those of the robot file."
     )
-    return RobotPart(text, f"robots.{robot}.links.{row['link']}.scale", f"1 1 {factor}")
+    key, value = ("mass", f"urdf * {factor}") if of_mass else ("scale", f"1 1 {factor}")
+    return RobotPart(text, f"robots.{robot}.links.{row['link']}.{key}", value)
 
 
 def _joint_part(robot: str, joint: Joint) -> RobotPart:

@@ -245,6 +245,8 @@ class RunsTab:
     def _fill(self, title: str, *runs: Path) -> ui.element:
         """Open the place for a result about runs."""
         self._names, self._compared = {run.name for run in runs}, None
+        self._table.selected = [row for row in self._table.rows if row["name"] in self._names]
+        self._show_buttons()
         return self._result.fill(title)
 
     async def compare(self, *paths: Path) -> None:
@@ -314,13 +316,13 @@ class RunsTab:
                 words = shlex.split(text)[1:]
                 self._add_advised_command(words, output)
                 if "--timesteps" in words:
-                    self._add_training(words[-1])
+                    self._add_training(words[-1], shown)
             if not any(text.startswith("deepbots resume") for text in commands):
                 self._add_advised_values(cause.get("settings") or {}, "Write {} into the text")
             for change in _changes(cause):
                 path_of_value, before = change["path"], change["before"]
                 if path_of_value == TIMESTEPS:
-                    self._add_training(before)
+                    self._add_training(before, shown)
                 elif change["is_written"]:
                     label = f"Set {path_of_value} back to {before}" if before else f"Remove {path_of_value}"
                     self._add_advised_values({path_of_value: before}, label)
@@ -334,9 +336,12 @@ class RunsTab:
             )
             button.props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
 
-    def _add_training(self, timesteps: str) -> None:
+    def _add_training(self, timesteps: str, shown: set[str]) -> None:
         """Add a button that trains the scenario from the start in a new run, which can be compared with the
-        other one."""
+        other one, unless it is `shown`."""
+        if timesteps in shown:
+            return
+        shown.add(timesteps)
 
         def train() -> None:
             self._session.training_options["--timesteps"] = timesteps

@@ -75,12 +75,19 @@ class ManualInput:
         self.bindings = dict(zip(self._ranges, pairs, strict=False))
         self._choices = [field for field in fields if field.options]
         self._held: tuple[Keys, Axes, float] = (frozenset(), (), 0.0)
+        self._was_pressed = False
         self.base_values = {field.name: _rest_value(field) for field in fields}
 
     def hold(self, keys: Keys, axes: Axes) -> None:
         """Take the keys and axes that are held now. They are released if no message arrives for
         `RELEASE_TIMEOUT_S`."""
         self._held = (keys, axes, time.monotonic())
+        self._was_pressed = self._was_pressed or self.is_held
+
+    def take_press(self) -> bool:
+        """Return whether something is held, or was pressed and released since the last call."""
+        was_pressed, self._was_pressed = self._was_pressed or self.is_held, False
+        return was_pressed
 
     @property
     def is_held(self) -> bool:

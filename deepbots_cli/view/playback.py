@@ -246,9 +246,10 @@ class Playback:
     def pass_time(self, period: float, *, continues: bool) -> None:
         """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
         `continues`."""
-        self.waiting = (
-            self.waiting and self.worlds[0].player.driver_name == HAND and not self.manual_input.is_held
-        )
+        is_pressed = (
+            self.manual_input.take_press()
+        )  # also a tap that is shorter than the time between two ticks
+        self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not is_pressed
         if self.paused or self.waiting:
             return
         if self.ended_at:

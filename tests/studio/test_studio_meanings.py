@@ -62,15 +62,16 @@ def test_a_phrase_finds_names_of_the_text(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("phrase", "factor"),
+    ("phrase", "change"),
     [
-        ("make the pole longer", "1.5"),
-        ("make the pole 2 times as long", "2"),
-        ("pole 0.75x", "0.75"),
-        ("half the pole", "0.5"),
+        ("make the pole longer", "scale: 1 1 1.5"),
+        ("make the pole 2 times as long", "scale: 1 1 2"),
+        ("pole 0.75x", "scale: 1 1 0.75"),
+        ("half the pole", "scale: 1 1 0.5"),
+        ("make the pole heavier", "mass: urdf * 1.5"),
     ],
 )
-def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path, phrase, factor):
+def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path, phrase, change):
     (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
 
     async def run() -> tuple[list[RobotPart], str]:
@@ -84,7 +85,7 @@ def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path, ph
 
     (part,), text = asyncio.run(run())
     assert part.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
-    assert f"links: {{pole: {{scale: 1 1 {factor}}}}}" in text
+    assert f"links: {{pole: {{{change}}}}}" in text
 
 
 def test_a_phrase_without_an_entry_gets_the_nearest_one():

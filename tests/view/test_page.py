@@ -165,6 +165,13 @@ def test_an_episode_waits_for_the_first_key_of_the_person_who_was_chosen_as_driv
         assert len(playback.worlds[0].frames) > 1
         playback.begin()
         assert playback.waiting
+        playback.manual_input.hold(frozenset({"Digit1"}), ())
+        playback.manual_input.hold(frozenset(), ())  # a tap between two moments of the page
+        playback.pass_time(0.5, continues=True)
+        assert not playback.waiting
+        playback.begin()
+        playback.pass_time(0.5, continues=True)
+        assert playback.waiting
         playback.set_driver(RANDOM)
         assert not playback.waiting
 
