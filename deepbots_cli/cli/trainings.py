@@ -62,6 +62,16 @@ def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
+def _evaluate_cases(trained: Run, permissions: Permissions, results: list[EvaluationResult]) -> None:
+    """Evaluate in each case of the scenario, and add each result to `results`."""
+    names = [case.name for case in trained.program.cases]
+    for number, name in enumerate(names, 1):
+        unit = f"episodes of case {name} ({number} of {len(names)})"
+        with terminal.progress(unit, always=False) as show_episode:
+            result = learning.evaluate(trained, case=name, permissions=permissions, on_episode=show_episode)
+        results.append(result)
+
+
 def finish_group(
     group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions
 ) -> None:
@@ -131,19 +141,12 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     )
     trained = Run.open(result.run)
     is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
-    names = [case.name for case in trained.program.cases]
     cases: list[EvaluationResult] = []
     with _evaluating(result.run, quiet=quiet or is_confirmed):
         with terminal.progress(always=False) as show_episode:
             evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
         try:
-            for number, name in enumerate(names, 1):
-                unit = f"episodes of case {name} ({number} of {len(names)})"
-                with terminal.progress(unit, always=False) as show_episode:
-                    case = learning.evaluate(
-                        trained, case=name, permissions=permissions, on_episode=show_episode
-                    )
-                cases.append(case)
+            _evaluate_cases(trained, permissions, cases)
         finally:  # after an interruption, the run keeps the cases that are finished
             evaluated = records.evaluation_json(evaluation, cases)
             if evaluation.confirmation is None or cases:

@@ -1,4 +1,4 @@
-"""The dialogs for the name of a new scenario and for two versions of a file, and the control for a robot file."""
+"""The dialogs for a new scenario and for two versions of a file, and the control for a robot file."""
 
 from __future__ import annotations
 
