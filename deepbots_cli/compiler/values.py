@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
@@ -21,6 +23,7 @@ from deepbots_cli.document.nodes import (
     SequenceNode,
     descend,
     to_data,
+    walk,
 )
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dimension
@@ -51,6 +54,7 @@ _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, if it contains a closing parenthesis."""
 _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
+_WORD = re.compile(r"[A-Za-z_]\w*")
 _LEADING_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
 _COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
@@ -361,19 +365,32 @@ class ValueReader:
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
             if fix is None and len(paths) == 1:
                 fix = self._definition_fix(paths[0], names[paths[0][1]])
+                definition = labels[0].span
+                if fix is not None and _is_as_near(definition, span):
+                    span, labels = definition, (Label(span, "used here"),)
             self.add(code, span, headline, remedy, labels=labels, fix=fix)
 
         return report
 
     def _definition_fix(self, path: NodePath, replacement: str | None) -> Fix | None:
-        """Return the fix that gives a number another unit where it is defined; None for a formula."""
+        """Return the fix that gives a number another unit where it is defined; None for a formula, and for a
+        unit that other uses of the name may need."""
         node = descend(self.root, path)[0]
         if replacement is None or not isinstance(node, ScalarNode):
             return None
         number = _LEADING_NUMBER.match(node.text)
         if number is None or float(number[0]) != float(replacement.split()[0]):
             return None
+        has_unit = number[0].strip() != node.text.strip()
+        if has_unit and self._use_counts[str(path[-1])] > 1:
+            return None
         return Fix.replacing(node.part(0, len(node.text)), node.text, replacement, safe=False)
+
+    @cached_property
+    def _use_counts(self) -> Counter[str]:
+        """How often each word is in the values of the document."""
+        texts = [node.text for _, node in walk(self.root) if isinstance(node, ScalarNode)]
+        return Counter(word for text in texts for word in _WORD.findall(text))
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:
@@ -600,3 +617,9 @@ def _fix(
         start, end, old = 0, len(text.text), text.text
         new = corrected(old)
     return Fix.replacing(text.part(start, end), old, new, safe=replacement.safe)
+
+
+def _is_as_near(definition: Span, use: Span) -> bool:
+    """Return whether a definition is in the file of its use, or in one that includes that file."""
+    depths = [sum(1 for _ in span.source.inclusion_chain) for span in (definition, use)]
+    return depths[0] <= depths[1]

@@ -282,7 +282,7 @@ def _other_unit(first: Typed, second: Typed) -> tuple[str | None, dict[str, str 
         f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their"
         " units"
     )
-    return remedy, {name: None}  # without a fix: the other side may be the wrong one
+    return remedy, {name: corrected}
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:

@@ -200,6 +200,24 @@ def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_
     assert finding.code == "DB503"
     assert finding.help is not None
     assert finding.help.startswith("`wheel_speed` is 5, without a unit")
+    assert finding.span.text == "5"
     (label,) = finding.labels
-    assert label.text == "`wheel_speed` is set here"
-    assert label.span.text == "5"
+    assert label.text == "used here"
+    assert label.span.text == "drive * wheel_speed"
+
+
+@pytest.mark.parametrize("value", ["15 kg", "15 m", "15"])
+def test_a_wrong_unit_is_reported_and_corrected_where_the_parameter_is_defined(
+    workshop, cartpole, value
+) -> None:
+    (finding,) = workshop.lint(cartpole(("fall_angle:  15 deg", f"fall_angle:  {value}")))
+    assert finding.span.text == value
+    assert finding.fix is not None
+    assert [edit.text for edit in finding.fix.edits] == ["15 deg"]
+    assert not finding.fix.safe
+
+
+def test_a_unit_that_another_use_needs_is_not_corrected(workshop, cartpole) -> None:
+    (finding,) = workshop.lint(cartpole(("> track", "> track or abs(cart.pole_angle) > track")))
+    assert finding.code == "DB503"
+    assert finding.fix is None
