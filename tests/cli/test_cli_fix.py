@@ -259,9 +259,7 @@ def test_a_mistake_hidden_by_a_misspelling_is_reported_after_its_fix(deepbots, s
         faulty(other_use, ("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg"))
     )
     ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
-    assert path.read_text() == faulty(
-        other_use, ("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg")
-    )
+    assert path.read_text() == faulty(other_use, ("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
     assert "DB503[dimension-mismatch]: a speed (m/s) is combined with `track`, a length (m)" in ran.out
     assert ran.code == 1
 
