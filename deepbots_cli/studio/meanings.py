@@ -11,18 +11,14 @@ from dataclasses import dataclass
 
 from lsprotocol import types
 
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.insight.inspection import Row, link_rows
+from deepbots_cli.insight.wishes import properties
 from deepbots_cli.lsp.hover import hover
 from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import CursorView, Document
-from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.fields.base import with_article
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _MAX_USES = 12
-_MAX_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -52,20 +48,6 @@ class Meaning:
         return "\n\n".join(parts)
 
 
-@dataclass(frozen=True)
-class RobotPart:
-    """A link or joint of a robot.
-
-    Attributes:
-        text: What it is, and how the scenario changes it, as Markdown.
-        path, value: An example of such a change: the keys to a value, and the value.
-    """
-
-    text: str
-    path: str
-    value: str
-
-
 def meaning(view: CursorView, word: str) -> Meaning:
     """Return what the word at a place means."""
     shown = hover(view)
@@ -90,7 +72,7 @@ def meaning(view: CursorView, word: str) -> Meaning:
 
 def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
     """Return the names of a text that have a word of a phrase, with the line of each, from 0."""
-    words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2}
+    words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2} | properties(phrase)
     names: dict[str, int] = {}
 
     def read(symbols: Iterable[object]) -> None:
@@ -102,53 +84,6 @@ def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
 
     read(document_symbols(document))
     return list(names.items())
-
-
-_FACTOR = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
-_FACTORS = {"half": "0.5", "shorter": "0.5", "smaller": "0.5", "lighter": "0.5", "twice": "2", "double": "2"}
-_OF_MASS = {"heavier", "lighter", "heavy", "light", "mass", "weight"}
-"""Words of a phrase: what multiplies a length or a mass, as `2 times` does, and that it is the mass."""
-
-
-def parts_like(checked: CheckedScenario, phrase: str) -> list[RobotPart]:
-    """Return the links and the joints of the robots that a phrase names."""
-    words = {word.lower() for word in re.findall(r"\w+", phrase)}
-    number = _FACTOR.search(phrase)
-    factor = number[0] if number else _FACTORS.get(" ".join(words & _FACTORS.keys()), "1.5")
-    parts = []
-    for robot in (checked.robots or {}).values():
-        for row in link_rows(robot.model):
-            if str(row["link"]).lower() in words:
-                parts.append(_link_part(robot.name, row, factor, of_mass=bool(words & _OF_MASS)))
-        for joint in robot.model.moving_joints:
-            if joint.name.lower() in words:
-                parts.append(_joint_part(robot.name, joint))
-    return parts[:_MAX_PARTS]
-
-
-def _link_part(robot: str, row: Row, factor: str, *, of_mass: bool) -> RobotPart:
-    shapes = row["seen_as"] or row["collides_as"]
-    assert isinstance(shapes, list)
-    sizes = f": {', '.join(shapes)} m" if shapes else ""
-    mass = f", {row['mass_kg']:.4g} kg" if row["mass_kg"] else ""
-    joint = f", on the joint `{row['joint']}`" if row["joint"] else ""
-    text = (
-        f"`{row['link']}` is a link of the robot `{robot}`{sizes}{mass}{joint}. The section `links` of the"
-        " robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
-        " `mass`, `friction` and `color` replace those of the robot file."
-    )
-    key, value = ("mass", f"urdf * {factor}") if of_mass else ("scale", f"1 1 {factor}")
-    return RobotPart(text, f"robots.{robot}.links.{row['link']}.{key}", value)
-
-
-def _joint_part(robot: str, joint: Joint) -> RobotPart:
-    unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
-    text = (
-        f"`{joint.name}` is {with_article(joint.type)} joint of the robot `{robot}`: it joins `{joint.child}`"
-        f" to `{joint.parent}`. The section `joints` of the robot changes it: `damping`, `friction`, `range`,"
-        " `armature`."
-    )
-    return RobotPart(text, f"robots.{robot}.joints.{joint.name}.damping", f"0.01 {unit}")
 
 
 def line_link(line: int) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.wishes import Wish
 from deepbots_cli.studio.dialogs import Kind, compare_versions, new_scenario
 from deepbots_cli.studio.editor import Editor
 from deepbots_cli.studio.explain import OfText, show_explanation
@@ -18,7 +19,7 @@ from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.finding_list import FindingList
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.layout import ICONS, Division, Notices
-from deepbots_cli.studio.meanings import Meaning, RobotPart
+from deepbots_cli.studio.meanings import Meaning
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
@@ -403,19 +404,18 @@ class StudioPage:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._list.fix, file, finding, fix.title)
-            for part in parts(code):
-                if language.has_values(file, {part.path: part.value}):
-                    continue
-                name = part.path.split(".", 2)[2]
-                yield f"Write {name}: {part.value}", partial(self._write_values, {part.path: part.value})
+            for wish in wishes(code):
+                if not language.has_values(file, {wish.path: wish.value}):
+                    title = f"Write {wish.path.split('.', 2)[-1]}: {wish.value}"
+                    yield title, partial(self._write_values, {wish.path: wish.value})
 
         def names(phrase: str) -> list[tuple[str, int]]:
             return [] if file is None else language.names_like(file, phrase)
 
-        def parts(phrase: str) -> list[RobotPart]:
-            return [] if file is None else language.parts_like(file.path, phrase)
+        def wishes(phrase: str) -> list[Wish]:
+            return [] if file is None else language.wishes(file.path, phrase)
 
-        show_explanation(word, OfText(fixes, names, parts, self._editor.go_to), meaning)
+        show_explanation(word, OfText(fixes, names, wishes, self._editor.go_to), meaning)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

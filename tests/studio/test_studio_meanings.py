@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("nicegui")
 from deepbots_cli.studio.explain import explanation
-from deepbots_cli.studio.meanings import Meaning, RobotPart
+from deepbots_cli.studio.meanings import Meaning
 from tests.studio.test_studio_page import SCENARIO
 from tests.studio.test_studio_session import Running
 
@@ -59,33 +59,6 @@ def test_a_phrase_finds_names_of_the_text(tmp_path):
             return running.session.language.names_like(file, "pole length")
 
     assert ("pole_angle", 9) in asyncio.run(run())
-
-
-@pytest.mark.parametrize(
-    ("phrase", "change"),
-    [
-        ("make the pole longer", "scale: 1 1 1.5"),
-        ("make the pole 2 times as long", "scale: 1 1 2"),
-        ("pole 0.75x", "scale: 1 1 0.75"),
-        ("half the pole", "scale: 1 1 0.5"),
-        ("make the pole heavier", "mass: urdf * 1.5"),
-    ],
-)
-def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path, phrase, change):
-    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
-
-    async def run() -> tuple[list[RobotPart], str]:
-        async with Running(tmp_path) as running:
-            file = running.session.open(Path("mine.yaml"))
-            await running.checked(file.path)
-            parts = running.session.language.parts_like(file.path, phrase)
-            running.session.show(file.path)
-            running.session.write_values({part.path: part.value for part in parts})
-            return parts, file.text
-
-    (part,), text = asyncio.run(run())
-    assert part.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
-    assert f"links: {{pole: {{{change}}}}}" in text
 
 
 def test_a_phrase_without_an_entry_gets_the_nearest_one():

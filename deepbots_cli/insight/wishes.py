@@ -1,0 +1,142 @@
+"""Changes of a scenario that a phrase asks for, such as `make the pole longer`.
+
+    wishes(checked, "make the cart faster")   # Wish(..., path="parameters.wheel_speed", value="7.5 rad/s")
+
+The words are matched with the names of links, joints and parameters; comparatives give the factor.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.document.nodes import ScalarNode, entries_at, node_at
+from deepbots_cli.insight.inspection import Row, link_rows
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.fields.base import with_article
+
+_MAX_WISHES = 4
+_TIMES = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
+_NUMBER = re.compile(r"(?<![\w.^])\d+(?:\.\d+)?(?![\w.])")
+_WORD = re.compile(r"[^\W_]+")
+_LARGER, _SMALLER = 1.5, 0.5
+_PROPERTIES = {
+    "longer": "length",
+    "shorter": "length",
+    "heavier": "mass",
+    "lighter": "mass",
+    "heavy": "mass",
+    "light": "mass",
+    "weight": "mass",
+    "faster": "speed",
+    "slower": "speed",
+    "quicker": "speed",
+    "fast": "speed",
+    "slow": "speed",
+}
+"""The property that a word is about."""
+_FACTORS = {
+    **dict.fromkeys(("longer", "larger", "bigger", "heavier", "faster", "quicker", "higher"), _LARGER),
+    **dict.fromkeys(("shorter", "smaller", "lighter", "slower", "lower", "half"), _SMALLER),
+    **dict.fromkeys(("twice", "double"), 2.0),
+}
+_OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """A link, a joint or a parameter that a phrase names.
+
+    Attributes:
+        text: What it is, and how the scenario changes it, as Markdown.
+        path, value: A change of it that fits the phrase: the keys to a value, and the value.
+    """
+
+    text: str
+    path: str
+    value: str
+
+
+def properties(phrase: str) -> set[str]:
+    """Return the properties that the words of a phrase are about: `faster` is about a speed."""
+    return {_PROPERTIES[word] for word in _words(phrase) & _PROPERTIES.keys()}
+
+
+def wishes(checked: CheckedScenario, phrase: str) -> list[Wish]:
+    """Return the changes of links, joints and parameters that a phrase names."""
+    words = _words(phrase)
+    factors = [float(number) for number in _TIMES.findall(phrase)]
+    factors += sorted(
+        (_FACTORS[word] for word in words & _FACTORS.keys()), key=lambda factor: factor == _LARGER
+    )
+    factor = factors[0] if factors else _LARGER  # `twice` and `half` say more than `longer`
+    named = list(_parts(checked, words | properties(phrase), factor))
+    if factors and not words & _OF_LEARNING:
+        named += _parameters(checked, words, properties(phrase), factor)
+    return named[:_MAX_WISHES]
+
+
+def _words(text: str) -> set[str]:
+    return {word.lower() for word in _WORD.findall(text)}
+
+
+def _parts(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Wish]:
+    root = checked.document.root
+    for robot in (checked.robots or {}).values():
+        for row in link_rows(robot.model):
+            if _words(str(row["link"])) <= words:
+                key, default = ("mass", "urdf * 1") if "mass" in words else ("scale", "1 1 1")
+                path = ("robots", robot.name, "links", str(row["link"]), key)
+                node = node_at(root, *path)
+                written = node.text if isinstance(node, ScalarNode) else ""
+                value = _multiplied(written or default, factor)
+                yield Wish(
+                    _link_text(robot.name, row, f"{key}: {written}" if written else ""), ".".join(path), value
+                )
+        for joint in robot.model.moving_joints:
+            if _words(joint.name) <= words:
+                unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
+                path_of_joint = f"robots.{robot.name}.joints.{joint.name}.damping"
+                yield Wish(_joint_text(robot.name, joint), path_of_joint, f"0.01 {unit}")
+
+
+def _parameters(checked: CheckedScenario, words: set[str], asked: set[str], factor: float) -> Iterator[Wish]:
+    """Yield the parameters of one number whose names have the property that is asked for or, without one, a
+    word of the phrase."""
+    for name, entry in entries_at(checked.document.root, "parameters").items():
+        node = entry.value
+        if not isinstance(node, ScalarNode) or len(_NUMBER.findall(node.text)) != 1:
+            continue
+        if _words(name) & (asked or words):
+            text = f"`{name}` is a parameter of this scenario: {node.text}."
+            yield Wish(text, f"parameters.{name}", _multiplied(node.text, factor))
+
+
+def _multiplied(text: str, factor: float) -> str:
+    """Return a value whose last number is multiplied."""
+    *_, last = _NUMBER.finditer(text)
+    return f"{text[: last.start()]}{float(last[0]) * factor:.6g}{text[last.end() :]}"
+
+
+def _link_text(robot: str, row: Row, written: str) -> str:
+    shapes = row["seen_as"] or row["collides_as"]
+    assert isinstance(shapes, list)
+    sizes = f": {', '.join(shapes)} m" if shapes else ""
+    mass = f", {row['mass_kg']:.4g} kg" if row["mass_kg"] else ""
+    joint = f", on the joint `{row['joint']}`" if row["joint"] else ""
+    present = f" The file has `{written}`." if written else ""
+    return (
+        f"`{row['link']}` is a link of the robot `{robot}`{sizes}{mass}{joint}.{present} The section `links`"
+        " of the robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
+        " `mass`, `friction` and `color` replace those of the robot file."
+    )
+
+
+def _joint_text(robot: str, joint: Joint) -> str:
+    return (
+        f"`{joint.name}` is {with_article(joint.type)} joint of the robot `{robot}`: it joins `{joint.child}`"
+        f" to `{joint.parent}`. The section `joints` of the robot changes it: `damping`, `friction`, `range`,"
+        " `armature`."
+    )

@@ -1,0 +1,60 @@
+"""The changes of a scenario that a phrase asks for."""
+
+from __future__ import annotations
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.insight.wishes import Wish, wishes
+
+_SCALE = "robots.cart.links.pole.scale"
+_MASS = "robots.cart.links.pole.mass"
+
+
+def _wishes(phrase: str, *overrides: str) -> list[Wish]:
+    return wishes(api.load("cartpole", overrides=overrides), phrase)
+
+
+def _override(path: str, value: str) -> str:
+    section, _, key = path.partition(".links.pole.")
+    return f"{section}.links={{pole: {{{key}: {value}}}}}" if key else f"{path}={value}"
+
+
+@pytest.mark.parametrize(
+    ("phrase", "path", "value"),
+    [
+        ("make the pole longer", _SCALE, "1 1 1.5"),
+        ("make the pole 2 times as long", _SCALE, "1 1 2"),
+        ("pole 0.75x", _SCALE, "1 1 0.75"),
+        ("half the pole", _SCALE, "1 1 0.5"),
+        ("a pole that is half as heavy", _MASS, "urdf * 0.5"),
+        ("make the pole heavier", _MASS, "urdf * 1.5"),
+        ("make the cart faster", "parameters.wheel_speed", "7.5 rad/s"),
+        ("go twice as fast", "parameters.wheel_speed", "10 rad/s"),
+        ("a larger fall angle", "parameters.fall_angle", "22.5 deg"),
+    ],
+)
+def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, path, value):
+    (wish,) = _wishes(phrase)
+    assert (wish.path, wish.value) == (path, value)
+    assert not api.load("cartpole", overrides=[_override(path, value)]).findings.errors
+
+
+def test_the_same_wish_once_more_changes_what_is_written():
+    (wish,) = _wishes("make the pole longer", _override(_SCALE, "1 1 1.5"))
+    assert wish.value == "1 1 2.25"
+    assert "The file has `scale: 1 1 1.5`." in wish.text
+
+
+@pytest.mark.parametrize("phrase", ["fall_angle", "what is a policy", "how does it learn faster", ""])
+def test_a_phrase_that_asks_for_no_change_of_the_world_has_no_wish(phrase):
+    assert _wishes(phrase) == []
+
+
+def test_a_link_says_what_it_is():
+    (wish,) = _wishes("pole")
+    assert wish.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
+
+
+def test_a_drawn_parameter_is_left_alone():
+    assert _wishes("a larger track", "parameters.track=uniform(0.3 .. 0.4 m)") == []
