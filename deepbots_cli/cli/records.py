@@ -135,7 +135,9 @@ def result_sentence(summary: Summary, *, success_defined: bool) -> str:
     episodes = counted(summary.episodes, "episode")
     if success_defined:
         episodes = f"{round(summary.success_rate * summary.episodes):,} of {episodes} succeeded"
-    return f"{episodes}, mean return {number(summary.mean_return)}, ended by {_endings(summary)}"
+    is_same = summary.episodes > 1 and len(summary.endings) == 1
+    endings = f"all ended by {next(iter(summary.endings))}" if is_same else f"ended by {_endings(summary)}"
+    return f"{episodes}, mean return {number(summary.mean_return)}, {endings}"
 
 
 def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, success_defined: bool) -> Row:

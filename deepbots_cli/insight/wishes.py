@@ -37,11 +37,9 @@ _PROPERTIES = {
     "slow": "speed",
 }
 """The property that a word is about."""
-_FACTORS = {
-    **dict.fromkeys(("longer", "larger", "bigger", "heavier", "faster", "quicker", "higher"), _LARGER),
-    **dict.fromkeys(("shorter", "smaller", "lighter", "slower", "lower", "half"), _SMALLER),
-    **dict.fromkeys(("twice", "double"), 2.0),
-}
+_TIMES_WORDS = {"half": 0.5, "twice": 2.0, "double": 2.0}
+_LARGER_WORDS = {"longer", "larger", "bigger", "heavier", "faster", "quicker", "higher"}
+_SMALLER_WORDS = {"shorter", "smaller", "lighter", "slower", "lower"}
 _OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
 
 
@@ -67,11 +65,13 @@ def properties(phrase: str) -> set[str]:
 def wishes(checked: CheckedScenario, phrase: str) -> list[Wish]:
     """Return the changes of links, joints and parameters that a phrase names."""
     words = _words(phrase)
-    factors = [float(number) for number in _TIMES.findall(phrase)]
-    factors += sorted(
-        (_FACTORS[word] for word in words & _FACTORS.keys()), key=lambda factor: factor == _LARGER
-    )
-    factor = factors[0] if factors else _LARGER  # `twice` and `half` say more than `longer`
+    is_smaller = bool(words & _SMALLER_WORDS)
+    times = [float(number) for number in _TIMES.findall(phrase)]
+    times += [_TIMES_WORDS[word] for word in sorted(words & _TIMES_WORDS.keys())]
+    # `2 times lighter` is half as heavy; `half` is so already.
+    factors = [1 / number if is_smaller and number > 1 else number for number in times if number > 0]
+    factors += [_SMALLER] * is_smaller + [_LARGER] * bool(words & _LARGER_WORDS)
+    factor = factors[0] if factors else _LARGER
     named = list(_parts(checked, words | properties(phrase), factor))
     if factors and not words & _OF_LEARNING:
         named += _parameters(checked, words, properties(phrase), factor)

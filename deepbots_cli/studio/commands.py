@@ -45,7 +45,8 @@ def result_of(task: Task) -> str:
     if task.exit_code == 0 and task.record.output:
         return f"{task.record.output} is written"
     lines = pattern.findall(task.output()) if pattern is not None and not task.is_running else []
-    return "; ".join(" ".join(line.split()) for line in dict.fromkeys(lines))
+    text = "; ".join(" ".join(line.split()) for line in dict.fromkeys(lines))
+    return f"Random actions: {text}" if text and task.record.words[0] == "try" else text
 
 
 class Commands:

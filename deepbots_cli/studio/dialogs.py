@@ -20,6 +20,7 @@ from deepbots_cli.studio.session import Session
 MAX_ROBOT_BYTES = 10 << 20
 _MAX_DIFF_LINES = 300
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
+_EXTENDS = re.compile(r"^extends:", re.MULTILINE)
 _SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 
@@ -48,10 +49,15 @@ def templates() -> dict[str, str]:
 
 
 @cache
-def shipped_scenarios() -> dict[str, str]:
-    """Return the shipped scenarios, each with its summary."""
+def shipped_scenarios(*, variants: bool) -> dict[str, str]:
+    """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
     paths = {name: scenario_path(name) for name in scenario_names()}
-    return {name: _summary(path.read_text("utf-8")) for name, path in paths.items() if path}
+    texts = {name: path.read_text("utf-8") for name, path in paths.items() if path}
+    return {
+        name: _summary(text)
+        for name, text in texts.items()
+        if (_EXTENDS.search(text) is not None) is variants
+    }
 
 
 def _summary(text: str) -> str:

@@ -17,7 +17,7 @@ from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import CursorView, Document
 
-_WORD = re.compile(r"[A-Za-z_]\w*")
+_WORD = re.compile(r"[^\W_]+")
 _MAX_USES = 12
 
 
@@ -61,7 +61,7 @@ def meaning(view: CursorView, word: str) -> Meaning:
         return [line for line in lines if line != line_of_word]
 
     texts = view.document.plain.split("\n")
-    uses = [(line, texts[line].partition("  #")[0]) for line in lines_of(references(view, {}))]
+    uses = [(line, texts[line]) for line in lines_of(references(view, {}))]
     return Meaning(
         word,
         text,
@@ -71,19 +71,21 @@ def meaning(view: CursorView, word: str) -> Meaning:
 
 
 def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
-    """Return the names of a text that have a word of a phrase, with the line of each, from 0."""
+    """Return the names of a text that have a word of a phrase, with the line of each, from 0; first those
+    with the most words of it."""
     words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2} | properties(phrase)
     names: dict[str, int] = {}
 
     def read(symbols: Iterable[object]) -> None:
         for symbol in symbols:
             name = str(getattr(symbol, "name", ""))
-            if words & set(re.split(r"[._\W]+", name.lower())):
+            if words & set(_WORD.findall(name.lower())):
                 names.setdefault(name, symbol.selection_range.start.line)  # type: ignore[attr-defined]
             read(getattr(symbol, "children", None) or ())
 
     read(document_symbols(document))
-    return list(names.items())
+    common = {name: len(words & set(_WORD.findall(name.lower()))) for name in names}
+    return sorted(names.items(), key=lambda item: -common[item[0]])
 
 
 def line_link(line: int) -> str:

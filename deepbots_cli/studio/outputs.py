@@ -29,6 +29,10 @@ class TaskOutput:
         self._sentence = sentence
         self._link = ui.link("", "", new_tab=True).classes("studio-link")
         self._link.set_visibility(False)
+        self._video = (
+            ui.element("video").props("controls loop muted autoplay playsinline").classes("studio-video")
+        )
+        self._video.set_visibility(False)
         self._details = ui.element("details" if sentence else "div").classes("studio-details").props("open")
         with self._details:
             if sentence:
@@ -61,6 +65,12 @@ class TaskOutput:
         self._link.set_text(f"Open {Path(task.record.output).name}")
         self._link.set_visibility(code == 0 and bool(task.record.output))
         self._link.props(f'href="studio/output/{task.path.name}"')
+        is_video = code == 0 and task.record.output.endswith(".mp4")
+        self._video.set_visibility(is_video)
+        if is_video:
+            self._video.props(
+                f'src="studio/output/{task.path.name}" aria-label="{Path(task.record.output).name}"'
+            )
         if self._sentence is not None:
             sentence = result_of(task)
             self._sentence.set_text(sentence or ("running ..." if code is None else ""))

@@ -37,6 +37,15 @@ _PREFERENCES = """(() => { const kept = (name) => localStorage.getItem(`deepbots
   const dark = kept("dark") ? kept("dark") == "yes" : matchMedia("(prefers-color-scheme: dark)").matches;
   return { dark, text: kept("size-text"), robot: kept("size-robot") }; })()"""
 """A script for the browser: whether the colors are dark, and the sizes of areas that it has kept, if any."""
+_MARK_PART = """(() => {
+  const parts = ["text", "robot", "work"].map((name) => document.querySelector(`.studio-${name}`));
+  const buttons = document.querySelectorAll(".studio-jump button");
+  const mark = () => parts.forEach((part, index) => {
+    const { top, bottom } = part.getBoundingClientRect(), middle = innerHeight / 2;
+    buttons[index].setAttribute("aria-current", top <= middle && middle < bottom); });
+  for (const name of ["scroll", "resize"]) addEventListener(name, mark, true);
+  mark(); })()"""
+"""A script for the browser: in a narrow window, the button of the part in the middle is marked."""
 _REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
 
 
@@ -95,6 +104,7 @@ class StudioPage:
             self._columns.restore(preferences)
             self._rows.restore(preferences)
         client.content.classes(remove="studio-loads")
+        ui.run_javascript(_MARK_PART)
         self._robot.begin()
         with suppress(TimeoutError):
             self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
@@ -127,7 +137,7 @@ class StudioPage:
             self._of_text = (self._files, self._save, layout, self._outline, self._status)
             self._notices = Notices()
             self._theme = ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
-            self._theme.props("dense flat no-caps")
+            self._theme.props("dense flat no-caps").classes("studio-theme")
 
     def _add_text(self) -> None:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
@@ -223,7 +233,7 @@ class StudioPage:
         file = self._file
         if file is None:
             return
-        self._save.set_text("Save *" if file.is_modified else "Save")
+        self._save.set_text("Save *" if file.is_modified else "Saved")
         self._save.set_enabled(file.is_modified and not file.read_only)
         key = (file.outside is not None, file.is_gone, file.is_restored, file.read_only)
         if self._banner_key == (file.path, *key):
@@ -349,6 +359,8 @@ class StudioPage:
             self._show_file(file)
             if not file.read_only and self._session.language.is_scenario(file):
                 self._session.show(file.path)
+                self._runs.close_result()
+                self._training.close_result()
 
         self._guarded(choose)
 
@@ -389,6 +401,9 @@ class StudioPage:
             self._explain()
             return
         language = self._session.language
+        if (place.line, place.column) == (0, 0):  # nobody has moved the cursor
+            self._explain()
+            return
         meaning = language.meaning(file.path, place.text, place.line, place.column, place.word)
         self._explain(place.word, meaning)
 

@@ -37,7 +37,7 @@ _CLOSING_MS = 300
 _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
 _ROBOT_TEXTS = {
     None: "starting",
-    "running": "driven by a script, not by a policy",
+    "running": "driven by rules written by hand (a script), not by a learned policy",
     "outdated": "the saved file has errors; the robot is that of the last version without errors",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",

@@ -153,6 +153,10 @@ class RunsTab:
             chart.options.update(comparison_chart(curves, dark=dark))
             chart.update()
 
+    def close_result(self) -> None:
+        """Close the result that is shown, because it is about another scenario."""
+        self._result.close()
+
     def update_output(self) -> None:
         """Show the output of the command that was started here."""
         self._result.update()

@@ -12,8 +12,9 @@ from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 
 _ABOUT = (
-    "A scenario is one YAML file: a robot, what its policy sees and does, and its reward. Begin with one of these;"
-    " you can change all of it. Then press Train, and the robot learns."
+    "A scenario is one YAML file: a robot, what it sees and does, and what it is rewarded for. Begin with one of"
+    " these; you can change all of it. Then press Train: the robot tries again and again, and learns a policy, which"
+    " chooses what it does."
 )
 PICTURES = Path(__file__).with_name("pictures")
 """The folder of pictures by name, which `tools/gallery_pictures.py` makes."""
@@ -51,7 +52,9 @@ class StartPage:
             _heading("robot", "Your own robot", "deepbots writes a scenario for it")
             RobotUpload(session, lambda path: begin(Kind.robot, str(path)))
             _heading("gallery", "Gallery", "whole tasks, each trained and tested; you get a copy")
-            self._add_choices(Kind.shipped, shipped_scenarios(), "")
+            self._add_choices(Kind.shipped, shipped_scenarios(variants=False), "")
+            _heading("gallery", "Variants", "the same tasks with other actions, settings or robots")
+            self._add_choices(Kind.shipped, shipped_scenarios(variants=True), "")
 
     def show(self, shown: bool, *, can_leave: bool) -> None:
         """Show the choices or hide them; `can_leave` if there is a text to go back to."""

@@ -26,9 +26,14 @@ _FIRST_STEPS = (
     ),
     (
         "Try",
-        "Random actions play a few episodes, and their results appear here. To watch, choose Driver: random.",
+        "Random actions play a few episodes, which are attempts from a start to an end. Their results appear here."
+        " To watch, choose Driver: random.",
     ),
-    ("Train", "The robot learns, and its learning curve appears here."),
+    (
+        "Train",
+        "The robot learns. Its learning curve appears here: the return of an episode, which is the sum of its"
+        " rewards.",
+    ),
     ("Look", "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn."),
 )
 _WHY = "Why is it not solved?"
@@ -112,6 +117,10 @@ class TrainingTab:
             self._result.close()
 
         self._guarded(train)
+
+    def close_result(self) -> None:
+        """Close the output that is shown, because it is about another scenario."""
+        self._result.close()
 
     def update(self) -> None:
         training, task = self._session.commands.training, self._session.commands.training_task

@@ -94,7 +94,7 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
 
     # Saving restarts the robot with the new text.
     page.save()
-    page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save')")
+    page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Saved')")
     assert "  upright: abs(cart.pole_angle) / 1 rad\n" in (folder / "mine.yaml").read_text("utf-8")
 
     # The curve follows the training, which ends with a result in the list of runs.
@@ -180,13 +180,13 @@ def test_the_result_of_a_command_is_shown_where_it_was_started(studio: Served, n
     page = StudioTab(new_tab(), studio.address)
     page.click("Try")
     sentence = "document.querySelector('.studio-sentence')?.innerText"
-    page.wait(f"/^3 episodes, mean return .*, ended by /.test({sentence})", 60)
+    page.wait(f"/^Random actions: 3 episodes, mean return .*, all ended by /.test({sentence})", 60)
     # The output is behind the sentence.
     assert not page.tab.run("document.querySelector('.studio-details').open")
     page.tab.run("document.querySelector('.studio-details summary').click()")
     page.wait("document.querySelector('.studio-result').innerText.includes('summary of 3 episodes')")
     assert page.tab.run("document.querySelector('[role=tab][aria-selected=true]').innerText") == "Train"
-    page.wait("document.body.innerText.includes('try: 3 episodes, mean return')")
+    page.wait("document.body.innerText.includes('try: Random actions: 3 episodes, mean return')")
     page.click("Close")
     page.wait("!document.querySelector('.studio-result')?.offsetParent")
 
@@ -294,7 +294,7 @@ def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
         page.click("Use it")
         page.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
         page.save()
-        page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save')")
+        page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Saved')")
     assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
 
 
