@@ -41,7 +41,7 @@ class ChangedValue:
     is_written: bool = False
 
     def __str__(self) -> str:
-        name = self.path.removeprefix("parameters.")
+        name = self.path.removeprefix("parameters.").removeprefix("--")  # of an option
         if not (self.before or self.after):
             return name
         return f"{name} {self.before or '(none)'} -> {self.after or '(none)'}"
