@@ -282,7 +282,7 @@ class RunsTab:
     async def diagnose(self, path: Path) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
         self._show_tab("Runs")
-        place = self._fill(f"Looking at {path.name} ...", path)
+        place = self._fill(f"Looking at {path.name}, which takes some seconds ...", path)
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
         if not self._result.shows(place):  # it was closed, or shows something newer
             return
