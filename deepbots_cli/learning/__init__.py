@@ -9,6 +9,7 @@ training_evaluations.py  the evaluations of a training, and the choice of its be
 confirmations.py         the confirmations of a training
 checkpoints.py           the whole state of a training, from which it continues to the bit
 checkpoint_files.py      the files of a checkpoint, and their valid content
+model_files.py           the files of models: their archive, and the steps after which they were saved
 scalars.py               the scalars that a training logs
 report.py                the progress of a training and of a group
 signals.py               Ctrl-C and SIGTERM

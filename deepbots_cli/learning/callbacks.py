@@ -314,7 +314,7 @@ class TrainingCallback:
                 summary, statistics.steps, defines_success=self.defines_success, is_solved=meets
             )
         if self._on_evaluation is not None:
-            self.stopped_by = self._on_evaluation(self.active.run.path)
+            self.stopped_by = self._on_evaluation(self.active.run.path) or self.stopped_by
         self.report()
         self.confirmations.met_in_a_row = self.confirmations.met_in_a_row + 1 if meets else 0
         if self.confirmations.is_due and self.stopped_by is None:

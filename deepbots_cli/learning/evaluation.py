@@ -27,6 +27,7 @@ from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.model_files import steps_of
 from deepbots_cli.learning.runs.confirmation_rule import error_level
 from deepbots_cli.learning.runs.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary, agent_scores
@@ -528,7 +529,7 @@ class _Setting:
             run=run.path,
             scenario=program.name,
             model=model,
-            model_steps=learner.steps_of(file) if file.is_file() else None,
+            model_steps=steps_of(file) if file.is_file() else None,
             confirmation=confirmation,
             success_defined=program.defines_success,
             solved=verdict.solved,

@@ -21,7 +21,7 @@ from deepbots_cli.learning.calls import Counter
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.learner import steps_of
+from deepbots_cli.learning.model_files import steps_of
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.order import (
     Candidate,

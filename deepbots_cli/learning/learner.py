@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from deepbots_cli.errors import RunError, StorageError, UsageError
+from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.checkpoint_files import (
     Array,
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
     from deepbots_cli.learning.teaching.teacher import Plan
 
-_MAX_DATA_BYTES = 8_000_000
 # By whether the algorithm is on-policy; imported when it is used.
 _SB3_LEARNERS = {
     True: "deepbots_cli.learning.sb3.learner:OnPolicyLearner",
@@ -446,29 +444,6 @@ def create(setup: Setup) -> Learner:
         MissingExtraError: The algorithm is of a package that is not installed.
     """
     return class_of(setup.training)(setup)
-
-
-def steps_of(path: Path) -> int:
-    """Read the number of steps after which a model was saved.
-
-    Raises:
-        RunError: The file is missing, damaged, or no model.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open("data") as member:
-            return int(json.loads(member.read(_MAX_DATA_BYTES))["num_timesteps"])
-    except (
-        OSError,
-        ArithmeticError,
-        EOFError,
-        KeyError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-        zipfile.BadZipFile,
-    ) as error:
-        # It is encrypted, packed otherwise, or its steps are infinite.
-        raise RunError(f"{path} is damaged, or was not written by deepbots") from error
 
 
 def _specs(arrays: Mapping[str, Array]) -> dict[str, ArraySpec]:

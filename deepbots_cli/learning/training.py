@@ -26,6 +26,7 @@ from deepbots_cli.learning.checkpoints import Checkpoints
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds, play_script
+from deepbots_cli.learning.model_files import steps_of
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.directories import new_directory, run_lock
@@ -322,7 +323,7 @@ def resume(
         )
         last = resumed.model("last")
         if latest_checkpoint(resumed) is None and (
-            record.status == "finished" or (last.exists() and learners.steps_of(last) > 0)
+            record.status == "finished" or (last.exists() and steps_of(last) > 0)
         ):
             raise RunError(f"{resumed.checkpoints} contains no checkpoint to continue from")
         checkpoints = Checkpoints(resumed, learners.class_of(training).State)

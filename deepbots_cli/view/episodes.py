@@ -176,7 +176,7 @@ class RunDriver(Driver):
         """Load the policy. In a `batch`, one forward pass acts in all worlds."""
         try:
             from deepbots_cli.learning import evaluation
-            from deepbots_cli.learning.learner import steps_of
+            from deepbots_cli.learning.model_files import steps_of
             from deepbots_cli.rollout.policies import PolicyDriver
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error

@@ -19,6 +19,7 @@ from deepbots_cli.learning import (
     evaluate,
     evaluate_trained,
     learner,
+    model_files,
     resume,
     train,
     training_evaluations,
@@ -146,7 +147,7 @@ def learned(
 
 
 def steps_of(result: TrainingResult, model: str) -> int:
-    return learner.steps_of(result.run / "models" / "agent" / f"{model}.zip")
+    return model_files.steps_of(result.run / "models" / "agent" / f"{model}.zip")
 
 
 def evaluated_steps(result: TrainingResult) -> list[int]:
@@ -395,6 +396,20 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
     assert result.status == "finished"
     assert result.stopped_by == "somebody"
     assert build.evaluations == 1
+    assert result.steps < 600
+
+
+def test_the_last_evaluation_keeps_who_stopped_the_training_before(tmp_path: Path) -> None:
+    build = Worlds(poor)
+    result = learned(
+        tmp_path,
+        build,
+        total=1_000,
+        on_iteration=lambda iteration: "somebody" if iteration.steps >= 300 else None,
+        on_evaluation=lambda run: None,
+    )
+    assert result.stopped_by == "somebody"
+    assert build.evaluations
     assert result.steps < 600
 
 

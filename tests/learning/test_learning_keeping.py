@@ -13,7 +13,7 @@ from stand_in import hyper
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.keeping import keep, kept_models
-from deepbots_cli.learning.learner import steps_of
+from deepbots_cli.learning.model_files import steps_of
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run

@@ -26,6 +26,7 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
+from deepbots_cli.learning.model_files import DATA, data_of, opened
 from deepbots_cli.learning.sb3.logs import AgentLog
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
@@ -49,8 +50,6 @@ if TYPE_CHECKING:
 
 SHARED = ("total_timesteps", "environments", "shards", "device", "staleness", "turns")
 """The settings that agents that learn in the same worlds have in common."""
-_DATA = "data"
-_MAX_DATA_BYTES = 8_000_000
 
 
 class MultiAgentState(CheckpointState):
@@ -291,7 +290,7 @@ class MultiAgentLearner(Learner):
             zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive,
         ):
             data = {"num_timesteps": self.steps, "agents": [*self.learners]}
-            archive.writestr(_DATA, json.dumps(data))
+            archive.writestr(DATA, json.dumps(data))
             for name, learner in self.learners.items():
                 learner.save(Path(folder) / _member(name))
                 archive.write(Path(folder) / _member(name), _member(name))
@@ -376,12 +375,7 @@ def has_agents(path: Path) -> bool:
     Raises:
         RunError: The file is not a model.
     """
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open(_DATA) as member:
-            return "agents" in json.loads(member.read(_MAX_DATA_BYTES))
-    # zipfile raises a RuntimeError for an encrypted member.
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise RunError(f"{path} is damaged, or was not written by deepbots") from error
+    return "agents" in data_of(path)
 
 
 @contextmanager
@@ -396,13 +390,9 @@ def own_model(path: Path, agent: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / _member(agent)
         try:
-            with zipfile.ZipFile(path) as archive:
-                entry = archive.getinfo(_member(agent))
-                # What is not compressed takes no more room than the file.
-                if entry.compress_type != zipfile.ZIP_STORED:
-                    raise zipfile.BadZipFile
-                target.write_bytes(archive.read(entry))
-        except (OSError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
+            with opened(path, path.stat().st_size) as archive:
+                target.write_bytes(archive.read(_member(agent)))
+        except Exception as error:  # reading a damaged file raises a dozen kinds of exceptions
             raise RunError(f"{path} has no model of the agent '{agent}'") from error
         try:
             yield target

@@ -28,6 +28,7 @@ from stable_baselines3.common.save_util import is_json_serializable, save_to_zip
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.learner import Initialization
+from deepbots_cli.learning.model_files import opened
 from deepbots_cli.learning.sb3 import internals
 
 _VARIABLES = "pytorch_variables"
@@ -183,14 +184,16 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
         raise RunError(f"{path} is larger than the scenario's policy can be")
     tensors = {}
     try:
-        with _opened(path, path.stat().st_size) as archive:
+        with opened(path, path.stat().st_size) as archive:
+            if len(archive.infolist()) > _MAX_MEMBERS:
+                raise ValueError(f"it has {len(archive.infolist())} members")
             for name in archive.namelist():
                 if name.endswith(".pth"):
                     content = archive.read(name)
                     # torch would read other content as a file from before 2020.
                     if not content.startswith(b"PK\x03\x04"):
                         raise ValueError("it contains objects other than plain tensors")
-                    with _opened(io.BytesIO(content), len(content)) as inner:
+                    with opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
                     tensors[name.removesuffix(".pth")] = torch.load(
                         io.BytesIO(content), map_location="cpu", weights_only=True
@@ -207,23 +210,6 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
     if "policy" not in tensors or not all(isinstance(value, dict) for value in tensors.values()):
         raise RunError(f"{path} is damaged, or was not written by deepbots (it lacks 'policy')")
     return tensors
-
-
-def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
-    """Open an archive whose members are no larger than the file itself."""
-    archive = zipfile.ZipFile(source)
-    members = archive.infolist()
-    if len({item.filename for item in members}) < len(members):
-        raise ValueError("two of its members have one name")
-    if any(
-        item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members
-    ):
-        raise ValueError("it is compressed, but models of deepbots are not")
-    if sum(item.file_size for item in members) > size:
-        raise ValueError("its members overlap")
-    if isinstance(source, Path) and len(members) > _MAX_MEMBERS:
-        raise ValueError(f"it has {len(members)} members")
-    return archive
 
 
 def _check_pickle(archive: zipfile.ZipFile) -> None:
