@@ -22,14 +22,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg")
-_MAX_CURVE_POINTS = 200  # points of a curve
+_MAX_CURVE_POINTS = 200
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
 _PANEL_WIDTH = 4.3
-"""The width of a panel, in inches."""
+"""The width of a panel in one column, in inches."""
 _LETTER_WIDTH = 0.068
 """The width of a letter in the legend of a panel, in inches."""
-_ROW_HEIGHT = 9  # the height of the names of stages above a panel, in points
+_STAGE_NAME_HEIGHT = 9
+"""The height of a row of names of stages above a panel, in points."""
 _MAX_LINE = 58
 """The length of a name below a panel, in letters."""
 _MAX_TITLE_LINE = 64
@@ -57,6 +58,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is not installed.
+        UsageError: There are more scenarios or agents than colors.
     """
     try:
         import_matplotlib()
@@ -86,35 +88,64 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
     marked = f"of training episodes{f'; {named}: evaluations' if named else ''}"
+    has_successes = bool(successes.lines)
+    if not has_successes:
+        _remove_right(axes[0])
     heights = [style_panel(returns, f"return {marked}", theme, stages=member_lists)]
-    if successes.lines:
+    if has_successes:
         style_panel(successes, f"success rate {marked}", theme, legend=False, stages=member_lists)
         successes.set_ylim(-0.03, 1.03)
-    else:
-        _remove_right(axes[0])
-    for panel, members in zip(axes[1:below].flat, taught, strict=False):
-        plot_lessons(panel, members)
-        name = f"{members[0].name}: " if len(groups) > 1 else ""
-        heights.append(style_panel(panel, f"{name}teacher {members[0].teacher}", theme, stages=[members]))
+    heights += _plot_taught(axes[1:below], taught, theme, with_names=len(groups) > 1)
+    heights += _plot_detailed(axes[below:], logs, detailed, theme, with_names=len(groups) > 1)
+    figure.set_figheight(figure.get_figheight() + sum(heights))
+    return figure
+
+
+def _plot_taught(
+    rows: Any, taught: Sequence[Sequence[TrainingLog]], theme: str, *, with_names: bool
+) -> list[float]:
+    """Plot the lessons of teachers, a panel for each scenario and agent. Returns the heights (inches) of the
+    legends."""
     if len(taught) % 2:
-        _remove_right(axes[below - 1])
+        _remove_right(rows[-1])
+    heights = []
+    for panel, members in zip(rows.flat, taught, strict=False):
+        plot_lessons(panel, members)
+        name = f"{members[0].name}: " if with_names else ""
+        heights.append(style_panel(panel, f"{name}teacher {members[0].teacher}", theme, stages=[members]))
+    return heights
+
+
+def _plot_detailed(
+    rows: Any,
+    logs: Sequence[TrainingLog],
+    detailed: Sequence[Sequence[TrainingLog]],
+    theme: str,
+    *,
+    with_names: bool,
+) -> list[float]:
+    """Plot reward terms and endings, a row for each scenario and agent. Returns the heights (inches) of the
+    legends."""
     styles = term_styles(logs)
     endings = ending_colors(logs)
-    with_endings: set[str] = set()
-    is_one_task = len({group for group, _ in groups}) == 1
-    for row, members in zip(axes[below:], detailed, strict=True):
+    groups_with_endings: set[str] = set()
+    is_one_task = len({log.group for log in logs}) == 1
+    heights = []
+    for row, members in zip(rows, detailed, strict=True):
         left, right = row
-        name = f"{members[0].name}: " if len(groups) > 1 else ""
-        heights.append(_plot_terms(left, members, styles, f"{name}reward terms of an episode", theme))
-        if members[0].group in with_endings:  # of another agent: the episodes are the same
+        name = f"{members[0].name}: " if with_names else ""
+        has_endings = (
+            members[0].group not in groups_with_endings
+        )  # agents of one group have the same episodes
+        if not has_endings:
             _remove_right(row)
-        else:
+        heights.append(_plot_terms(left, members, styles, f"{name}reward terms of an episode", theme))
+        if has_endings:
             plot_endings(right, members, endings)
             title = f"{'' if is_one_task else name}endings, share of episodes"
             heights[-1] = max(heights[-1], style_panel(right, title, theme, stages=[members]))
-        with_endings.add(members[0].group)
-    figure.set_figheight(figure.get_figheight() + sum(heights))
-    return figure
+        groups_with_endings.add(members[0].group)
+    return heights
 
 
 def _plot_group(
@@ -125,11 +156,7 @@ def _plot_group(
     name = members[0].name
     color = COLORS[number]
     label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-    style: dict[str, Any] = {
-        "color": color,
-        "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
-        "label": label,
-    }
+    style = _line_style(number, label)
     plot_band(returns, [log.returns for log in members if log.returns is not None], style)
     plot_evaluations(returns, members, color)
     plot_band(successes, [log.successes for log in members if log.successes is not None], style)
@@ -160,6 +187,15 @@ def _remove_right(row: Any) -> None:
     left, right = row
     right.remove()
     left.set_subplotspec(left.get_gridspec()[left.get_subplotspec().rowspan.start, :])
+
+
+def _line_style(number: int, label: str) -> dict[str, Any]:
+    """Return the style of the line with this number in a panel."""
+    return {
+        "color": COLORS[number % len(COLORS)],
+        "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
+        "label": label,
+    }
 
 
 def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
@@ -195,25 +231,22 @@ def _paler(color: str, rounds: int) -> str:
 def plot_agents(panel: Axes, logs: Sequence[TrainingLog]) -> None:
     """Plot the returns of each of several agents, which have no common measure."""
     for number, agent in enumerate(dict.fromkeys(agent for log in logs for agent in log.agents)):
-        style = {
-            "color": COLORS[number % len(COLORS)],
-            "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
-            "label": agent,
-        }
-        plot_band(panel, [log.agents[agent] for log in logs if agent in log.agents], style)
+        curves = [log.agents[agent] for log in logs if agent in log.agents]
+        plot_band(panel, curves, _line_style(number, agent))
 
 
 def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
-    """Plot the mean of curves as far as all go, between the lowest and the highest."""
+    """Plot the mean of curves over the timesteps that all of them cover, with a band from the lowest to the
+    highest."""
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
         return
-    at = _common_steps(curves)
-    rows = np.stack([np.interp(at, steps, values) for steps, values in curves])
-    panel.plot(at, rows.mean(axis=0), linewidth=1.8, **style)
+    steps = _common_steps(curves)
+    rows = np.stack([np.interp(steps, *curve) for curve in curves])
+    panel.plot(steps, rows.mean(axis=0), linewidth=1.8, **style)
     if len(rows) > 1:
         panel.fill_between(
-            at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0
+            steps, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0
         )
 
 
@@ -283,9 +316,9 @@ def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str
     `success_rate`."""
     for log in logs:
         if name in log.lessons:
-            at, values = log.lessons[name]
-            at, values = np.insert(at, 0, 0.0), np.insert(values, 0, values[0])
-            panel.plot(at, values, color=color, linestyle=":", linewidth=1.4, label=label)
+            steps, values = log.lessons[name]
+            steps, values = np.insert(steps, 0, 0.0), np.insert(values, 0, values[0])
+            panel.plot(steps, values, color=color, linestyle=":", linewidth=1.4, label=label)
             label = ""
 
 
@@ -293,17 +326,19 @@ def plot_lessons(panel: Axes, logs: Sequence[TrainingLog]) -> None:
     """Plot the agreement, weight and driven worlds of a teacher, means over seeds."""
     names = {"agreement": "agreement", "weight": "loss weight", "driven_worlds": "driven worlds"}
     for number, (name, label) in enumerate(names.items()):
-        style = {"color": COLORS[number], "linestyle": _LINE_STYLES[number], "label": label}
-        plot_band(panel, [log.lessons[name] for log in logs if name in log.lessons], style)
+        curves = [log.lessons[name] for log in logs if name in log.lessons]
+        plot_band(panel, curves, _line_style(number, label))
     panel.set_ylim(-0.03, 1.03)
 
 
 def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
-    """Return timesteps at equal distances, as far as all curves go, and those at which a curve has a
-    break."""
+    """Return equally spaced timesteps that all curves cover, and the timesteps at which a curve is
+    interrupted."""
     first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
-    last = max(last, curves[0][0][0] + 1)
-    # The breaks are points too: a gap between two equal distances would else be drawn as a line.
+    if last < first:  # no timestep is in all of them
+        return np.empty(0)
+    last = max(last, first + 1)
+    # The breaks are points too: a gap between two equal distances would otherwise be drawn as a line.
     breaks = np.concatenate([steps[np.isnan(values)] for steps, values in curves])
     return np.union1d(np.linspace(first, last, _MAX_CURVE_POINTS), breaks[(breaks > first) & (breaks < last)])
 
@@ -314,18 +349,21 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
-    at = _common_steps(curves)
+    steps = _common_steps(curves)
     members = [log.endings for log in logs if log.endings]
     counts = {
         name: np.mean(
-            [np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members],
+            [
+                np.interp(steps, *endings[name]) if name in endings else np.zeros(len(steps))
+                for endings in members
+            ],
             axis=0,
         )
         for name in {name: None for endings in members for name in endings}
     }
     names = sorted(counts, key=lambda name: -np.nansum(counts[name]))
     panel.stackplot(
-        at,
+        steps,
         [counts[name] for name in names],
         labels=names,
         colors=[colors[name] for name in names],
@@ -335,6 +373,12 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
     panel.set_ylim(0, 1)
 
 
+def _width(panel: Axes) -> float:
+    """Return the width of a panel in inches, by the columns that it takes."""
+    place: Any = panel.get_subplotspec()
+    return _PANEL_WIDTH * len(place.colspan)
+
+
 def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str) -> tuple[int, list[str]]:
     """Mark the beginning of each stage of a curriculum by a line, and its name above the panel, or its number
     if the name does not fit.
@@ -342,7 +386,7 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
     Each group of trainings has a row of names. Returns the number of rows, and the meaning of the numbers.
     """
     low, high = panel.get_xlim()
-    width = _PANEL_WIDTH
+    width = _width(panel)
     rows = 0
     key: list[str] = []
     for number, members in enumerate(groups):
@@ -362,7 +406,7 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
             panel.annotate(
                 text,
                 (max(begin, low), 1.0),
-                (2, 2 + _ROW_HEIGHT * rows),
+                (2, 2 + _STAGE_NAME_HEIGHT * rows),
                 xycoords=("data", "axes fraction"),
                 textcoords="offset points",
                 fontsize=7,
@@ -382,7 +426,7 @@ def style_panel(
     axes: tuple[str, str] | None = None,
     stages: Sequence[Sequence[TrainingLog]] = (),
 ) -> float:
-    """Style a panel; the height (inches) of its legend, which is below it and hides nothing.
+    """Style a panel. Returns the height (inches) of its legend, which is below the panel.
 
     `axes` are the names of its axes, by default timesteps below. `stages` are groups of trainings whose
     stages are marked.
@@ -398,7 +442,7 @@ def style_panel(
         fontsize=10,
         color=text,
         loc="left",
-        pad=6 + _ROW_HEIGHT * rows,
+        pad=6 + _STAGE_NAME_HEIGHT * rows,
         parse_math=False,
     )
     below, beside = axes or (f"timesteps; stage {', '.join(key)}" if key else "timesteps", "")
@@ -425,7 +469,7 @@ def _legend_below(panel: Axes, theme: str) -> float:
         return 0.0
     names = [textwrap.fill(name, _MAX_LINE) for name in names]
     longest = max(len(line) for name in names for line in name.splitlines())
-    columns = max(1, min(len(names), int(_PANEL_WIDTH / (0.5 + _LETTER_WIDTH * longest))))
+    columns = max(1, min(len(names), int(_width(panel) / (0.5 + _LETTER_WIDTH * longest))))
     lines = max(name.count("\n") + 1 for name in names) * math.ceil(len(names) / columns)
     # The room in inches below the panel for the numbers and the name of the axis.
     room = 0.42 + 0.14 * panel.get_xlabel().count("\n")

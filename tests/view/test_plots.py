@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
@@ -279,6 +280,33 @@ def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
     panel = plots.plot(training_logs.read_logs([tmp_path / "a"])).axes[0]
     assert [text.get_text() for text in panel.texts] == ["1", "2", "crowded"]
     assert panel.get_xlabel() == "timesteps; stage 1 open, 2 a_narrow_one"
+
+
+def test_a_wide_panel_has_room_for_a_long_name_of_a_stage(tmp_path):
+    long_name = "another_name_of_a_stage_that_is_long"
+    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=("open", "open", long_name, long_name))
+    (log,) = training_logs.read_logs([tmp_path / "a"])
+    assert [text.get_text() for text in plots.plot([log]).axes[0].texts] == ["open", "2"]
+    log.successes = None
+    log.evaluated_successes = None
+    log.evaluation = None
+    assert [text.get_text() for text in plots.plot([log]).axes[0].texts] == ["open", long_name]
+
+
+@pytest.mark.parametrize(
+    ("steps", "covered"),
+    [
+        (([0, 100], [200, 300]), None),
+        (([0, 100], [50, 300]), (50, 100)),
+        (([5, 20], [10]), (10, 11)),
+        (([10], [5, 20]), (10, 11)),
+    ],
+)
+def test_a_mean_covers_the_timesteps_of_all_curves(steps, covered):
+    panel = Figure().subplots()
+    plots.plot_band(panel, [(np.array(s, float), np.ones(len(s))) for s in steps], {"color": "red"})
+    drawn = panel.lines[0].get_xdata()
+    assert (min(drawn), max(drawn)) == covered if covered else not len(drawn)
 
 
 def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
