@@ -6,8 +6,8 @@ import re
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from deepbots_robot.log import LogWriter
 
 MAX_SPEED = 1000.0
-_MOST_EVENTS = 100
-"""The largest number of events of a kind in the log for each second, because a flood of wrong messages would
-fill the disk."""
+_MAX_EVENTS = 100
+"""The largest number of events of one kind that are logged per second. Without a limit, a flood of wrong
+messages would fill the disk."""
 
 
 class ServeError(Exception):
@@ -134,10 +134,9 @@ class Transport:
             return Ros1Link(receives, sends, **ends)
         except ModuleNotFoundError as error:
             raise ServeError(
-                f"{error.name} is not installed for this Python; rospy belongs to the Python of the system"
-                " (Debian: apt install ros-core"
-                " python3-sensor-msgs python3-nav-msgs), which an environment of `/usr/bin/python3 -m venv"
-                " --system-site-packages` has too"
+                f"{error.name} is not installed for this Python; rospy is installed for the Python of the"
+                " system (Debian: apt install ros-core python3-sensor-msgs python3-nav-msgs), so create an"
+                " environment that has it too: /usr/bin/python3 -m venv --system-site-packages DIR"
             ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None
@@ -278,7 +277,8 @@ def serve(
     """Serve until SIGINT or SIGTERM, or for `seconds`; returns the report of the server.
 
     Args:
-        note: Called with sentences about events, at most one of each kind per second.
+        note: Called with a sentence about each remark, and at most one per second about each other kind of
+            event, except episodes.
 
     Raises:
         ServeError: The link or the log cannot be opened.
@@ -297,47 +297,42 @@ def serve(
         action_field(len(bundle.info.choices) or len(bundle.info.action)),
         *mapped([each.field for each in outputs], topics, commands=True),
     ]
-    writer = _opened(log, bundle)
-    try:
-        scenario = bundle.info.scenario
-        about = About(
-            "policy",
-            scenario.name,
-            scenario.task_digest,
-            pace(lockstep=lockstep, speed=speed),
-            rate=bundle.info.rate_hz,
-        )
-        link = transport.open(receives, sends, robot=False, about=about)
-    except ServeError:
-        if writer is not None:
-            writer.close()
-        raise
-    server = Server(
-        bundle.start(),
-        inputs,
-        outputs,
-        link,
-        bundle.info.rate_hz,
-        speed=speed,
-        lockstep=lockstep,
-        log=Notes(writer, note),
+    scenario = bundle.info.scenario
+    about = About(
+        "policy",
+        scenario.name,
+        scenario.task_digest,
+        pace(lockstep=lockstep, speed=speed),
+        rate=bundle.info.rate_hz,
     )
     sources = (
         ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
     )
-    note(
-        f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for"
-        f" {sources}"
-    )
-    try:
+    with ExitStack() as stack:
+        writer = _opened(log, bundle)
+        if writer is not None:
+            stack.callback(_close, writer)
+        link = transport.open(receives, sends, robot=False, about=about)
+        stack.callback(link.close)
+        server = Server(
+            bundle.start(),
+            inputs,
+            outputs,
+            link,
+            bundle.info.rate_hz,
+            speed=speed,
+            lockstep=lockstep,
+            log=Notes(writer, note),
+        )
+        note(f"{scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
         with stopping() as stopped:
             server.run(until(stopped, seconds, server, note))
-    finally:
-        link.close()
-        if writer is not None:
-            with suppress(OSError):  # a note has reported it
-                writer.close()
     return server.report()
+
+
+def _close(writer: LogWriter) -> None:
+    with suppress(OSError):  # a note has reported it
+        writer.close()
 
 
 def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
@@ -346,8 +341,8 @@ def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
     if seconds is None or report["steps"]:
         return ""
     missing = ", ".join(report["missing"][:5])
-    because = f": no value of {missing} came" if missing else ""
-    return f"the policy acted in no step in {seconds:g} s{because}"
+    because = f": no value of {missing} arrived" if missing else ""
+    return f"the policy did not act within {seconds:g} s{because}"
 
 
 def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
@@ -393,7 +388,7 @@ class Notes:
             self._log = None
             self._note(
                 f"nothing more is written to the log ({(error.strerror or 'unknown reason').lower()}); the"
-                " policy acts on"
+                " policy continues to act"
             )
 
     def event(self, stamp: float, kind: str, text: str) -> None:
@@ -402,30 +397,32 @@ class Notes:
             self._second = int(now)
             self._logged.clear()
         self._logged[kind] += 1
-        if self._logged[kind] <= _MOST_EVENTS:
+        if self._logged[kind] <= _MAX_EVENTS:
             self._write(lambda log: log.event(stamp, kind, text))
         if kind == "remark" or (kind != "episode" and now - self._said.get(kind, -10.0) > 1.0):
             self._said[kind] = now
             self._note({"safe": "safe posture: ", "refused": "refused: "}.get(kind, "") + text)
 
 
-class stopping:  # noqa: N801  a context manager
+@contextmanager
+def stopping() -> Iterator[Callable[[], bool]]:
     """Context in which SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
+    is_stopped = False
 
-    def __enter__(self) -> Callable[[], bool]:
-        self._stopped = False
-        self._before = {}
-        for number in (signal.SIGINT, signal.SIGTERM):
-            with suppress(ValueError):  # not in the main thread
-                self._before[number] = signal.signal(number, self._stop)
-        return lambda: self._stopped
+    def stop(*_: object) -> None:
+        nonlocal is_stopped
+        is_stopped = True
 
-    def _stop(self, *_: object) -> None:
-        self._stopped = True
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+    handlers = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with suppress(ValueError):  # not in the main thread
+            handlers[number] = signal.signal(number, stop)
+    try:
+        yield lambda: is_stopped
+    finally:
+        for number, handler in handlers.items():
+            # A handler that C code installed is None, and Python cannot set it again.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def until(
@@ -434,13 +431,13 @@ def until(
     """Return the stop condition of the server: a signal (`stopped`), or the end of `seconds`. Without a step
     in the first 5 s, `note` is called with the missing inputs."""
     began = time.monotonic()
-    requested = False
+    noted = False
 
     def done() -> bool:
-        nonlocal requested
+        nonlocal noted
         passed = time.monotonic() - began
-        if not requested and not server.steps and passed > QUIET:
-            requested = True
+        if not noted and not server.steps and passed > QUIET:
+            noted = True
             missing = ", ".join(server.intake.missing()[:5])
             note(
                 f"no step in {QUIET:g} s: there is no value of {missing} yet"

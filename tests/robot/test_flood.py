@@ -149,5 +149,5 @@ def test_a_flood_of_refused_messages_does_not_fill_the_log(tmp_path: Path) -> No
     for number in range(5_000):
         notes.event(float(number), "refused", "a message: it cannot be read")
     writer.close()
-    assert len(list(read_log(tmp_path / "a.mcap"))) <= 3 * serving._MOST_EVENTS
+    assert len(list(read_log(tmp_path / "a.mcap"))) <= 3 * serving._MAX_EVENTS
     assert len(lines) <= 3

@@ -210,6 +210,7 @@ def test_without_rospy_it_says_where_it_belongs(tmp_path: Path) -> None:
         import rospy  # noqa: F401
     except ModuleNotFoundError:
         with pytest.raises(
-            ServeError, match=r"is not installed for this Python; rospy belongs to the Python of the system"
+            ServeError,
+            match=r"is not installed for this Python; rospy is installed for the Python of the system",
         ):
             Transport(ros1=True).open([], [], robot=False)

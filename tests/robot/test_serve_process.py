@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,8 +21,12 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("zmq")
 pytest.importorskip("mcap")
 
+import zmq
+
 from deepbots_cli.cli import main
+from deepbots_robot.bundle import load
 from deepbots_robot.log import read_log
+from deepbots_robot.serving import Transport, serve, stopping
 from tests.bundle.untrained import write_bundle
 
 ROOT = Path(__file__).parents[2]
@@ -145,7 +150,7 @@ def _until(holds: object) -> None:
         (["BUNDLE", "--episodes", "3"], "belong to a simulated robot; add --as-robot or leave them out"),
         (
             ["BUNDLE", "--zmq", "tcp://127.0.0.1:58733", "--seconds", "0.1"],
-            "the policy acted in no step in 0.1 s: no value of position(cart),",
+            "the policy did not act within 0.1 s: no value of position(cart),",
         ),
         (
             ["BUNDLE", "--log", "missing/a.mcap"],
@@ -172,6 +177,38 @@ def test_a_bundle_that_cannot_be_served_is_refused_in_a_sentence(
     assert message in error
     assert "Traceback" not in error
     assert os.listdir(tmp_path) == []
+
+
+def test_a_server_that_does_not_start_leaves_neither_link_nor_log_open(bundle: Path, tmp_path: Path) -> None:
+    address, log = f"ipc://{tmp_path}/link", tmp_path / "a.mcap"
+
+    def fail(text: str) -> None:
+        raise RuntimeError(text)
+
+    with pytest.raises(RuntimeError, match="it waits for the robot"):
+        serve(load(bundle), Transport.at(address), log=log, note=fail)
+    assert log.read_bytes().endswith(b"MCAP0\r\n")
+    with zmq.Context() as context, context.socket(zmq.PAIR) as socket:
+        socket.bind(address)
+
+
+def test_signals_return_to_handlers_that_python_cannot_set_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_handler = signal.signal
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def set_handler_of_c(number: int, handler: Any) -> None:
+        """`signal.signal` for a signal whose handler C code has installed."""
+        set_handler(number, handler)
+
+    monkeypatch.setattr(signal, "signal", set_handler_of_c)
+    try:
+        with stopping() as stopped:
+            signal.raise_signal(signal.SIGTERM)
+            assert stopped()
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    finally:
+        for number, handler in handlers.items():
+            set_handler(number, handler)
 
 
 def test_a_simulated_robot_needs_no_torch() -> None:
