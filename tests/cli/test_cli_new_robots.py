@@ -12,6 +12,7 @@ import pytest
 
 from deepbots_cli import api, frames
 from deepbots_cli.cli.starters.build import Build
+from deepbots_cli.cli.starters.draft import Draft
 from tests.few import few
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
@@ -209,6 +210,20 @@ def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, robo
     ran = deepbots("lint", "first.yaml", "--deep", "--preview")
     assert ran.code == 0
     assert ran.out == "first.yaml: no findings, including the simulation\n"
+
+
+def test_groups_and_poses_have_names_of_their_own():
+    model = api.compile("cartpole").program.world.robots[0].model
+    draft = Draft(Build(model), "cartpole.urdf")
+    hinges = [joint for joint in model.joints if joint.type == "continuous"]
+    positions = {joint.name: 0.0 for joint in hinges}
+    groups = [draft.add_group("parts", hinges[:1]), draft.add_links("parts", ["pole"])]
+    assert groups == ["parts", "parts_2"]
+    assert draft.groups == {"parts": [hinges[0].name], "parts_2": ["pole"]}
+    poses = [draft.add_start(group, "rest", positions, hinges[:count]) for count, group in enumerate(groups)]
+    assert poses == ["rest", "rest_2"]
+    assert draft.starts == dict(zip(groups, poses, strict=True))
+    assert [len(draft.poses[pose]) for pose in poses] == [0, 1]
 
 
 @pytest.mark.parametrize("robot", ["tall_foot", "snake"], indirect=True)

@@ -32,34 +32,40 @@ class Draft:
     remarks: dict[str, str] = field(default_factory=dict)
 
     @property
-    def fixed(self) -> bool:
+    def is_fixed(self) -> bool:
         return self.build.is_fixed
 
-    def group(self, name: str, joints: Sequence[Joint]) -> str:
-        """Add a group of joints. Returns its name, which differs from `name` if a link or a joint has that
-        one."""
-        model = self.build.model
-        name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
+    def add_group(self, name: str, joints: Sequence[Joint]) -> str:
+        """Add a group of joints. Returns its name, which is another one if a link, a joint or a group is
+        called `name`."""
+        name = self._free(name)
         self.groups[name] = [joint.name for joint in joints]
         return name
 
-    def links(self, name: str, links: Sequence[str]) -> str:
-        """Add a group of links. Returns its name."""
-        model = self.build.model
-        name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
+    def add_links(self, name: str, links: Sequence[str]) -> str:
+        """Add a group of links. Returns its name; see `add_group`."""
+        name = self._free(name)
         self.groups[name] = list(links)
         return name
 
-    def start(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
+    def _free(self, name: str) -> str:
+        """Return a name that no link, joint or group has."""
+        model = self.build.model
+        links, joints = (link.name for link in model.links), (joint.name for joint in model.joints)
+        return _unused(name, [*links, *joints, *self.groups])
+
+    def add_start(
+        self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
+    ) -> str:
         """Add a pose of a group in which episodes begin. Returns its name."""
-        name = _unused(name, [group])
+        name = _unused(name, [group, *self.poses])
         rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
         self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
         self.starts[group] = name
         self.positions |= rounded
         return name
 
-    def motor(
+    def add_motor(
         self,
         name: str,
         kind: str,
@@ -74,6 +80,7 @@ class Draft:
         if "max_torque" not in settings and not all(joint.limit.effort for joint in joints):
             weight = max(self.build.model.mass, 0.1) * GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
+            # Twice the weight, so that a vertical slide can also accelerate.
             settings["max_torque"] = (
                 f"{short_number(2.0 * weight)} N"
                 if joints[0].type == "prismatic"
@@ -85,24 +92,24 @@ class Draft:
     def hold(self, joints: Sequence[Joint]) -> None:
         """Add motors that keep joints where they start."""
         for kind, _, unit_joints in grouped_by_unit(joints):
-            group = self.group(f"held_{kind}", unit_joints)
-            pose = self.start(
+            group = self.add_group(f"held_{kind}", unit_joints)
+            pose = self.add_start(
                 group, f"rest_{kind}", {joint.name: neutral(joint) for joint in unit_joints}, unit_joints
             )
-            self.motor(f"hold_{kind}", "position_motor", group, unit_joints, pose)
+            self.add_motor(f"hold_{kind}", "position_motor", group, unit_joints, pose)
 
     @property
     def height(self) -> float:
         """The height of the root at the start, in m. A fixed base is only raised to keep the rest out of the
         ground."""
         height = self.build.height(self.positions)
-        return max(height, 0.0) if self.fixed else height
+        return max(height, 0.0) if self.is_fixed else height
 
     @property
     def raised(self) -> dict[str, str]:
-        """The start height, for a robot whose default start would be within the ground. By default a robot
-        stands on the ground with all joints at 0."""
-        usual = 0.0 if self.fixed else self.build.height({})
+        """The settings of a start above the ground; empty for a robot that is not in the ground by default,
+        where it stands with all joints at 0."""
+        usual = 0.0 if self.is_fixed else self.build.height({})
         return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
 
 
@@ -110,14 +117,15 @@ def grouped_by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]
     """Return joints that turn apart from joints that slide, which never share a group: their name, their
     unit, the joints."""
     hinges, slides = (
-        [joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True)
+        [joint for joint in joints if (joint.type == "prismatic") is is_prismatic]
+        for is_prismatic in (False, True)
     )
     return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
 
 
 def _rounded(joint: Joint, value: float) -> float:
-    """Round to whole degrees or millimeters within the limits of the joint; the middle of limits that are
-    closer than that."""
+    """Round to whole degrees or millimeters within the limits of the joint. If no such value lies within
+    them, return their middle."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
     rounded = round(value / step) * step
@@ -128,7 +136,8 @@ def _rounded(joint: Joint, value: float) -> float:
 
 
 def _with_unit(joint: Joint, value: float) -> str:
-    return f"{value + 0.0:.6g} m" if joint.type == "prismatic" else f"{degrees(value) + 0.0:.6g} deg"
+    value += 0.0  # turns -0.0 into 0.0
+    return f"{value:.6g} m" if joint.type == "prismatic" else f"{degrees(value):.6g} deg"
 
 
 def _unused(name: str, used: Iterable[str]) -> str:

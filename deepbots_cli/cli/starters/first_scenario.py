@@ -73,7 +73,7 @@ def _found(draft: Draft) -> list[str]:
         f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
         *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
-    base = "taken to be fixed to the ground" if draft.fixed else "free"
+    base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"What was found in {draft.urdf}: {', '.join(parts)};",
         f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"

@@ -85,7 +85,7 @@ def balance(draft: Draft) -> dict[str, object]:
     else:
         values["pushed"] = [_add_joint_motor(draft, *entry) for entry in grouped_by_unit(build.driven)]
     if not tilts:
-        values["poles"] = draft.group("poles", build.poles)
+        values["poles"] = draft.add_group("poles", build.poles)
         draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
     if build.wheels:
         draft.hold(_others(build))
@@ -95,9 +95,9 @@ def balance(draft: Draft) -> dict[str, object]:
 def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]) -> dict[str, object]:
     """Add a motor on the joints of one unit. Returns the values of the template about their sensors, ranges
     and ends."""
-    group = draft.group(name, joints)
+    group = draft.add_group(name, joints)
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
-    draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
+    draft.add_motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
     ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
     measures: dict[str, object] = {
         "unit": unit,
@@ -130,9 +130,9 @@ def reach(draft: Draft) -> dict[str, object] | None:
     if box is None:
         return None
     low, high, positions = box
-    group = draft.group("arm", joints)
-    draft.start(group, "ready", positions, joints)
-    draft.motor(
+    group = draft.add_group("arm", joints)
+    draft.add_start(group, "ready", positions, joints)
+    draft.add_motor(
         "motors",
         "position_motor",
         group,
@@ -176,18 +176,18 @@ def walk(draft: Draft) -> dict[str, object]:
         positions |= stance
         off = max(off, missing / (limb.reach or 1.0))
     joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
-    group = draft.group("legs", joints)
-    draft.start(group, "stand", positions, joints)
+    group = draft.add_group("legs", joints)
+    draft.add_start(group, "stand", positions, joints)
     reach = max(limb.reach for limb in build.limbs)
     load = build.model.mass * GRAVITY * reach
     gains = {
         "stiffness": f"{short_number(_STIFFNESS_PER_LOAD * load)} N*m/rad",
         "damping": f"{short_number(_DAMPING_PER_STIFFNESS * _STIFFNESS_PER_LOAD * load)} N*m*s/rad",
     }
-    draft.motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
+    draft.add_motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
     draft.hold([joint for joint in build.driven if joint not in joints])
     first, second = _gait(build, tilt)
-    feet = {"first": draft.links("feet_a", first), "second": draft.links("feet_b", second)}
+    feet = {"first": draft.add_links("feet_a", first), "second": draft.add_links("feet_b", second)}
     hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
     axis = 0 if along >= across else 1
@@ -281,9 +281,9 @@ def roam(draft: Draft) -> dict[str, object]:
     for kind, unit, joints in grouped_by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
         if endless:
-            actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
+            actions[f"spin_{kind}"] = group = draft.add_group(f"turning_{kind}", endless)
             top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
-            draft.motor(
+            draft.add_motor(
                 f"spin_{kind}",
                 "velocity_motor",
                 group,
@@ -291,9 +291,9 @@ def roam(draft: Draft) -> dict[str, object]:
                 f"spin_{kind} * {short_number(top)} {unit}/s",
             )
         if bending_joints := [joint for joint in joints if joint not in endless]:
-            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", bending_joints)
+            actions[f"bend_{kind}"] = group = draft.add_group(f"bending_{kind}", bending_joints)
             rest_name, swing = _middle(draft, group, f"rest_{kind}", bending_joints)
-            draft.motor(
+            draft.add_motor(
                 f"bend_{kind}",
                 "position_motor",
                 group,
@@ -307,9 +307,9 @@ def posture(draft: Draft) -> dict[str, object]:
     """Bring the joints of a mechanism to a drawn posture."""
     moved = []
     for kind, unit, joints in grouped_by_unit(draft.build.driven):
-        group = draft.group(f"moved_{kind}", joints)
+        group = draft.add_group(f"moved_{kind}", joints)
         rest_name, swing = _middle(draft, group, f"rest_{kind}", joints)
-        draft.motor(
+        draft.add_motor(
             f"move_{kind}",
             "position_motor",
             group,
@@ -331,7 +331,7 @@ def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tup
             for joint in joints
         ),
     )
-    return draft.start(group, pose, middle, joints), swing
+    return draft.add_start(group, pose, middle, joints), swing
 
 
 # Wheels
@@ -341,7 +341,7 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
     """Add velocity motors for the wheels of each side named in `commands`, mirrored axles apart. Returns the
     group of all wheels."""
     build = draft.build
-    everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
+    everything = draft.add_group("wheels", [wheel.joint for wheel in build.wheels])
     left = frames.cross((0.0, 0.0, 1.0), build.forward)
     middle = sum(frames.dot(wheel.center, left) for wheel in build.wheels) / len(build.wheels)
     sides: dict[tuple[str, bool], list[Wheel]] = {}
@@ -358,9 +358,9 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
     for (side, mirrored), wheels in sides.items():
         name = f"{side}_wheels" + ("_mirrored" if mirrored and (side, False) in sides else "")
         joints = [wheel.joint for wheel in wheels]
-        name, group = ("wheels", everything) if len(sides) == 1 else (name, draft.group(name, joints))
+        name, group = ("wheels", everything) if len(sides) == 1 else (name, draft.add_group(name, joints))
         command = commands.get(side, otherwise)
-        draft.motor(
+        draft.add_motor(
             f"drive_{name}",
             "velocity_motor",
             group,
@@ -404,7 +404,7 @@ def _steer(draft: Draft, command: str) -> None:
                 if command
                 else "0 deg"
             )
-            draft.motor(name, "position_motor", draft.group(name, joints), joints, angle)
+            draft.add_motor(name, "position_motor", draft.add_group(name, joints), joints, angle)
 
 
 def _others(build: Build) -> list[Joint]:
