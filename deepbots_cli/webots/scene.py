@@ -4,7 +4,7 @@ A body is what moves as one: a solid that stands alone, or is the end point of a
 to it. A solid without physics that no joint carries does not move. `Scene.attachments` has the body and the
 frame of every node with a pose, so that a supervisor can ask for it.
 
-`port.Engine` does not serve here, because its world model has no joints outside of robots, no ball joints, no
+`port.Engine` is not used here, because its world model has no joints outside of robots, no ball joints, no
 two joints between the same two bodies, no friction per pair of materials, and its motors reach a velocity as
 fast as their torque allows; a motor of Webots takes one basic time step. So `physics.py` builds the model.
 """
@@ -30,6 +30,7 @@ DEVICES = frozenset(
     [
         "Accelerometer",
         "Altimeter",
+        "Brake",
         "Camera",
         "Compass",
         "Connector",
@@ -42,20 +43,19 @@ DEVICES = frozenset(
         "LED",
         "Lidar",
         "LightSensor",
+        "LinearMotor",
         "Microphone",
         "Pen",
+        "PositionSensor",
         "Radar",
+        "Radio",
         "RangeFinder",
         "Receiver",
+        "RotationalMotor",
+        "Skin",
         "Speaker",
         "TouchSensor",
         "VacuumGripper",
-        "Radio",
-        "RotationalMotor",
-        "LinearMotor",
-        "PositionSensor",
-        "Brake",
-        "Skin",
     ]
 )
 
@@ -105,7 +105,8 @@ class Inertia:
 class Joint:
     """A joint of a body with its parent: axis and anchor (m) in the frame of the body at the first position.
 
-    Positions are in rad or m, and 0 for both limits means none. `parameters` is the node with its position.
+    Positions are in rad or m, and 0 for both limits means none. `parameters` is the node with its position,
+    `index` the number of its axis among those of the node.
     """
 
     kind: Literal["hinge", "slide", "ball"]
@@ -126,7 +127,8 @@ class Joint:
 class Body:
     """A body: its frame in its parent, or in the world; its joints, geometries and stated inertias.
 
-    `is_free` says that it moves without a joint. Velocities are those at the start: m/s and rad/s.
+    `is_free` says that it moves without a joint. Velocities are those at the start: m/s and rad/s. `damping`
+    has the shares of its linear and its angular velocity that it loses per s.
     """
 
     index: int
@@ -179,7 +181,7 @@ class Robot:
 
 @dataclass(frozen=True)
 class Contact:
-    """How two materials touch: friction, bounce, and the speed (m/s) from which they bounce."""
+    """How two materials touch: friction, bounce, and the lowest speed (m/s) at which they bounce."""
 
     friction: float = 1.0
     rolling: Triple = (0.0, 0.0, 0.0)
@@ -191,7 +193,8 @@ class Contact:
 class Scene:
     """The bodies, robots and settings of a world.
 
-    `basic_step` is in ms, `gravity` in m/s^2. `attachments` maps each node with a pose to its body and its
+    `nodes` are the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
+    `gravity` in m/s^2. `attachments` maps each node with a pose to its body and its
     frame in the body. `outer_frames` maps nodes with a pose outside of bodies to their frame in the world.
     `parents` maps each node to the node above it.
     """
@@ -203,7 +206,8 @@ class Scene:
     seed: int = 0
     bodies: list[Body] = field(default_factory=list)
     robots: list[Robot] = field(default_factory=list)
-    contacts: dict[tuple[str, str], Contact] = field(default_factory=dict)
+    contacts: dict[tuple[str, str], Contact] = field(default_factory=lambda: {("", ""): Contact()})
+    """By two materials; ("", "") has the contact of all others."""
     attachments: dict[Node, tuple[Body, Frame]] = field(default_factory=dict)
     outer_frames: dict[Node, Frame] = field(default_factory=dict)
     parents: dict[Node, Node] = field(default_factory=dict)

@@ -56,7 +56,6 @@ def build_scene(world: World) -> Scene:
     """
     world.findings.require_none()
     scene = Scene(world.nodes, world.files)
-    scene.contacts["", ""] = Contact()
     builder = _Builder(scene, world.files, world.findings)
     for node in world.nodes:
         if real(node).type == "WorldInfo":

@@ -7,6 +7,8 @@ import math
 import pytest
 
 from deepbots_cli.webots.findings import WorldError
+from deepbots_cli.webots.project import Files
+from deepbots_cli.webots.scene import Contact, Scene
 from deepbots_cli.webots.tree import Node
 from tests.webots.worlds_of_webots import FLOOR, device, hinge, node, run, simulate, solid
 
@@ -83,6 +85,10 @@ def test_two_materials_have_the_friction_of_their_pair():
     run(simulation, 1.5)
     assert node(simulation, "BODY").getPosition()[0] == pytest.approx(1 / (2 * 0.1 * 9.81), rel=0.01)
     assert node(simulation, "OTHER").getPosition()[0] == pytest.approx(1 / (2 * 9.81), rel=0.01)
+
+
+def test_materials_without_a_pair_have_the_default_contact(tmp_path):
+    assert Scene([], Files(tmp_path)).contact("wood", "ice") == Contact()
 
 
 @pytest.mark.parametrize("bounce", [0.3, 0.5, 0.8])
