@@ -443,7 +443,7 @@ def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(
 def test_remembered_pictures_beyond_the_memory_are_refused_before_anything_is_made(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(UsageError, match=r"remembered steps need .* GB of memory"):
+    with pytest.raises(UsageError, match=r"a replay buffer of .* steps needs .* GB of memory"):
         learned(Seeing, tmp_path, Training("DQN", 10**9, 1, hyper(buffer_size=10**8)))
     assert not (tmp_path / "run").exists()
 

@@ -17,6 +17,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
@@ -25,7 +26,7 @@ from stand_in import hyper
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.installation import install_hint
-from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, learner, resume, train
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -581,6 +582,20 @@ def test_networks_beyond_the_memory_are_refused_before_they_are_built() -> None:
     training = Training("PPO", 100, network=Network((8192,) * 16))
     with pytest.raises(UsageError, match="weights"):
         algorithms.check(training)
+
+
+def test_a_first_layer_beyond_the_memory_is_refused_before_it_is_built() -> None:
+    training = Training("PPO", 100, network=Network((8192,)))
+    observations = gym.spaces.Box(-1.0, 1.0, (10_000,))
+    with pytest.raises(
+        UsageError, match="10,000 observed numbers and hidden layers of 8192 units has more than 50,000,000"
+    ):
+        learner.create(learner.Setup(training, observations, gym.spaces.Discrete(2)))
+
+
+def test_the_check_of_an_algorithm_that_does_not_exist_names_those_that_do() -> None:
+    with pytest.raises(UsageError, match=r"there is no algorithm 'PP0'; use one of .*PPO"):
+        algorithms.check(Training("PP0", 100))
 
 
 def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:

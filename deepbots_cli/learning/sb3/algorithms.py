@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from inspect import signature, unwrap
@@ -35,9 +35,9 @@ from deepbots_cli.scenario.training import Training as Model
 
 Settings = dict[str, Any]
 _MIN_RATE, _MAX_RATE = 1e-5, 1e-2
-_MOST_LAYERS = 16
-_MOST_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
-_BYTES_PER_COPY = 29_000_000  # measured for a cart-pole in PyBullet
+_MAX_LAYERS = 16
+_MAX_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
+_BYTES_PER_ENVIRONMENT = 29_000_000  # measured for a cart-pole in PyBullet
 
 
 def create(
@@ -53,21 +53,22 @@ def create(
 ) -> BaseAlgorithm:
     """Create a fresh model for the environment. A model that is not to learn gets no room for experience.
 
-    `longest_episode` is in steps; hindsight begins to learn after so many steps, when an episode has ended
-    for sure. `mixin` is a class whose methods go before those of the algorithm. `policy_columns` are those of
-    a policy whose critic sees more.
+    `longest_episode` is in steps. With hindsight, learning begins after this number of steps, when at least
+    one episode has ended. The methods of the class `mixin` override those of the algorithm. `policy_columns`
+    are those of a policy whose critic sees more.
 
     Raises:
-        UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such
-            device.
+        UsageError: The algorithm is unknown, or refuses the settings or the spaces; the networks would be
+            larger than any memory; or there is no such device.
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
+    check_size(training.network.hidden, _numbers_in(env.observation_space))
     # Each copy of a robot is a row of its own, and the defaults depend on the number of rows.
     training = replace(training, environments=env.num_envs)
     settings: Settings = defaults.default_values(training, total_timesteps, longest_episode)
-    kind = training.action_noise or settings.pop("action_noise", None)
-    settings.pop("action_noise", None)
+    default_noise = settings.pop("action_noise", None)
+    noise = training.action_noise or default_noise
     if settings.pop("replay", None) is not None and training.replay is not None:
         buffer_options = {
             "n_sampled_goal": training.replay.goals,
@@ -75,11 +76,10 @@ def create(
         }
         settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": buffer_options}
     settings |= {h.name: _value(h) for h in training.hyperparameters}
-    # The noise is made before the model, whose progress it reads later.
-    models: list[BaseAlgorithm] = []
-    if kind is not None and isinstance(env.action_space, gym.spaces.Box):
+    if noise is not None and isinstance(env.action_space, gym.spaces.Box):
+        # The noise is created before the model, whose progress it reads later.
         settings["action_noise"] = DecayingNoise(
-            kind, env.action_space.shape, lambda: internals.progress_remaining(models[0])
+            noise, env.action_space.shape, lambda: internals.progress_remaining(model)
         )
     if to_learn:
         check_replay(settings, env.observation_space)
@@ -95,14 +95,23 @@ def create(
         "verbose": 0,
         "policy_kwargs": _networks(training, algorithm, memory, std),
     }
-    models.append(
-        _made(algorithm, mixin, training, _policy_class(algorithm, policy, policy_columns), env, settings)
-    )
+    policy_class = _policy_class(algorithm, policy, policy_columns)
+    model = _create_model(algorithm, mixin, training, policy_class, env, settings)
     for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
-        models[0].policy_kwargs.pop(name, None)
-    if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
-        raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
-    return models[0]
+        model.policy_kwargs.pop(name, None)
+    if not internals.saved_members(model)[0] or not model.policy.state_dict():
+        raise UsageError(_not_in_torch_modules(algorithm, "its runs could be neither evaluated nor resumed"))
+    return model
+
+
+def _numbers_in(space: gym.Space[Any]) -> int:
+    """Return how many numbers an observation has. Layers of filters reduce its pictures before the first
+    hidden layer."""
+    return sum(math.prod(part.shape or ()) for part in _parts_of(space) if len(part.shape or ()) == 1)
+
+
+def _parts_of(space: gym.Space[Any]) -> Iterable[gym.Space[Any]]:
+    return space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
 
 
 def _policy_class(algorithm: type[Model], policy: str, columns: Sequence[int] | None) -> str | type:
@@ -150,7 +159,7 @@ def _networks(training: Training, algorithm: type[Model], memory: int | None, st
     return networks
 
 
-def _made(
+def _create_model(
     algorithm: type[Model],
     mixin: type | None,
     training: Training,
@@ -159,14 +168,14 @@ def _made(
     settings: Settings,
 ) -> BaseAlgorithm:
     """Create the model of the library. Its errors become errors of deepbots."""
-    made_of: Any = _imported(algorithm)
+    algorithm_class: Any = _imported(algorithm)
     if mixin is not None:
-        made_of = type(made_of.__name__, (mixin, made_of), {})
+        algorithm_class = type(algorithm_class.__name__, (mixin, algorithm_class), {})
     try:
         with warnings.catch_warnings():
             # Batches that do not divide a rollout do no harm.
             warnings.simplefilter("ignore")
-            model: BaseAlgorithm = made_of(policy, env, **settings)
+            model: BaseAlgorithm = algorithm_class(policy, env, **settings)
             return model
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -178,7 +187,7 @@ def _made(
         if training.algorithm == algorithm.base():
             raise
         reason = f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        raise UsageError(_no_torch(algorithm, reason)) from error
+        raise UsageError(_not_in_torch_modules(algorithm, reason)) from error
 
 
 class Adam(torch.optim.Adam):
@@ -195,7 +204,7 @@ class Adam(torch.optim.Adam):
     step = torch.no_grad()(unwrap(torch.optim.Adam.step))
 
 
-def _no_torch(algorithm: type[Model], reason: str) -> str:
+def _not_in_torch_modules(algorithm: type[Model], reason: str) -> str:
     return (
         f"{algorithm.__name__} ({algorithm.import_path}) does not keep its networks as {algorithm.base()} of"
         " Stable-Baselines3 does, in"
@@ -224,8 +233,8 @@ def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
 
 @contextmanager
 def torch_settings() -> Iterator[None]:
-    """Context in which torch uses one thread, since networks of this size are slower on several threads; then
-    the caller's settings return."""
+    """Context in which torch uses one thread, because networks of this size are slower on several. Afterwards
+    the settings are as before."""
     threads = torch.get_num_threads()
     cudnn = torch.backends.cudnn
     before = cudnn.deterministic, cudnn.benchmark  # SB3 changes both when it sets a seed for a GPU
@@ -260,23 +269,25 @@ def check(training: Training) -> None:
         UsageError: The table does not contain the algorithm, it cannot be taught, or the networks would be
             larger than any memory.
     """
+    _entry(training.algorithm)
     if training.teacher is not None:
         check_teachable(training)
     check_size(training.network.hidden)
 
 
-def check_size(hidden: Sequence[int]) -> None:
-    """Check the sizes of the hidden layers of a network.
+def check_size(hidden: Sequence[int], inputs: int = 0) -> None:
+    """Check the sizes of the hidden layers of a network; `inputs` is 0 if it is not known yet.
 
     Raises:
         UsageError: The network would be larger than any memory.
     """
-    if len(hidden) > _MOST_LAYERS:
-        raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
-    if sum(inputs * outputs for inputs, outputs in pairwise(hidden)) > _MOST_WEIGHTS:
+    if len(hidden) > _MAX_LAYERS:
+        raise UsageError(f"a policy has at most {_MAX_LAYERS} hidden layers")
+    if sum(width * next_width for width, next_width in pairwise((inputs, *hidden))) > _MAX_WEIGHTS:
+        observed = f"{inputs:,} observed numbers and " if inputs else ""
         raise UsageError(
-            f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than"
-            f" {_MOST_WEIGHTS:,} weights"
+            f"a policy with {observed}hidden layers of {', '.join(map(str, hidden))} units has more than"
+            f" {_MAX_WEIGHTS:,} weights"
         )
 
 
@@ -293,14 +304,14 @@ def check_teachable(training: Training) -> None:
         )
 
 
-def check_memory(copies: int, memory: int | None = None) -> None:
-    """Check that so many worlds fit into the memory of this machine. `memory` is in bytes, by default all
-    that it has.
+def check_memory(environments: int, memory: int | None = None) -> None:
+    """Check that this number of environments fits into the memory of this machine. `memory` is in bytes, by
+    default all memory of the machine.
 
     Raises:
         UsageError: They do not fit.
     """
-    _require_memory(f"{copies} environments need about", copies * _BYTES_PER_COPY, memory)
+    _require_memory(f"{environments} environments need about", environments * _BYTES_PER_ENVIRONMENT, memory)
 
 
 def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None = None) -> None:
@@ -310,14 +321,17 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
         UsageError: It does not fit.
     """
     steps = settings.get("buffer_size", 0)
-    parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
     # The library stores each observation twice, as the present and as the next one.
     needed = (
         2
         * steps
-        * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
+        * sum(
+            math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize
+            for part in _parts_of(space)
+        )
     )
-    _require_memory(f"{steps:,} remembered steps need", needed, memory, "; give 'buffer_size' under 'train'")
+    subject = f"a replay buffer of {steps:,} steps needs"
+    _require_memory(subject, needed, memory, "; lower 'buffer_size' under 'train'")
 
 
 def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "") -> None:
@@ -378,8 +392,8 @@ class DecayingNoise(ActionNoise):
 
     Draws come from numpy's global generator, which the training seeds. Drifting noise (`ornstein_uhlenbeck`)
     is sampled exactly: n' = a n + sigma sqrt(1 - a^2) w with a = exp(-theta) and w of unit variance, so that
-    its deviation is sigma whatever theta is (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). An episode
-    begins anywhere in the course of it.
+    its deviation is sigma whatever theta is (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). The first
+    value of an episode has the same distribution as all others.
 
     Args:
         settings: The settings of the scenario.
