@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 Terms = list[tuple[Expression, Scalar]]
 
-_PROGRESS_FUNCTIONS = frozenset(
+_EARLIER_VALUE_FUNCTIONS = frozenset(
     {"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"}
 )
-"""The functions that pay for getting somewhere, and nothing for staying."""
+"""The functions of earlier values, except durations and filters. A term with one of them may pay for progress
+alone."""
 
 
 class RewardTerms:
@@ -79,7 +80,7 @@ class RewardTerms:
         return ordinary, final
 
     def largest_final(self, final: Terms) -> float:
-        """Return the largest amount that the terms in `final` pay or cost at an end; infinite where that is
+        """Return the largest amount that the terms in `final` pay or cost at an end; infinite if it is
         unknown."""
         return max(
             iv.absolute(total_range(final, self.ranges_at(ending))).high
@@ -88,7 +89,7 @@ class RewardTerms:
 
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:
-    """Return the sum of terms in one step."""
+    """Return the range of the sum of terms in one step."""
     total = NEVER
     for _, node in terms:
         total = iv.add(total, ranges.of(node))
@@ -116,9 +117,9 @@ def return_range(analysis: Analysis) -> Interval:
     return Interval(low, high)
 
 
-def is_progress(analysis: Analysis, node: Scalar) -> bool:
+def uses_earlier_values(analysis: Analysis, node: Scalar) -> bool:
     """Return whether a value depends on earlier values."""
     return any(
-        isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS
+        isinstance(part, State) and part.function in _EARLIER_VALUE_FUNCTIONS
         for part in analysis.walk_definitions(node)
     )

@@ -151,7 +151,7 @@ class LocalProcesses:
     def check(self) -> None:
         pass
 
-    def set_last_words(self, text: str) -> None:
+    def set_message_if_lost(self, text: str) -> None:
         pass
 
     def calls(self, requirements: Requirements, *, can_stop: bool) -> LocalCalls:

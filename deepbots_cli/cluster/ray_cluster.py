@@ -46,7 +46,7 @@ class RayCluster:
     def __init__(self, address: str) -> None:
         self._address = address
         self._stack = ExitStack()
-        self._set_last_words: Callable[[str], None] = lambda text: None
+        self._set_message_if_lost: Callable[[str], None] = lambda text: None
 
     def __enter__(self) -> Self:
         try:
@@ -57,7 +57,7 @@ class RayCluster:
         if ray.is_initialized():
             raise UsageError("this process uses a Ray cluster already; end it with ray.shutdown()")
         with ExitStack() as stack:
-            self._set_last_words = stack.enter_context(_last_words())
+            self._set_message_if_lost = stack.enter_context(_message_if_lost())
             with _termination_handler_kept():
                 self._join(stack)
             self._stack = stack.pop_all()
@@ -153,8 +153,10 @@ class RayCluster:
             error.add_note("start again; a training continues with `deepbots resume`")
             raise error
 
-    def set_last_words(self, text: str) -> None:
-        self._set_last_words(f"error: the connection to Ray was lost, or this process was killed; {text}")
+    def set_message_if_lost(self, text: str) -> None:
+        self._set_message_if_lost(
+            f"error: the connection to Ray was lost, or this process was killed; {text}"
+        )
 
     def calls(self, requirements: Requirements, *, can_stop: bool) -> RayCalls:
         return RayCalls(self, requirements, can_stop=can_stop)
@@ -361,7 +363,7 @@ def _check_address(address: str) -> None:
 
 
 @contextmanager
-def _last_words() -> Iterator[Callable[[str], None]]:
+def _message_if_lost() -> Iterator[Callable[[str], None]]:
     """Yield a function that sets what another process prints if this one ends within the block.
 
     Ray ends this process without a message when its node or the head of the cluster is lost, as soon as it
@@ -375,15 +377,15 @@ def _last_words() -> Iterator[Callable[[str], None]]:
         start_new_session=True,
     )
 
-    def set_last_words(text: str) -> None:
+    def set_message_if_lost(text: str) -> None:
         with suppress(OSError):  # the witness was killed
             print(text, file=witness.stdin, flush=True)
 
     with witness:
         try:
-            yield set_last_words
+            yield set_message_if_lost
         finally:
-            set_last_words("")
+            set_message_if_lost("")
 
 
 @contextmanager

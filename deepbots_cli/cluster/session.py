@@ -1,4 +1,4 @@
-"""The workers that a person names: some processes of this machine, or a Ray cluster that runs already."""
+"""The workers that the user requests: some processes of this machine, or a Ray cluster that runs already."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Cluster:
 
     def __enter__(self) -> Self:
         self._pool.__enter__()
-        self._pool.set_last_words("to continue a training, use `deepbots resume`")
+        self._pool.set_message_if_lost("to continue a training, use `deepbots resume`")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -75,7 +75,7 @@ class Cluster:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
         pool = RemoteShards(self._pool, run, build.keywords["permissions"], world_numbers(training), note)
         stack.callback(pool.close)
-        self._pool.set_last_words(f"to continue: deepbots resume {quote(str(run.path))}")
+        self._pool.set_message_if_lost(f"to continue: deepbots resume {quote(str(run.path))}")
         return pool
 
     def map(

@@ -89,7 +89,7 @@ class WorkerPool(Protocol):
             RunError: They cannot.
         """
 
-    def set_last_words(self, text: str) -> None:
+    def set_message_if_lost(self, text: str) -> None:
         """Print this if the processes take this one with them when they are lost."""
 
     def calls(self, requirements: Requirements, *, can_stop: bool) -> Calls:

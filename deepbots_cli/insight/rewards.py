@@ -83,7 +83,7 @@ def reward_exploited(evidence: TrainingEvidence) -> Numbers | None:
         )
         paying += f" in {example.episode}."
     once = f"Let {term_text} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
-    if term and evidence.facts.is_progress(term):
+    if term and evidence.facts.uses_earlier_values(term):
         once = f"Scale {term_text} down"
     aimed = SuccessRate(example.successes)
     return {
@@ -346,7 +346,9 @@ def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
         or still < 0.8 * policy
     ):
         return None
-    terms = [term for term in evidence.facts.terms_towards_success if evidence.facts.is_progress(term)]
+    terms = [
+        term for term in evidence.facts.terms_towards_success if evidence.facts.uses_earlier_values(term)
+    ]
     progress = "Reward progress towards success (such as the change of a distance)"
     if terms:
         names = list_text([f"'{term}'" for term in terms])
@@ -423,7 +425,7 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
         "return_of_staying": stayed,
         "compared": compared,
         "nearer": "E"
-        if evidence.facts.is_progress(name)
+        if evidence.facts.uses_earlier_values(name)
         else f"Make '{name}' reward coming nearer instead of being near (`delta(...)` of its value), e",
     }
 

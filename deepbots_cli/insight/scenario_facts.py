@@ -1,4 +1,4 @@
-"""The facts of a scenario, so that advice does not repeat them and sentences use the units of its file.
+"""What a scenario already contains, so that advice does not propose it again, and the units of its file.
 
 The causes of a training use them before they advise a value of the observation, a term of the reward or a
 script.
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from functools import cached_property
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import comparisons
-from deepbots_cli.analysis.returns import is_progress, total_range
+from deepbots_cli.analysis.conditions import ConditionComparison, comparisons
+from deepbots_cli.analysis.returns import total_range, uses_earlier_values
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Known
@@ -21,7 +21,7 @@ from deepbots_cli.program.task import ObservedNumber
 
 
 class ScenarioFacts:
-    """The facts of a scenario.
+    """What a scenario already contains, and the units of its file.
 
     Args:
         program: The scenario.
@@ -76,7 +76,10 @@ class ScenarioFacts:
             if running.of(node).high > 0.0 and aims.intersection(self._readings(node))
         ]
         return tuple(
-            name for name, _ in sorted(towards, key=lambda entry: not is_progress(self._analysis, entry[1]))
+            name
+            for name, _ in sorted(
+                towards, key=lambda entry: not uses_earlier_values(self._analysis, entry[1])
+            )
         )
 
     @cached_property
@@ -99,17 +102,16 @@ class ScenarioFacts:
             for ending in self.program.successes
             for compared in comparisons(self._analysis, ending)
             if compared.value.text[compared.node.start : compared.node.end] == comparison
-            for side in compared.node.args
-            for tree in self._analysis.lowered(side, compared.value.owner)
+            for tree in self._sides(compared)
             for reading in self._readings(tree)
         }
         ordinary, _ = self._analysis.reward.split_by_end()
         return tuple(term.name for term, node in ordinary if aims.intersection(self._readings(node)))
 
-    def is_progress(self, term: str) -> bool:
-        """Return whether a term pays for a change, as with `delta`."""
+    def uses_earlier_values(self, term: str) -> bool:
+        """Return whether a term depends on earlier values, as with `delta`."""
         nodes = [node for entry, node in self._analysis.reward.terms if entry.name == term]
-        return any(is_progress(self._analysis, node) for node in nodes)
+        return any(uses_earlier_values(self._analysis, node) for node in nodes)
 
     def price_of(self, failure: str) -> float | None:
         """Return the reward of a failure by terms that pay only at an end: negative for a cost, None if it is
@@ -127,16 +129,21 @@ class ScenarioFacts:
         trees: list[Scalar] = []
         for ending in self.program.successes:
             compared = [
-                tree
-                for comparison in comparisons(self._analysis, ending)
-                for side in comparison.node.args
-                for tree in self._analysis.lowered(side, comparison.value.owner)
+                tree for comparison in comparisons(self._analysis, ending) for tree in self._sides(comparison)
             ]
             if not compared and ending.foreign is None:
                 compared = list(self._analysis.scalars(ending))
             trees += compared
         goal = self.program.agent.goal
         return [*trees, *(goal.achieved.scalars if goal is not None else ())]
+
+    def _sides(self, comparison: ConditionComparison) -> list[Scalar]:
+        """Return the values on both sides of a comparison."""
+        return [
+            tree
+            for side in comparison.node.args
+            for tree in self._analysis.lowered(side, comparison.value.owner)
+        ]
 
     def _readings(self, tree: Scalar) -> Iterator[int]:
         """Yield the values of the world and of sensors that a value is computed from, as numbers of

@@ -42,7 +42,8 @@ training, or None to continue."""
 class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
     """The state of the callback in a checkpoint.
 
-    Checkpoints of deepbots 0.1 have no `candidates`, and their confirmations were none.
+    `next_beat` is the step of the next check. Checkpoints of deepbots 0.1 have no `candidates` and no
+    confirmations.
     """
 
     next_beat: NonNegativeInt
@@ -84,7 +85,7 @@ class TrainingCallback:
         # About a hundred checks in a short training, and more in a long one.
         self._check_interval = max(1, min(MAX_CHECK_INTERVAL, active.total // 100))
         self._next_check = 0
-        self._check_passed = False
+        self._check_made = False
         self._reported = time.monotonic()
         self._stop_noted = False
 
@@ -150,8 +151,8 @@ class TrainingCallback:
         self.evaluations.returns = state.returns
         self.evaluations.evaluated_at = state.evaluated_at
         self._kept_candidates = state.candidates
-        # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for
-        # long.
+        # Older versions spent up to half of the steps on evaluations: without this limit, the next evaluation
+        # would come very late.
         limit = round(URGENT_SHARE * OFF_POLICY_FACTOR * self.active.statistics.steps)
         self.active.evaluator.steps = min(state.evaluation_steps, limit)
         self._steps_before = self.evaluation_steps
@@ -159,7 +160,7 @@ class TrainingCallback:
             self.teaching.restore(state.teacher)
 
     def restore_models(self) -> None:
-        """Go back to the best models of the checkpoint, once files of the run may change."""
+        """Restore the best models of the checkpoint. To be called when files of the run may be changed."""
         self.evaluations.shortlist.restore(self._kept_candidates)
 
     # Teacher and curriculum
@@ -201,7 +202,8 @@ class TrainingCallback:
             self.teaching.agreement, learner.agreement = learner.agreement, None
 
     def begin_stage(self) -> None:
-        """Search the best model anew, because returns of different stages cannot be compared."""
+        """Begin the search for the best model again, because returns of different stages cannot be
+        compared."""
         self.evaluations.shortlist.clear()
         self.evaluations.returns = None
         self.confirmations.met_in_a_row = 0
@@ -267,7 +269,7 @@ class TrainingCallback:
             self.report()
             self.evaluate(self._evaluation_share())
             self._scalars.record_episodes()
-            self._check_passed = True
+            self._check_made = True
         elif time.monotonic() - self._reported >= LINE_INTERVAL_S:  # in a slow world
             self.report()
         if active.interruption.requested and not self._stop_noted:
@@ -281,9 +283,9 @@ class TrainingCallback:
         # The update that follows changes the weights. A checkpoint comes after it, so the flag is always true
         # there, and is not kept.
         self.evaluations.has_new_weights = True
-        # Always False between two rollouts of a checkpoint, which therefore does not keep it.
-        if self._check_passed:
-            self._check_passed = False
+        # False at every checkpoint, so checkpoints do not keep it.
+        if self._check_made:
+            self._check_made = False
             self._scalars.record_policy()
 
     def on_end(self) -> None:

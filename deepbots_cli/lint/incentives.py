@@ -9,7 +9,7 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
 from deepbots_cli.analysis.courses import CLOCKS, RATE_FUNCTIONS, has_memory
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, Terms, is_progress, total_range
+from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range, uses_earlier_values
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
@@ -513,7 +513,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     staying = [
         term
         for term, node in ordinary
-        if term.name in highest and not (is_progress(analysis, node) or _is_motion(analysis, node))
+        if term.name in highest and not (uses_earlier_values(analysis, node) or _is_motion(analysis, node))
     ]
     best = max(staying, key=lambda term: highest[term.name], default=None)
     prize = total_range(final, reward.ranges_at(success)).high
@@ -551,7 +551,7 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
         if episode.policy == IDLE
     ):
         return []
-    if any(is_progress(simulation.analysis, node) for _, node in ordinary):
+    if any(uses_earlier_values(simulation.analysis, node) for _, node in ordinary):
         return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high

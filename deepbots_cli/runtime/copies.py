@@ -58,36 +58,34 @@ def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
 
 
 def make_environment(
-    kind: type[Supervisor],
+    supervisor_class: type[Supervisor],
     scenario: Program,
-    create: Callable[[WorldModel], Engine],
+    create_engine: Callable[[WorldModel], Engine],
     render_mode: str | None = None,
 ) -> Supervisor:
-    """Return the environment of a scenario whose generated supervisor is `kind`."""
+    """Return the environment of a scenario with its generated supervisor."""
     copies = scenario.agent.copies
     if copies is None:
-        return kind(scenario, create(scenario.world), render_mode)
-    return CopiesSupervisor(
-        kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode
-    )
+        return supervisor_class(scenario, create_engine(scenario.world), render_mode)
+    engine = create_engine(world_with_copies(scenario.world, copies))
+    return CopiesSupervisor(supervisor_class, scenario, copies, engine, render_mode)
 
 
 def make_batch(
-    kind: type[Supervisor],
-    of_batch: type[BatchSupervisor],
+    supervisor_class: type[Supervisor],
+    batch_class: type[BatchSupervisor],
     scenario: Program,
-    create: Callable[[WorldModel], BatchEngine],
+    create_engine: Callable[[WorldModel], BatchEngine],
 ) -> BatchSupervisor:
-    """Return a batch of worlds whose generated supervisors are `of_batch`, and `kind` for each single
-    world."""
+    """Return a batch of worlds with the generated supervisor of the batch, and that of each single world."""
     copies = scenario.agent.copies
-    engine = create(scenario.world if copies is None else world_with_copies(scenario.world, copies))
+    engine = create_engine(scenario.world if copies is None else world_with_copies(scenario.world, copies))
 
     def single(member: Engine) -> Supervisor:
-        return make_environment(kind, scenario, lambda world: member)
+        return make_environment(supervisor_class, scenario, lambda world: member)
 
     singles = list(map(single, engine.members))
-    return of_batch(singles, engine if copies is None else BatchOfCopies(engine, copies))
+    return batch_class(singles, engine if copies is None else BatchOfCopies(engine, copies))
 
 
 class EngineOfCopy(EngineProxy):
@@ -95,8 +93,8 @@ class EngineOfCopy(EngineProxy):
     copy's place in the row.
 
     Values of the world, and of bodies other than the robot, are set by the first copy alone. `reset` and
-    `step` leave the world to the supervisor of all copies; `settling` is how many engine steps the world
-    shall make after the reset.
+    `step` leave the world to the supervisor of all copies; `settling` is the number of engine steps to make
+    after the reset.
     """
 
     def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
@@ -216,9 +214,9 @@ class CopyResult(NamedTuple):
 
 def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
     """Return the result of a step for the world of these copies."""
-    ended = [copy for copy in copies if copy.terminated]
-    over = ended or [copy for copy in copies if copy.truncated]
-    failed = [copy for copy in over if not copy.info["is_success"]]
+    terminated = [copy for copy in copies if copy.terminated]
+    ended = terminated or [copy for copy in copies if copy.truncated]
+    failed = [copy for copy in ended if not copy.info["is_success"]]
     per_copy = {
         "reward": tuple(copy.reward for copy in copies),
         "terminated": tuple(copy.terminated for copy in copies),
@@ -229,14 +227,17 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         for name in copies[0].info["reward_terms"]
     }
     info: Info = {
-        "is_success": bool(ended) and all(copy.info["is_success"] for copy in ended),
-        "ended_by": (failed or over)[0].info["ended_by"] if over else None,
-        "endings": tuple(dict.fromkeys(name for copy in over for name in copy.info["endings"])),
+        "is_success": bool(terminated) and all(copy.info["is_success"] for copy in terminated),
+        "ended_by": (failed or ended)[0].info["ended_by"] if ended else None,
+        "endings": tuple(dict.fromkeys(name for copy in ended for name in copy.info["endings"])),
         "reward_terms": terms,
         "each": per_copy,
     }
     return CopyResult(
-        total(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
+        total(copy.reward for copy in copies) / len(copies),
+        bool(terminated),
+        bool(ended) and not terminated,
+        info,
     )
 
 
@@ -244,14 +245,14 @@ class WorldRows:
     """The rows of a batch by world: a row is an agent, and a world with copies has a row for each copy."""
 
     def __init__(self, per_world: int, *, has_copies: bool) -> None:
-        self._copies = per_world
+        self._per_world = per_world
         self._has_copies = has_copies
 
     def of(self, worlds: Any) -> Any:
         """Return the numbers of the rows of these worlds."""
-        if self._copies == 1:
+        if self._per_world == 1:
             return worlds
-        return (self._copies * np.asarray(worlds)[:, None] + np.arange(self._copies)).ravel()
+        return (self._per_world * np.asarray(worlds)[:, None] + np.arange(self._per_world)).ravel()
 
     def by_row(self, values: Any) -> Any:
         """Return actions or observations of worlds with a row per agent."""
@@ -265,18 +266,20 @@ class WorldRows:
         """Return actions or observations with a row per agent as those of worlds."""
         if not self._has_copies:
             return values
-        return apply_to_parts(lambda part: part.reshape(-1, self._copies, *part.shape[1:]), values)
+        return apply_to_parts(lambda part: part.reshape(-1, self._per_world, *part.shape[1:]), values)
 
     def step_by_world(self, step: BatchStep) -> BatchStep:
-        """Return the result of a step with a row per world, as the single worlds give it."""
+        """Return the result of a step with one row per world, in the form that a single world with copies
+        returns."""
         if not self._has_copies:
             return step
-        copies = self._copies
+        per_world = self._per_world
         rewards, *terms = (
-            reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms)
+            reduce(operator.add, row.reshape(-1, per_world).T) / per_world
+            for row in (step.rewards, *step.terms)
         )
         terminated, truncated = (
-            np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated)
+            np.any(column.reshape(-1, per_world), axis=1) for column in (step.terminated, step.truncated)
         )
         results = [
             CopyResult(float(step.rewards[row]), bool(step.terminated[row]), bool(step.truncated[row]), info)
@@ -288,19 +291,19 @@ class WorldRows:
             terms=np.array(terms),
             terminated=terminated,
             truncated=truncated & ~terminated,
-            done=step.done[::copies] // copies,
+            done=step.done[::per_world] // per_world,
             final_observations=self.by_world(step.final_observations) if results else None,
             infos=[
-                result_of_all(results[first : first + copies]).info
-                for first in range(0, len(results), copies)
+                result_of_all(results[first : first + per_world]).info
+                for first in range(0, len(results), per_world)
             ],
         )
 
     def any_in_world(self, flags: Column) -> Column:
         """Return whether a flag is set in any row of the world, for each row."""
-        if self._copies == 1:
+        if self._per_world == 1:
             return flags
-        return flags.reshape(-1, self._copies).any(axis=1).repeat(self._copies)
+        return flags.reshape(-1, self._per_world).any(axis=1).repeat(self._per_world)
 
 
 class CopiesSupervisor(Supervisor):
@@ -314,16 +317,16 @@ class CopiesSupervisor(Supervisor):
 
     def __init__(
         self,
-        kind: type[Supervisor],
+        supervisor_class: type[Supervisor],
         scenario: Program,
         copies: RobotCopies,
         engine: Engine,
         render_mode: str | None = None,
     ) -> None:
         self._engines = [EngineOfCopy(engine, copies, number + 1) for number in range(copies.count)]
-        members = [kind(scenario, view) for view in self._engines]
-        self._streams_of_agents: Streams | None = None
+        members = [supervisor_class(scenario, view) for view in self._engines]
         super().__init__(scenario, engine, render_mode)
+        self._streams_of_agents: Streams | None = None
         self._chosen: Mapping[str, Mapping[str, Any]] = {}
         self._shared = [entry for entry in scenario.draws.noted if not entry.is_of_copy]
         self.world = world_with_copies(scenario.world, copies)
@@ -331,6 +334,10 @@ class CopiesSupervisor(Supervisor):
         self.copy_names = tuple(self.agents)
         self.observation_space = batch_space(members[0].observation_space, copies.count)
         self.action_space = batch_space(members[0].action_space, copies.count)
+
+    @property
+    def _first(self) -> Supervisor:
+        return next(iter(self.agents.values()))
 
     def begin_robots(self, streams: Streams) -> None:
         for agent in self.agents.values():
@@ -361,17 +368,15 @@ class CopiesSupervisor(Supervisor):
     def note_draws(self) -> None:
         """Keep the draws that all copies share, by name, and those of each copy after its name."""
         shared = {entry.name for entry in self._shared}
-        first = next(iter(self.agents.values()))
-        self._drawn = {key: value for key, value in first.drawn().items() if key in shared}
+        self._drawn = {key: value for key, value in self._first.drawn().items() if key in shared}
         for name, agent in self.agents.items():
             copy_draws = {key: value for key, value in agent.drawn().items() if key not in shared}
             self._drawn |= {f"{name}.{key}": value for key, value in copy_draws.items()}
 
     def present_values(self) -> Drawn:
-        first = next(iter(self.agents.values()))
         parameters = {full for value in self.scenario.parameters for full, _ in value.numbers}
         return self._drawn | {
-            name: value for name, value in first.episode_values.items() if name in parameters
+            name: value for name, value in self._first.episode_values.items() if name in parameters
         }
 
     def random_state(self) -> dict[str, Any]:
@@ -401,7 +406,7 @@ class CopiesSupervisor(Supervisor):
         fitting = canonical_action(self.action_space, action)
         # Refused before any copy acts, because an action cannot be undone.
         if fitting is None or not is_canonical(fitting, action):
-            raise ValueError("no action of this space")
+            raise ValueError("the action is not in the action space, or has another type")
         self.step_count += 1
         agents = self.agents.values()
         rows = (
@@ -449,7 +454,7 @@ class CopiesSupervisor(Supervisor):
         return dict(self._info)
 
     def view(self, width: int = 480, height: int = 320) -> View:
-        return next(iter(self.agents.values())).view(width, height)
+        return self._first.view(width, height)
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for agent in self.agents.values() for mask in agent.allowed())

@@ -83,8 +83,10 @@ class MultiAgentLearner(Learner):
         critic_program = setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
-        self._seats = {name: SeatLayout(member, program.agent) for name, member in program.members.items()}
-        self._critical = {
+        self._policy_seats = {
+            name: SeatLayout(member, program.agent) for name, member in program.members.items()
+        }
+        self._critic_seats = {
             name: SeatLayout(member, critic_program.agent) for name, member in critic_program.members.items()
         }
         self._collectors: dict[str, OfferedCollector] = {}
@@ -93,7 +95,7 @@ class MultiAgentLearner(Learner):
         self.takes_masks = bool(self._masked)
         self.is_off_policy = any(learner.is_off_policy for learner in self.learners.values())
         if setup.collector is not None:
-            self.fragment_steps = _common_steps(self._own)
+            self.fragment_steps = _common_steps(self._distinct_learners)
 
     def _create_learners(self) -> dict[str, Learner]:
         collector = self.setup.collector
@@ -102,7 +104,7 @@ class MultiAgentLearner(Learner):
             return {name: self._create(name, training, None) for name, training in trainings.items()}
         created: dict[str, Learner] = {}
         for first, names in self._policies.items():
-            seats = [self._critical[name] for name in names]
+            seats = [self._critic_seats[name] for name in names]
             is_shared = len(seats) > 1
             self._collectors[first] = (
                 SharedCollector(seats, collector) if is_shared else SeatCollector(seats[0], collector)
@@ -114,7 +116,7 @@ class MultiAgentLearner(Learner):
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
         """Return a learner for an agent."""
         setup = self.setup
-        seat = self._critical[agent]
+        seat = self._critic_seats[agent]
         return learners.create(
             Setup(
                 training,
@@ -130,8 +132,9 @@ class MultiAgentLearner(Learner):
         )
 
     @property
-    def _own(self) -> Mapping[str, Learner]:
-        """The learners that learn, by their agent; of agents with one policy, by the first."""
+    def _distinct_learners(self) -> Mapping[str, Learner]:
+        """The learners that are updated, by agent. Agents that share a policy have one learner, under the
+        name of the first."""
         if self.setup.collector is None:
             return self.learners
         return {first: self.learners[first] for first in self._policies}
@@ -175,21 +178,21 @@ class MultiAgentLearner(Learner):
     @log.setter
     def log(self, log: Any) -> None:
         self._log = log
-        for name, learner in self._own.items():
+        for name, learner in self._distinct_learners.items():
             learner.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]  # the part of the log that learners use
 
     # Acting and learning
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         self._monitor = monitor
-        members = self.setup.program.members if self.setup.program is not None else {}
-        for name, learner in self._own.items():
+        assert self.setup.program is not None
+        members = self.setup.program.members
+        for name, learner in self._distinct_learners.items():
             seat: Any = _SeatMonitor(members[name].program.defines_success)
-            learner.begin(self._own_steps(learner, total), seat)
+            learner.begin(self._steps_of_learner(learner, total), seat)
 
-    def _own_steps(self, learner: Learner, steps: int) -> int:
-        """Return the number of steps of a learner, which may have more rows than there are worlds, after so
-        many steps of all agents."""
+    def _steps_of_learner(self, learner: Learner, steps: int) -> int:
+        """Convert steps of all worlds into steps of a learner, which may have several rows per world."""
         collector = learner.setup.collector
         of_all = self.setup.collector
         assert collector is not None
@@ -197,7 +200,7 @@ class MultiAgentLearner(Learner):
         return steps * collector.rows // of_all.rows
 
     def start(self) -> None:
-        for learner in self._own.values():
+        for learner in self._distinct_learners.values():
             learner.start()
 
     def collect(self) -> bool:
@@ -214,7 +217,7 @@ class MultiAgentLearner(Learner):
         if fragment is None:
             return False
         self._last = fragment
-        for name, learner in self._own.items():
+        for name, learner in self._distinct_learners.items():
             self._collectors[name].offer(fragment)
             learner.collect()
         self._monitor.on_collected()
@@ -222,11 +225,11 @@ class MultiAgentLearner(Learner):
 
     def actor(self) -> PolicyActor:
         actors = {name: learner.actor() for name, learner in self.learners.items()}
-        return MultiAgentActor(self._critical, actors, self._masked)
+        return MultiAgentActor(self._critic_seats, actors, self._masked)
 
     def update(self) -> None:
         turns = self.setup.training.turns
-        turn_learners = [*self._own.values()]
+        turn_learners = list(self._distinct_learners.values())
         if turns is not None:
             begun = self.steps - self.fragment_steps * self.setup.training.environments
             turn_learners = [turn_learners[begun // turns % len(turn_learners)]]
@@ -234,7 +237,7 @@ class MultiAgentLearner(Learner):
             learner.update()
 
     def end(self) -> None:
-        for learner in self._own.values():
+        for learner in self._distinct_learners.values():
             learner.end()
         self._monitor.on_end()
 
@@ -255,7 +258,7 @@ class MultiAgentLearner(Learner):
         actions = []
         states = {}
         for name, learner in self.learners.items():
-            seat = self._seats[name]
+            seat = self._policy_seats[name]
             masks = (
                 action_masks[..., seat.masks] if name in self._masked and action_masks is not None else None
             )
@@ -267,7 +270,7 @@ class MultiAgentLearner(Learner):
                 masks,
             )
             actions.append(agent_actions[None] if is_single else agent_actions)
-        of_all = joined_actions([*actions])
+        of_all = joined_actions(actions)
         return (of_all[0] if is_single else of_all), states
 
     def recent(self) -> tuple[Any, Array, Array | None]:
@@ -313,34 +316,36 @@ class MultiAgentLearner(Learner):
     # Checkpoints
 
     def attach(self, folder: Path) -> None:
-        for name, learner in self._own.items():
+        for name, learner in self._distinct_learners.items():
             learner.attach(folder / name)
 
     def state(self) -> dict[str, Any]:
         return {
-            "learners": {name: to_jsonable_python(learner.state()) for name, learner in self._own.items()}
+            "learners": {
+                name: to_jsonable_python(learner.state()) for name, learner in self._distinct_learners.items()
+            }
         }
 
     def shared_files(self) -> Iterable[Path]:
-        return chain.from_iterable(learner.shared_files() for learner in self._own.values())
+        return chain.from_iterable(learner.shared_files() for learner in self._distinct_learners.values())
 
     def arrays(self) -> dict[str, Array]:
         return {
             _array_name(name, key): array
-            for name, learner in self._own.items()
+            for name, learner in self._distinct_learners.items()
             for key, array in learner.arrays().items()
         }
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
         return {
             _array_name(name, key): spec
-            for name, learner in self._own.items()
+            for name, learner in self._distinct_learners.items()
             for key, spec in learner.specs(self._own_state(state, name, learner)).items()
         }
 
     def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         self.steps = saved_state.steps
-        for name, learner in self._own.items():
+        for name, learner in self._distinct_learners.items():
             learner.restore(
                 self._own_state(saved_state, name, learner),
                 own_entries(arrays, _array_name(name, "")[:-1]),
@@ -356,12 +361,13 @@ class MultiAgentLearner(Learner):
         if name not in state.learners:
             raise ValueError(f"there is no state of the agent '{name}'")
         common = state.model_dump(mode="json", include=set(CheckpointState.model_fields))
-        common["statistics"]["steps"] = self._own_steps(learner, state.steps)
+        common["statistics"]["steps"] = self._steps_of_learner(learner, state.steps)
         return learner.State.model_validate_json(json.dumps({**common, **state.learners[name]}))
 
 
 def _array_name(agent: str, name: str) -> str:
-    """Return the name of an array of an agent in a checkpoint, which has further arrays of its own."""
+    """Return the name in a checkpoint of an array of an agent. The prefix keeps it apart from the arrays of
+    the whole training."""
     return own_name(f"agents/{agent}", name)
 
 
@@ -422,7 +428,8 @@ def _check_shared(training: Training, policies: Mapping[str, Sequence[str]]) -> 
             )
         if any(replace(trainings[name], agents=()) != trainings[first] for name in names):
             raise UsageError(
-                f"agents that share a policy have the same `train`; write it at the top level, or for `{first}`"
+                f"agents that share a policy must have the same `train`; write it at the top level, or for"
+                f" `{first}`"
             )
 
 
@@ -432,8 +439,8 @@ def _common_steps(learners: Mapping[str, Learner]) -> int:
     if len(set(steps.values())) > 1:
         step_counts = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
         raise UsageError(
-            f"agents that learn in the same worlds collect the same number of steps between two updates,"
-            f" not {step_counts}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
+            f"agents that learn in the same worlds must collect the same number of steps between two"
+            f" updates, not {step_counts}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
         )
     return next(iter(steps.values()))
 
@@ -450,7 +457,7 @@ class _SeatMonitor:
         return True
 
     def on_collected(self) -> None:
-        """The training counts fragments of all agents."""
+        """Do nothing: the training counts fragments of all agents."""
 
     def on_end(self) -> None:
-        """The training ends for all agents."""
+        """Do nothing: the training ends for all agents."""

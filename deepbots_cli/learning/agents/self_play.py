@@ -191,7 +191,8 @@ class SelfPlayLearner(MultiAgentLearner):
         (_, first), *other_trainings = training.agents
         if any(replace(agent_training, agents=()) != first for _, agent_training in other_trainings):
             raise UsageError(
-                "agents that share a policy have the same `train`; write it, with `self_play`, at the top level"
+                "agents that share a policy must have the same `train`; write it, with `self_play`, at the top"
+                " level"
             )
         model = ALGORITHMS[first.algorithm]
         if not model.on_policy or model.base() == "RecurrentPPO":
@@ -227,10 +228,10 @@ class SelfPlayLearner(MultiAgentLearner):
             )
         self._rater = _Rater()
         (name, training), _ = setup.training.agents
-        seats = [self._critical[agent] for agent, _ in setup.training.agents]
+        seats = [self._critic_seats[agent] for agent, _ in setup.training.agents]
         self._scripts = {
             agent: [qualified_name(agent, script.name) for script in seat.member.program.agent.scripts]
-            for agent, seat in self._critical.items()
+            for agent, seat in self._critic_seats.items()
         }
         settings = self._settings
         self._sides = Sides.divided(training.environments, settings.newest, settings.scripts)
@@ -246,7 +247,7 @@ class SelfPlayLearner(MultiAgentLearner):
         return {agent: learner for agent, _ in setup.training.agents}
 
     @property
-    def _own(self) -> Mapping[str, Learner]:
+    def _distinct_learners(self) -> Mapping[str, Learner]:
         if self.setup.collector is None:
             return self.learners
         name, learner = next(iter(self.learners.items()))
@@ -266,7 +267,7 @@ class SelfPlayLearner(MultiAgentLearner):
     def decide(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         """Return the actions of both agents in all worlds, to learn from."""
         names = [*self.learners]
-        seats = [self._critical[name] for name in names]
+        seats = [self._critic_seats[name] for name in names]
         own_masks = [None, None] if masks is None else [masks[:, seat.masks] for seat in seats]
         self._draw_opponents(starts)
         collector, sides = self._collector, self._sides
@@ -339,7 +340,7 @@ class SelfPlayLearner(MultiAgentLearner):
 
     def _rate(self) -> None:
         """Rate the policies by the results of the episodes against past policies."""
-        first, second = (self._critical[name].member for name in self.learners)
+        first, second = (self._critic_seats[name].member for name in self.learners)
         fragment = self._last
         wins = losses = 0
         against_scripts = []
