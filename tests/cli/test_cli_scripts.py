@@ -1,16 +1,13 @@
-"""`try --driver`, and the summary of `try` over many episodes."""
+"""`try --driver` and `try --start`, and the summary of `try` over many episodes."""
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.learning.runs.statistics import mean_interval, wilson
 
 BASE = Path(__file__).parents[1] / "golden" / "lint" / "cartpole.yaml"
@@ -166,43 +163,6 @@ def test_compile_prints_a_method_for_each_script(deepbots, scripted):
     assert code == api.compile(scripted).code
     assert "    def script_catch(self) -> Any:\n" in code
     assert "        if cart_pole_angle > 0.0:\n            drive_pick = 0  # forward\n" in code
-
-
-# How far it is
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
-    screen = Terminal()
-    bar = ProgressBar(40, "episodes", stream=screen)
-    for number in range(1, 41):
-        bar.update(number)
-    bar.close()
-    text = screen.getvalue()
-    assert "1 of 40 episodes" in text
-    assert "40 of 40 episodes" in text
-    assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
-
-
-def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(capsys):
-    with terminal.progress() as show:
-        for number in (*range(1, 11), *range(1, 11)):
-            show(number, 10)
-    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [
-        *map(str, range(1, 11))
-    ] * 2
-
-
-def test_elsewhere_there_is_a_line_for_every_tenth():
-    log = io.StringIO()
-    bar = ProgressBar(40, "episodes", stream=log)
-    for number in range(1, 41):
-        bar.update(number)
-    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*map(str, range(4, 41, 4))]
 
 
 def test_a_start_is_set_on_the_command_line(deepbots, scripted):

@@ -16,7 +16,7 @@ from deepbots_cli.insight.speed import EngineSpeeds, engine_speeds, measure
 from deepbots_cli.learning.sb3 import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, network: {activation: relu}}"
-TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
+COPIES = Path(__file__).parents[1] / "channel" / "copies.yaml"
 
 
 def inspected(deepbots, *words):
@@ -207,7 +207,7 @@ def test_the_same_seed_runs_the_same_episodes(deepbots):
 
 
 def test_copies_of_a_robot_all_take_the_actions_of_the_command_line(deepbots):
-    ran = deepbots("try", str(TEAM), "--driver", "forward,backward", "--engine", "exact", "--episodes", "1")
+    ran = deepbots("try", str(COPIES), "--driver", "forward,backward", "--engine", "exact", "--episodes", "1")
     assert ran.code == 0, ran.err
 
 

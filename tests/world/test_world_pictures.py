@@ -32,7 +32,7 @@ def place_in_picture(view: View, point: tuple[float, float, float]) -> tuple[flo
     ) / depth / tall
 
 
-TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
+COPIES = Path(__file__).parents[1] / "channel" / "copies.yaml"
 BOXES = [
     ((-0.04, -0.04, 0.0), (0.04, 0.04, 0.05)),
     ((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1)),
@@ -144,7 +144,7 @@ def robot_bodies(environment: Supervisor) -> list[str]:
 
 def test_every_copy_of_a_row_begins_in_the_picture() -> None:
     with closing(
-        api.make(TEAM, overrides=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])
+        api.make(COPIES, overrides=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])
     ) as environment:
         view = overview(environment.scenario)
         environment.reset(seed=0)

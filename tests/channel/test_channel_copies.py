@@ -1,9 +1,10 @@
-"""Copies of a robot in one world under one policy: each as if it were alone, all of them together one
-environment."""
+"""Copies of a robot in one world under one policy: each copy behaves as if it were alone, and all copies are
+one environment."""
 
 from __future__ import annotations
 
 import pickle
+import re
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,22 +19,22 @@ from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, Usa
 from deepbots_cli.runtime.copies import CopiesSupervisor
 from tests.worlds import RAIL, Make
 
-TEAM = Path(__file__).parent / "team.yaml"
+COPIES = Path(__file__).parent / "copies.yaml"
 ASIDE = (0.0, 1.0, 0.0)
 CALM = "reset.joints={cart.hinge: 0.02 rad}"
 
 
 @pytest.fixture
-def team(make: Make) -> Make:
-    def make_team(*overrides: str, source: Path = TEAM, engine: str = "exact") -> CopiesSupervisor:
+def copies(make: Make) -> Make:
+    def make_copies(*overrides: str, source: Path = COPIES, engine: str = "exact") -> CopiesSupervisor:
         return make(source, *overrides, engine=engine)
 
-    return make_team
+    return make_copies
 
 
 def rows(environment: CopiesSupervisor, steps: int, seed: int | None = 0) -> list[Any]:
-    """All that an episode gives, with one action for all that changes every five steps, and other ones for
-    the last copy."""
+    """The transitions of an episode, with one action for all that changes every five steps, and other ones
+    for the last copy."""
     transitions: list[Any] = [environment.reset(seed=seed)]
     for step in range(steps):
         action = np.array([step // 5 % 2] * (len(environment.agents) - 1) + [step // 3 % 2])
@@ -47,16 +48,16 @@ def as_bytes(transitions: list[Any]) -> bytes:
     return pickle.dumps([(row[0].tobytes(), row[1:-1], row[-1]) for row in transitions])
 
 
-def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
-    environment = team()
+def test_observations_and_actions_have_a_row_for_each_copy(copies: Make) -> None:
+    environment = copies()
     assert environment.observation_space.shape == (3, 4)
     assert environment.action_space == gym.spaces.MultiDiscrete([2, 2, 2])
     observation, info = environment.reset(seed=0)
     assert observation in environment.observation_space
     assert info["each"] == {"reward": (0.0,) * 3, "terminated": (False,) * 3, "is_success": (False,) * 3}
-    wide = team("action={drive: -1 .. 1, other: -1 .. 1}")
+    wide = copies("action={drive: -1 .. 1, other: -1 .. 1}")
     assert (wide.action_space.shape, wide.agents["cart#1"].action_space.shape) == ((3, 2), (2,))
-    both = team("action={drive: {choices: {a: 1, b: -1}}, other: {choices: {a: 1, b: 2, c: 3}}}")
+    both = copies("action={drive: {choices: {a: 1, b: -1}}, other: {choices: {a: 1, b: 2, c: 3}}}")
     assert both.action_space.shape == (3, 2)
     both.reset(seed=0)
     both.step(both.action_space.sample())
@@ -71,9 +72,11 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
         ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}"),
     ],
 )
-def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, overrides: tuple[str, ...]) -> None:
-    together = team(CALM, *overrides, engine=engine)
-    alone = team(CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine)
+def test_each_copy_does_what_it_would_do_alone(copies: Make, engine: str, overrides: tuple[str, ...]) -> None:
+    together = copies(CALM, *overrides, engine=engine)
+    alone = copies(
+        CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine
+    )
     observations = [observation for observation, *_ in rows(together, 12)]
     for copy in range(3):
         observation = alone.reset(seed=0)[0]
@@ -82,15 +85,15 @@ def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, override
             observation = alone.step(step // 5 % 2 if copy < 2 else step // 3 % 2)[0]
 
 
-def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None:
-    environment = team("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
+def test_copies_stand_in_a_row_around_the_place_of_the_robot(copies: Make) -> None:
+    environment = copies("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
     environment.reset(seed=0)
     places = [member.engine.pose("cart")()[0] for member in environment.agents.values()]
     assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
 
 
-def test_an_environment_has_its_agents_by_name(team: Make) -> None:
-    together, alone = team(), team(source=RAIL)
+def test_an_environment_has_its_agents_by_name(copies: Make) -> None:
+    together, alone = copies(), copies(source=RAIL)
     assert (
         list(together.agents)
         == [robot.name for robot in together.world.robots]
@@ -99,8 +102,8 @@ def test_an_environment_has_its_agents_by_name(team: Make) -> None:
     assert list(alone.agents.values()) == [alone]
 
 
-def test_a_copy_means_itself_by_the_name_of_the_robot(team: Make) -> None:
-    environment = team()
+def test_a_copy_means_itself_by_the_name_of_the_robot(copies: Make) -> None:
+    environment = copies()
     environment.reset(seed=0)
     world, first, second = (
         environment.engine,
@@ -124,8 +127,8 @@ def test_a_copy_means_itself_by_the_name_of_the_robot(team: Make) -> None:
     assert world.gravity == second.gravity == (0.0, 0.0, -1.0)
 
 
-def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
-    environment = team()
+def test_the_episode_ends_for_all_when_it_ends_for_one(copies: Make) -> None:
+    environment = copies()
     *_, last = rows(environment, 300, seed=1)
     _, reward, terminated, truncated, info = last
     assert terminated is True
@@ -136,8 +139,8 @@ def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
     assert reward == info["reward_terms"]["alive"] == 1.0
 
 
-def test_the_reward_is_the_mean_and_each_has_its_own(team: Make) -> None:
-    environment = team(CALM, "reward={still: 1, pushed: drive}")
+def test_the_reward_is_the_mean_and_each_has_its_own(copies: Make) -> None:
+    environment = copies(CALM, "reward={still: 1, pushed: drive}")
     environment.reset(seed=0)
     _, reward, _, _, info = environment.step(np.array([0, 1, 0]))
     assert info["each"]["reward"] == (2.0, 0.0, 2.0)
@@ -145,11 +148,11 @@ def test_the_reward_is_the_mean_and_each_has_its_own(team: Make) -> None:
     assert info["reward_terms"] == pytest.approx({"still": 1.0, "pushed": 1 / 3})
 
 
-def test_failure_of_one_beats_success_of_another(team: Make) -> None:
+def test_failure_of_one_beats_success_of_another(copies: Make) -> None:
     endings = (
         "termination={failure: {back: drive < -0.5 and step > 2}, success: {forth: drive > 0.5 and step > 2}}"
     )
-    environment = team(CALM, endings)
+    environment = copies(CALM, endings)
     for action, is_success, ended_by in (((0, 0, 0), True, "forth"), ((0, 1, 0), False, "back")):
         environment.reset(seed=0)
         for _ in range(3):
@@ -157,25 +160,30 @@ def test_failure_of_one_beats_success_of_another(team: Make) -> None:
         assert (terminated, info["is_success"], info["ended_by"]) == (True, is_success, ended_by)
 
 
-def test_limits_cut_all_short(team: Make) -> None:
-    *_, (_, _, terminated, truncated, info) = rows(team(CALM, "truncation={max_steps: 7}"), 99)
+def test_limits_cut_all_short(copies: Make) -> None:
+    *_, (_, _, terminated, truncated, info) = rows(copies(CALM, "truncation={max_steps: 7}"), 99)
     assert terminated is False
     assert truncated is True
     assert info["ended_by"] == "max_steps"
 
 
-def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
+def test_draws_are_each_copys_own_and_parameters_are_shared(copies: Make) -> None:
     drawn = "parameters={cart_speed: 1 m/s, gust: uniform(0 .. 1), wind: uniform(0 .. 1) every 60 ms}"
-    environment = team(drawn, "reward={wind: wind, gust: gust}")
+    environment = copies(drawn, "reward={wind: wind, gust: gust}")
     first = environment.reset(seed=0)[0]
     assert len({float(row[2]) for row in first}) == 3
+    rewards = []
     for _ in range(12):
         info = environment.step(np.zeros(3, int))[4]
         assert len(set(info["each"]["reward"])) == 1
+        rewards.append(info["reward_terms"])
+    assert len({terms["wind"] for terms in rewards}) > 3
+    environment.reset(seed=1)
+    assert environment.step(np.zeros(3, int))[4]["reward_terms"]["gust"] != rewards[0]["gust"]
 
 
-def test_channels_of_copies_share_no_draw(team: Make) -> None:
-    environment = team(
+def test_channels_of_copies_share_no_draw(copies: Make) -> None:
+    environment = copies(
         "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50"
         " %}}",
         "reward={a: 1 when message_received(cart)}",
@@ -190,25 +198,25 @@ def test_channels_of_copies_share_no_draw(team: Make) -> None:
     "overrides",
     [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)],
 )
-def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, overrides: tuple[str, ...]) -> None:
-    environment = team(*overrides)
+def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(copies: Make, overrides: tuple[str, ...]) -> None:
+    environment = copies(*overrides)
     first = as_bytes(rows(environment, 30, seed=3))
     rows(environment, 17, seed=4)
     assert as_bytes(rows(environment, 30, seed=3)) == first
     second = as_bytes(rows(environment, 30, seed=None))
-    fresh = team(*overrides)
+    fresh = copies(*overrides)
     assert as_bytes(rows(fresh, 30, seed=3)) == first
     assert as_bytes(rows(fresh, 30, seed=None)) == second != first
 
 
-def test_settling_happens_once_for_all(team: Make) -> None:
-    together, alone = team(CALM, "reset.settle=0.2 s"), team(CALM, "reset.settle=0.2 s", source=RAIL)
+def test_settling_happens_once_for_all(copies: Make) -> None:
+    together, alone = copies(CALM, "reset.settle=0.2 s"), copies(CALM, "reset.settle=0.2 s", source=RAIL)
     expected = alone.reset(seed=0)[0]
     assert all(np.allclose(row, expected, atol=1e-12) for row in together.reset(seed=0)[0])
 
 
-def test_it_is_a_gymnasium_environment(team: Make) -> None:
-    environment = team()
+def test_it_is_a_gymnasium_environment(copies: Make) -> None:
+    environment = copies()
     check_env(environment, skip_render_check=True)
     with closing(pickle.loads(pickle.dumps(environment))) as unpickled:
         assert as_bytes(rows(unpickled, 9)) == as_bytes(rows(environment, 9))
@@ -220,8 +228,8 @@ def test_it_is_a_gymnasium_environment(team: Make) -> None:
 @pytest.mark.parametrize(
     "bad", [0, [0, 0], [0, 0, 2], [0.5, 0, 0], "x", None, np.zeros((3, 1), int), [0, 0, -1]]
 )
-def test_an_action_that_does_not_fit_changes_nothing(team: Make, bad: Any) -> None:
-    environment, unharmed = team(), team()
+def test_an_action_that_does_not_fit_changes_nothing(copies: Make, bad: Any) -> None:
+    environment, unharmed = copies(), copies()
     environment.reset(seed=0)
     unharmed.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
@@ -231,20 +239,20 @@ def test_an_action_that_does_not_fit_changes_nothing(team: Make, bad: Any) -> No
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 1)), np.full((3, 1), np.nan), np.zeros(3)])
-def test_numbers_that_do_not_fit_change_nothing(team: Make, bad: Any) -> None:
-    environment = team("action={drive: -1 .. 1}")
+def test_numbers_that_do_not_fit_change_nothing(copies: Make, bad: Any) -> None:
+    environment = copies("action={drive: -1 .. 1}")
     environment.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(bad)
     assert environment.agents["cart#1"].step_count == 0
 
 
-def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
-    environment = team(
+def test_copies_act_by_choices_and_ranges_together(copies: Make) -> None:
+    environment = copies(
         CALM,
         "cart_speed=0.1 m/s",
         "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}",
-        source=TEAM.with_name("mixed_team.yaml"),
+        source=COPIES.with_name("mixed_copies.yaml"),
     )
     environment.reset(seed=0)
     action = {"choices": np.array([0, 1, 0]), "ranges": np.array([[1.0], [1.0], [-1.0]])}
@@ -257,8 +265,8 @@ def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
     assert environment.agents["cart#1"].step_count == 3
 
 
-def test_errors_name_the_expression_as_ever(team: Make) -> None:
-    environment = team(CALM, 'reward={bad: "1 / (step - 2)"}')
+def test_an_error_in_a_copy_names_the_expression(copies: Make) -> None:
+    environment = copies(CALM, 'reward={bad: "1 / (step - 2)"}')
     environment.reset(seed=0)
     environment.step(np.zeros(3, int))
     with pytest.raises(EvaluationError, match="step 2: no value for"):
@@ -266,25 +274,30 @@ def test_errors_name_the_expression_as_ever(team: Make) -> None:
 
 
 @pytest.mark.parametrize("base", ["fixed", "free"])
-def test_a_team_can_be_filmed(base: str) -> None:
+def test_copies_can_be_filmed(base: str) -> None:
     with closing(
-        api.make(TEAM, overrides=[f"robots.cart.base={base}"], render_mode="rgb_array")
+        api.make(COPIES, overrides=[f"robots.cart.base={base}"], render_mode="rgb_array")
     ) as environment:
         environment.reset(seed=0)
-        assert environment.render().shape == (320, 480, 3)
+        picture = environment.render()
+        assert picture.shape == (320, 480, 3)
+        assert picture.std() > 0
 
 
-def test_a_team_of_one_is_a_team(team: Make) -> None:
-    environment = team("robots.cart.count=1")
+def test_a_single_copy_has_a_row_of_its_own(copies: Make) -> None:
+    environment = copies("robots.cart.count=1")
     assert environment.reset(seed=0)[0].shape == (1, 4)
 
 
-def test_a_team_without_sense_is_refused_in_words() -> None:
-    for overrides in (
-        ["agent={each: carts}"],
-        ["robots.cart.count=integer(1 .. 3)"],
-        ["robots.cart.count=2.5"],
-        ["robots.cart.count=0"],
-    ):
-        with pytest.raises(DeepbotsError):
-            api.compile(TEAM, overrides=overrides)
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("agent={each: carts}", "there is no robot `carts`"),
+        ("robots.cart.count=integer(1 .. 3)", "must be fixed"),
+        ("robots.cart.count=2.5", "expected a whole number"),
+        ("robots.cart.count=0", "0 copies"),
+    ],
+)
+def test_impossible_copies_are_refused_in_words(override: str, message: str) -> None:
+    with pytest.raises(DeepbotsError, match=re.escape(message)):
+        api.compile(COPIES, overrides=[override])
