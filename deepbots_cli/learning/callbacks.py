@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.learning.active import OFF_POLICY_FACTOR, ActiveTraining
 from deepbots_cli.learning.confirmations import Confirmations
-from deepbots_cli.learning.held_out import play_script
 from deepbots_cli.learning.report import LINE_INTERVAL_S, TrainingProgress
 from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.runs.episodes import Summary, agent_returns
@@ -173,18 +171,7 @@ class TrainingCallback:
         self._take_agreement()
         if not teaching.knows(stage := active.curriculum.index):
             scenario = active.curriculum.scenario_of(stage)
-            hidden: list[str] = []
-            if teaching.demonstrations is not None:
-                played = list(teaching.demonstrations.episodes)
-            elif teaching.policy is not None:
-                evaluator = active.evaluator
-                engine = active.run.record.engine
-                played = teaching.policy.play(scenario, evaluator.build, engine, evaluator.starts)
-            else:
-                script = teaching.teacher.script
-                evaluator = active.evaluator
-                played = play_script(evaluator.build, scenario, script, evaluator.starts)
-                hidden = unobserved_reads(scenario, script)
+            played, hidden = teaching.play(scenario, active.evaluator, active.run.record.engine)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             active.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
         drove = teaching.drives

@@ -16,13 +16,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, Field
 
+from deepbots_cli.analysis import unobserved_reads
+from deepbots_cli.learning.held_out import play_script
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.teaching.demonstrations import Demonstrations
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Lesson
 
 if TYPE_CHECKING:
+    from deepbots_cli.learning.held_out import Evaluator
     from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
 
 ENOUGH = 0.95
@@ -110,6 +114,19 @@ class Teaching:
     def knows(self, stage: int) -> bool:
         """Return whether the score of the script in a stage of the curriculum is known."""
         return self.score is not None and (self._stage == stage or not self._has_stages)
+
+    def play(
+        self, scenario: Program, evaluator: Evaluator, engine: str
+    ) -> tuple[Sequence[Episode], list[str]]:
+        """Play the teacher from the starts of the evaluations; a recording has its own episodes. Returns the
+        episodes, and the values that a script reads and the policy does not observe."""
+        if self.demonstrations is not None:
+            return self.demonstrations.episodes, []
+        if self.policy is not None:
+            return self.policy.play(scenario, evaluator.build, engine, evaluator.starts), []
+        script = self.teacher.script
+        episodes = play_script(evaluator.build, scenario, script, evaluator.starts)
+        return episodes, unobserved_reads(scenario, script)
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the episodes of the script in a stage of the curriculum. Returns its score in a sentence.
