@@ -19,6 +19,7 @@ shards.py                the worlds of a training, and shards of them with a cop
 executor.py              executors of work: in this process, or on workers
 calls.py                 calls of a function, and their watchers
 failures.py              failures of an episode, kept to be reproduced
+limits.py                checks that a training fits into the memory
 scaling.py               the speed of a training with several numbers of shards
 
 evaluation.py            evaluate: a policy on held-out starts, with intervals; loads the model of a run

@@ -19,6 +19,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning import limits
 from deepbots_cli.learning.agents.rivals import model_of
 from deepbots_cli.learning.callbacks import OnEvaluation
 from deepbots_cli.learning.checkpoint_files import latest_checkpoint
@@ -397,7 +398,7 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
             "callbacks work only with the built-in algorithms; leave out --callback to train with"
             f" {training.algorithm}"
         )
-    algorithms.check_memory(training.environments)
+    limits.check_memory(training.environments)
     return training
 
 

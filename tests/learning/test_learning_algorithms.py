@@ -27,10 +27,10 @@ from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models, networks
-from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
 from deepbots_cli.learning.sb3.rollouts import ExplorationActor
+from deepbots_cli.learning.sb3.schedules import DecayingNoise, DivergenceRate
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, AdaptiveRate, Hindsight, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
@@ -92,7 +92,7 @@ def test_an_algorithm_keeps_the_optimizer_settings_of_stable_baselines(algorithm
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=60))
 def test_an_adaptive_rate_moves_against_the_divergence_within_its_limits(divergences: list[float]) -> None:
-    rate = algorithms.DivergenceRate(AdaptiveRate(kl=0.01, start=1e-3))
+    rate = DivergenceRate(AdaptiveRate(kl=0.01, start=1e-3))
     for divergence in divergences:
         before = rate(0.5)
         rate.follow(divergence)

@@ -26,7 +26,7 @@ from stand_in import hyper
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
 from deepbots_cli.installation import install_hint
-from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, learner, resume, train
+from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, learner, limits, resume, train
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -599,11 +599,11 @@ def test_the_check_of_an_algorithm_that_does_not_exist_names_those_that_do() -> 
 
 
 def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:
-    algorithms.check_memory(8, memory=10**9)
+    limits.check_memory(8, memory=10**9)
     with pytest.raises(
         UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
     ):
-        algorithms.check_memory(1024, memory=8 * 10**9)
+        limits.check_memory(1024, memory=8 * 10**9)
 
 
 def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_path: Path) -> None:

@@ -18,10 +18,10 @@ from gymnasium import spaces
 from torch import nn
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning import limits
 from deepbots_cli.learning.checkpoint_files import Array
 from deepbots_cli.learning.learner import ArrayLearner, Setup
 from deepbots_cli.learning.rsl.internals import validation_kept
-from deepbots_cli.learning.sb3.algorithms import check_size
 from deepbots_cli.learning.sb3.defaults import default_values
 from deepbots_cli.learning.sb3.models import NOT_FINITE, overflow_explained
 from deepbots_cli.learning.sb3.networks import PolicyNetwork
@@ -82,7 +82,7 @@ class RslLearner(ArrayLearner):
 
     @classmethod
     def check(cls, training: Training) -> None:
-        check_size(training.network.hidden)
+        limits.check_size(training.network.hidden)
         if not training.network.hidden:
             raise UsageError(f"{training.algorithm} needs a hidden layer; write `network: {{hidden: [64]}}`")
         if training.device == "cuda":

@@ -3,7 +3,8 @@ them.
 
 learner.py       `OnPolicyLearner`, `OffPolicyLearner`: algorithms behind the interface of `learning.learner`
 internals.py     the private members of the library that deepbots uses
-algorithms.py    algorithms made for a scenario, action noise
+algorithms.py    algorithms created for a scenario
+schedules.py     hyperparameters and noise that change during a training
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 environment.py   the worlds of a collector as a vector environment
 rollouts.py      the actor of on-policy algorithms, and rollout buffers filled from fragments

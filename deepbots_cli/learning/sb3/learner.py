@@ -45,6 +45,7 @@ from deepbots_cli.learning.sb3.imitation import (
     only_imitating,
 )
 from deepbots_cli.learning.sb3.logs import encoded, number_of
+from deepbots_cli.learning.sb3.schedules import DivergenceRate
 from deepbots_cli.learning.sb3.symmetry import mirrored_experience
 from deepbots_cli.learning.teaching.demonstrations import Demonstrations
 from deepbots_cli.learning.teaching.teacher import Plan
@@ -335,7 +336,7 @@ class OnPolicyLearner(StableLearner):
         self._participation: Array | None = None
         self._lessons: Lessons | None = None
         rate = self.model.learning_rate
-        self._adaptive_rate = rate if isinstance(rate, algorithms.DivergenceRate) else None
+        self._adaptive_rate = rate if isinstance(rate, DivergenceRate) else None
 
     def be_taught(self, plan: Plan) -> None:
         if not self._takes_fragments or self._memory:

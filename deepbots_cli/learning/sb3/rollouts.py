@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecTransposeImage
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3 import internals, networks
-from deepbots_cli.learning.sb3.algorithms import DecayingNoise
+from deepbots_cli.learning.sb3.schedules import DecayingNoise
 from deepbots_cli.rollout.collector import Decision, Fragment
 from deepbots_cli.rollout.worlds import Array
 
