@@ -163,6 +163,8 @@ class Training(Section):
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
     """Whether the policy never takes a choice that `forbid` excludes."""
+    is_recurrent: ClassVar[bool] = False
+    """Whether its policy has a memory."""
     mirrors: ClassVar[bool] = False
     """Whether it can learn from mirror images (`symmetry`)."""
     has_critic: ClassVar[bool] = False
@@ -424,6 +426,7 @@ class RecurrentPPO(_GaussianActions, _Proximal):
     """PPO with a memory (LSTM); choices or ranges."""
 
     import_path = "sb3_contrib:RecurrentPPO"
+    is_recurrent = True
 
     algorithm: Literal["RecurrentPPO"]
     lstm: Annotated[int, WholeNumber(1, 2048)] | None = None

@@ -104,7 +104,7 @@ def _require_plain_policy(program: Program) -> None:
     """
     agent = program.agent
     algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None
-    if algorithm is not None and algorithm.base() == "RecurrentPPO":
+    if algorithm is not None and algorithm.is_recurrent:
         raise UsageError(
             "a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a"
             " bundle instead"

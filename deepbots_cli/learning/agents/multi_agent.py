@@ -163,7 +163,7 @@ class MultiAgentLearner(Learner):
         assert setup.program is not None
         for name, agent_training in setup.training.agents:
             alone = setup.program.members[name].alone
-            is_recurrent = ALGORITHMS[agent_training.algorithm].base() == "RecurrentPPO"
+            is_recurrent = ALGORITHMS[agent_training.algorithm].is_recurrent
             if alone and (is_recurrent or not learners.class_of(agent_training).learns_from_parts):
                 raise UsageError(
                     f"`{min(alone)}` ends the episode of `{name}` alone, which {agent_training.algorithm}"
@@ -422,7 +422,7 @@ def _check_shared(training: Training, policies: Mapping[str, Sequence[str]]) -> 
     trainings = dict(training.agents)
     for first, names in policies.items():
         model = ALGORITHMS[trainings[first].algorithm]
-        if len(names) > 1 and (not model.on_policy or model.base() == "RecurrentPPO"):
+        if len(names) > 1 and (not model.on_policy or model.is_recurrent):
             raise UsageError(
                 f"{trainings[first].algorithm} does not support a policy that several agents share; use PPO"
             )

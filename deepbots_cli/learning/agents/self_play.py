@@ -195,7 +195,7 @@ class SelfPlayLearner(MultiAgentLearner):
                 " level"
             )
         model = ALGORITHMS[first.algorithm]
-        if not model.on_policy or model.base() == "RecurrentPPO":
+        if not model.on_policy or model.is_recurrent:
             raise UsageError(f"{first.algorithm} does not support `self_play`; use PPO")
         if first.shards > 1:
             raise UsageError("`self_play` does not support `shards`; leave one of them out")

@@ -262,7 +262,7 @@ def check_teachable(training: Training) -> None:
     Raises:
         UsageError: The algorithm cannot learn from a teacher.
     """
-    if _entry(training.algorithm).base() == "RecurrentPPO":
+    if _entry(training.algorithm).is_recurrent:
         raise UsageError(
             f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and"
             " --teacher"

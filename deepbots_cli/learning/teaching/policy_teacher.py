@@ -101,7 +101,7 @@ def _columns(teacher: ModelRef, program: Program) -> list[int]:
     learner = program.with_critic.agent
     name = teacher.label
     training = agent.training
-    if training is not None and ALGORITHMS[training.algorithm].base() == "RecurrentPPO":
+    if training is not None and ALGORITHMS[training.algorithm].is_recurrent:
         raise UsageError(f"the policy of {name} has a memory, which a teacher cannot have")
     for checked_agent, whose in ((agent, name), (learner, program.name)):
         if checked_agent.goal is not None or checked_agent.images or checked_agent.copies is not None:
