@@ -40,13 +40,10 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    default_of,
-    example_of,
-    key_description,
-    section_description,
     section_fields,
     unit_of,
 )
+from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.quantities import Expression, Quantity
 from deepbots_cli.scenario.isaac_lab import TERMS_FILE

@@ -24,23 +24,12 @@ from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.scenario import isaac_lab
-from deepbots_cli.scenario.base import (
-    Kinds,
-    MappingOf,
-    Section,
-    Shape,
-    default_of,
-    example_of,
-    key_description,
-    noun_of,
-    section_description,
-    section_fields,
-    unit_of,
-    walk_sections,
-)
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, Shape, noun_of, section_fields, unit_of
+from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import with_article
 from deepbots_cli.scenario.keys import section_text
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.walk import walk_sections
 
 _CODE = re.compile(r"db\d", re.IGNORECASE)
 """The form of the codes of findings."""
