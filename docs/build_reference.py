@@ -25,7 +25,7 @@ import typer
 
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import GROUPS
-from deepbots_cli.cli.commands.explain import topics
+from deepbots_cli.cli.explanations import topics
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
