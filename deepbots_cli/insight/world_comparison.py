@@ -325,7 +325,7 @@ class _Kind:
     """A kind of change of the first world.
 
     Attributes:
-        family: The kind in words without names.
+        family: The changed property in words, without names.
         name: Its name, which an amount follows.
         simulate: Simulates episodes with an amount of it.
         amounts: The amounts that are tried, sorted.
@@ -378,7 +378,7 @@ def _kinds(
     assert isinstance(root, MappingNode)
     times = doubled_times(program.world.timestep)
     for plan in (
-        *(plan for plan in plans(root, program) if plan.kind != MASS),
+        *(plan for plan in plans(root, program) if plan.family != MASS),
         *masses(root, program, _MAX_LINKS),
         *friction_plans(root, program),
         *latency_plans(root, program),
@@ -386,16 +386,16 @@ def _kinds(
     ):
         if plan.form == DELAY:
             yield _Kind(
-                plan.kind, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
+                plan.family, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
             )
         elif plan.form == FACTOR:
             amounts, probes = (
-                (_MASS_FACTORS, _PROBED_MASSES) if plan.kind == MASS else (_FACTORS, _PROBED_FACTORS)
+                (_MASS_FACTORS, _PROBED_MASSES) if plan.family == MASS else (_FACTORS, _PROBED_FACTORS)
             )
-            yield _Kind(plan.kind, plan.name, with_plan(plan), amounts, probes, FACTOR)
+            yield _Kind(plan.family, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in torque_limits(program):
         limits, first = (
             tuple(factor * largest for factor in factors if factor < 1.0)
             for factors in (_FACTORS, _PROBED_FACTORS)
         )
-        yield _Kind(plan.kind, plan.name, with_plan(plan), limits, first, plan.form)
+        yield _Kind(plan.family, plan.name, with_plan(plan), limits, first, plan.form)
