@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Reference,
     Symbol,
-    Type,
+    ValueType,
     referenced_names,
     walk,
 )
@@ -79,7 +79,9 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
     if not is_complete or len(dimensions) != 1:
         return Symbol(name, None)
     fixed = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, fixed)), fixed)
+    return Symbol(
+        name, ValueType(dimensions.pop(), tuple(positions)).with_intervals(map(single, fixed)), fixed
+    )
 
 
 @dataclass(eq=False)

@@ -35,8 +35,8 @@ from deepbots_cli.expressions.types import (
     Redraw,
     Subject,
     Symbol,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
     walk,
 )
 from deepbots_cli.expressions.unification import expect_value
@@ -137,7 +137,7 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
 
 
 def is_repeated_as_a_whole(
-    typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader
+    typed: TypedNode, redraw: Redraw | None, text: SourceText, values: ValueReader
 ) -> bool:
     """Return whether a value that changes within an episode determines how often its own draws are
     repeated."""
@@ -155,7 +155,7 @@ def is_repeated_as_a_whole(
     return False
 
 
-def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
+def _is_positive(period: TypedNode, text: SourceText, values: ValueReader) -> bool:
     if expect_value(period, values.report(text), "the period") is None:
         return False
     low, high = period.type.interval.low, period.type.interval.high
@@ -510,7 +510,7 @@ def python_term(name: str, term: PythonTerm, namespace: Namespace, *, boolean: b
         remedy = "write an expression, or allow it with --allow-code if you trust the package"
         values.add("DB409", text.span, f"`{name}` would run Python code: {term.python}", remedy)
     module, _, function = term.python.partition(":")
-    kind = Type(
+    kind = ValueType(
         boolean=boolean,
         interval=TRUTH if boolean else Interval(float("-inf"), float("inf")),
         known=Known.STEP,
@@ -630,7 +630,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     return tuple(terms)
 
 
-def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
+def _reward_value(text: SourceText, namespace: Namespace) -> TypedNode | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:

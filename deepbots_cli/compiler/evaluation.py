@@ -30,7 +30,7 @@ from deepbots_cli.document.nodes import (
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
+from deepbots_cli.expressions.types import Constant, Context, Operation, TypedNode, walk
 from deepbots_cli.expressions.unification import expect_range
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
 from deepbots_cli.program.task import (
@@ -741,7 +741,7 @@ class _Reader(NamespaceReader):
             )
 
 
-def _compared(tree: Typed) -> Iterator[Typed]:
+def _compared(tree: TypedNode) -> Iterator[TypedNode]:
     """Yield the single values that comparisons of a condition compare, except constants."""
     spans: set[tuple[int, int]] = set()
     for node in walk(tree):

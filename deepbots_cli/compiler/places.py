@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     Context,
     Invocation,
     Known,
-    Type,
+    ValueType,
 )
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
@@ -339,11 +339,11 @@ def _size(covered: Footprint) -> str:
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
     """Return a number in SI units that is not written in the text."""
-    return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
+    return Constant(ValueType(dimension, interval=single(value)), 0, 0, (value,))
 
 
 _ANY_ANGLE = Invocation(
-    Type(ANGLE, interval=TURN, known=Known.EPISODE),
+    ValueType(ANGLE, interval=TURN, known=Known.EPISODE),
     0,
     0,
     "uniform",

@@ -35,8 +35,8 @@ from deepbots_cli.expressions.types import (
     Reference,
     Scope,
     Symbol,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
     children,
 )
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
@@ -226,8 +226,8 @@ class Actions(NamespaceReader):
             return Symbol(name, None)
         components = action_names(parts)
         if all(isinstance(part, Choices) for part in parts):
-            return Symbol(name, Type(NUMBER, components, boolean=True, known=Known.STEP))
-        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
+            return Symbol(name, ValueType(NUMBER, components, boolean=True, known=Known.STEP))
+        return Symbol(name, ValueType(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Define the variables of an action: each option sets the variable called like the action, or the
@@ -239,7 +239,7 @@ class Actions(NamespaceReader):
         rows = {option: self._numbers(part, option, variables, named=bool(names)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            variable_type = Type(
+            variable_type = ValueType(
                 NUMBER,
                 interval=Interval(min(column, default=0.0), max(column, default=0.0)),
                 known=Known.STEP,
@@ -287,7 +287,8 @@ class Actions(NamespaceReader):
         low, high = ends.low[0], ends.high[0]
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
         return Symbol(
-            name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP)
+            name,
+            ValueType(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP),
         )
 
     def _group(self, reference: str, path: NodePath) -> Components | None:
@@ -368,7 +369,7 @@ class Observations(NamespaceReader):
         history, clip = (spec.history, spec.clip) if isinstance(spec, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
-    def _observed(self, section: str, text: SourceText) -> Typed | None:
+    def _observed(self, section: str, text: SourceText) -> TypedNode | None:
         tree = self._values.parsed(text)
         if tree is None:
             return None
@@ -425,7 +426,7 @@ class Observations(NamespaceReader):
             "DB609", text.span, f"the observation contains `{name}`, which is {noun}", remedy, fix=fix
         )
 
-    def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
+    def _bounds(self, typed: TypedNode, text: SourceText) -> Bounds | None:
         count = len(typed.type.components or ("",))
         picture = typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
@@ -610,7 +611,7 @@ class Goals(NamespaceReader):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
                 return Symbol(name, None)
-        return Symbol(name, Type(boolean=True, known=Known.STEP))
+        return Symbol(name, ValueType(boolean=True, known=Known.STEP))
 
 
 def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
@@ -632,7 +633,7 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
             break
 
 
-def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
+def _parts_besides_goal(value: TypedNode) -> Iterator[TypedNode]:
     """Yield the parts of a value that are not made of the goal and of fixed values."""
     match value:
         case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:

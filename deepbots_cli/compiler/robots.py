@@ -31,7 +31,7 @@ from deepbots_cli.expressions.dimensions import (
     Unit,
 )
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, Type
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, ValueType
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -377,7 +377,9 @@ class Overrides:
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
         """Return the scope of a change of a value that is called `urdf` and comes from the robot file."""
-        symbol = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
+        symbol = (
+            _UNKNOWN if urdf is None else Symbol("urdf", ValueType(dimension, interval=single(urdf)), (urdf,))
+        )
         return self.namespace.scope(Context.FIELD, {"urdf": symbol})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:

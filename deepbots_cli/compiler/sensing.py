@@ -18,7 +18,7 @@ from deepbots_cli.compiler.robots import (
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, Type
+from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, ValueType
 from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import (
     MAX_SENSED_RAYS,
@@ -121,9 +121,11 @@ class SensorsCompiler(NamespaceReader):
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=parameters)
         self.symbols[name] = Symbol(name, typed._replace(known=Known.STEP))
 
-    def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
+    def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, ValueType] | None:
         """Return a sensor without errors, and the type of its readings; None after a finding."""
-        typed = Type(spec.dimension, spec.components or None, boolean=spec.boolean, interval=spec.interval)
+        typed = ValueType(
+            spec.dimension, spec.components or None, boolean=spec.boolean, interval=spec.interval
+        )
         subjects: tuple[str, ...] = ()
         more: dict[str, Any] = {}
         match spec:
@@ -160,7 +162,7 @@ class SensorsCompiler(NamespaceReader):
         )
         return sensor, typed._replace(known=Known.STEP)
 
-    def _measured(self, spec: LinkSensor, typed: Type) -> tuple[dict[str, Any], Type] | None:
+    def _measured(self, spec: LinkSensor, typed: ValueType) -> tuple[dict[str, Any], ValueType] | None:
         """Return the fields that only a sensor on a link has, and the type of its readings; None after a
         finding."""
         namespace = self._namespace
@@ -178,7 +180,7 @@ class SensorsCompiler(NamespaceReader):
                     return None
                 more["radar"] = radar
                 names = tuple(name.replace("#", "_") for name in radar.targets)
-                typed = Type(
+                typed = ValueType(
                     spec.measures[spec.measure],
                     names if spec.target is None else None,
                     boolean=spec.measure == "seen",
@@ -189,7 +191,7 @@ class SensorsCompiler(NamespaceReader):
                 if optics is None:
                     return None
                 more["optics"] = optics
-                typed = Type(picture=optics.shape)
+                typed = ValueType(picture=optics.shape)
         return more, typed
 
     def _carrier_of(self, spec: LinkSensor) -> tuple[str, ...]:
@@ -497,7 +499,9 @@ _NUMERIC_KEYS = ("noise", "bias", "drift", "resolution", "range")
 """The keys of sensors that read numbers."""
 
 
-def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
+def _noise_model(
+    namespace: Namespace, spec: SensorSpec, typed: ValueType
+) -> tuple[NoiseModel | None, ValueType]:
     """Return the errors of a sensor, period apart, and the type of its readings with them; None for a perfect
     sensor."""
     variations_before = len(namespace.fields.variations)
@@ -547,7 +551,7 @@ def _latency(namespace: Namespace, spec: SensorSpec) -> float:
 
 
 def _error(
-    namespace: Namespace, spec: SensorSpec, key: str, typed: Type
+    namespace: Namespace, spec: SensorSpec, key: str, typed: ValueType
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return a value per component, absolute or relative: one written with `%` is relative to the reading."""
     if key not in spec.model_fields_set:
@@ -572,7 +576,7 @@ def _error(
     return ((), error) if relative else (error, ())
 
 
-def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[float, ...]:
+def _resolution(namespace: Namespace, spec: SensorSpec, typed: ValueType) -> tuple[float, ...]:
     if "resolution" not in spec.model_fields_set:
         return ()
     steps = namespace.fields.numbers(
@@ -592,7 +596,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[fl
 
 
 def _range(
-    namespace: Namespace, spec: SensorSpec, typed: Type
+    namespace: Namespace, spec: SensorSpec, typed: ValueType
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if isinstance(spec, Radar):
         count = len(typed.components or ("",))

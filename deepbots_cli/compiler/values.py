@@ -33,7 +33,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Redraw,
     Scope,
-    Typed,
+    TypedNode,
     TypedRange,
     is_bare_zero,
 )
@@ -116,7 +116,7 @@ class SourceText(NamedTuple):
 
     def expression(
         self,
-        typed: Typed,
+        typed: TypedNode,
         name: str | None = None,
         *,
         per_component: Components | None = None,
@@ -170,7 +170,7 @@ class ScopedExpression(NamedTuple):
 
     text: SourceText
     scope: Scope
-    trees: tuple[Typed, ...]
+    trees: tuple[TypedNode, ...]
 
 
 class ValueReader:
@@ -384,7 +384,7 @@ class ValueReader:
     def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))
 
-    def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> Typed | None:
+    def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> TypedNode | None:
         """Return the typed tree of an expression; `boolean` demands a truth value (True) or a number
         (False)."""
         tree = self.parsed(text)
@@ -394,7 +394,7 @@ class ValueReader:
             return typed
         return expect_kind(typed, self.report(text), boolean=boolean)
 
-    def condition(self, text: SourceText, scope: Scope) -> Typed | None:
+    def condition(self, text: SourceText, scope: Scope) -> TypedNode | None:
         """Return the typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
         return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
@@ -411,7 +411,7 @@ class ValueReader:
 
     def redrawn(
         self, text: SourceText, description: str, scope: Scope, dimension: Dimension
-    ) -> tuple[Typed | None, Redraw | None]:
+    ) -> tuple[TypedNode | None, Redraw | None]:
         """Return a single value that may be new in every step, like `quantity`; with it, how often its draws
         are repeated."""
         checked = self.drawn(text, scope)
@@ -437,7 +437,7 @@ class ValueReader:
         components: Components | None = None,
         known: Known = Known.FIXED,
         shape_help: str | None = None,
-    ) -> Typed | None:
+    ) -> TypedNode | None:
         """Return a value of the dimension (None: any) and components that a field declares, known by then.
 
         `description` is the name of the field in findings, such as "the timestep"; `shape_help` as in
@@ -465,7 +465,7 @@ class ValueReader:
             else None
         )
 
-    def _is_vector(self, value: Typed, text: SourceText, description: str) -> bool:
+    def _is_vector(self, value: TypedNode, text: SourceText, description: str) -> bool:
         """Return whether a value with a direction has all its components; a size or a factor, which is fixed,
         may be one for all axes."""
         kind = text.kind
@@ -482,7 +482,7 @@ class ValueReader:
         self.add("DB404", text.span, f"{description} must be a vector; this is a single value", remedy)
         return False
 
-    def _is_within(self, value: Typed, text: SourceText, description: str) -> bool:
+    def _is_within(self, value: TypedNode, text: SourceText, description: str) -> bool:
         """Return whether the value keeps the bounds of its field; the schema has looked at bare numbers
         only."""
         kind = text.kind
@@ -533,7 +533,7 @@ class ValueReader:
         self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", remedy)
         return False
 
-    def fixed(self, value: Typed, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
+    def fixed(self, value: TypedNode, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
         """Return the SI values of a value that is settled in the file; a finding where they cannot be
         computed."""
         values = constant_values(value)

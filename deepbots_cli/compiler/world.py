@@ -19,7 +19,7 @@ from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, is_drawn, names_in
-from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
+from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, ValueType
 from deepbots_cli.files import read_at_most
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
@@ -442,7 +442,7 @@ def _widths(tile: Tile) -> list[tuple[str, float]]:
 def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
     sides = {
-        name: Type(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
+        name: ValueType(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
         for name, side in zip(PLANE, size, strict=True)
     }
     scope = namespace.scope(Context.FIXED, {name: Symbol(name, length) for name, length in sides.items()})

@@ -21,7 +21,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Operation,
     Reference,
-    Typed,
+    TypedNode,
     children,
     referenced_names,
     walk,
@@ -205,7 +205,7 @@ def _written(program: Program) -> Iterator[Expression]:
     return (value for value in values if value.foreign is None)
 
 
-def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, constant: Typed) -> bool:
+def _equal_by_chance(analysis: Analysis, value: Expression, measure: TypedNode, constant: TypedNode) -> bool:
     is_settled = constant.type.known is not Known.STEP
     return is_settled and all(
         _is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner)
@@ -273,7 +273,7 @@ class _AngleWrapping:
         self._robot = robot
         self._known = wraps_by_name
 
-    def jumps(self, node: Typed) -> Iterator[Typed]:
+    def jumps(self, node: TypedNode) -> Iterator[TypedNode]:
         """Yield the parts of an expression that jump."""
         match node:
             case Invocation(function=function) if function in _PERIODIC_FUNCTIONS:
@@ -287,14 +287,14 @@ class _AngleWrapping:
         for part in children(node):
             yield from self.jumps(part)
 
-    def _differ(self, heading: Typed, second: Typed) -> bool:
+    def _differ(self, heading: TypedNode, second: TypedNode) -> bool:
         """Return whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
         interval = second.type.interval
         return self._wraps(heading) and (
             self._wraps(second) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)
         )
 
-    def _wraps(self, node: Typed) -> bool:
+    def _wraps(self, node: TypedNode) -> bool:
         if node.type.dimension != ANGLE or node.type.known is not Known.STEP:
             return False
         match node:

@@ -17,7 +17,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
-from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
@@ -38,7 +38,7 @@ class Singularity(NamedTuple):
     an exponential."""
 
     value: Expression
-    node: Typed
+    node: TypedNode
     is_divisor: bool
 
 
@@ -92,7 +92,7 @@ class _PoleSearch:
         }
         """The quantities that end the episode before they come near zero."""
 
-    def pole(self, value: Expression, node: Typed) -> Singularity | None:
+    def pole(self, value: Expression, node: TypedNode) -> Singularity | None:
         """Return the first part that is infinite because of a pole or an exponential."""
         if node.type.boolean or all(interval.is_finite for interval in self._known(value, node)):
             return None
@@ -121,10 +121,10 @@ class _PoleSearch:
                 )
         return next((pole for part in children(node) if (pole := self.pole(value, part)) is not None), None)
 
-    def _known(self, value: Expression, node: Typed) -> list[Interval]:
+    def _known(self, value: Expression, node: TypedNode) -> list[Interval]:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
 
-    def _may_be_zero(self, value: Expression, node: Typed) -> bool:
+    def _may_be_zero(self, value: Expression, node: TypedNode) -> bool:
         """Return whether a divisor may be zero; one whose type has two finite bounds is DB405.
 
         The ranges known here are narrower than that of the type: `step` ends at the time limit.
@@ -286,10 +286,10 @@ def _always_zero(analysis: Analysis) -> set[str]:
     return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
 
 
-def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
+def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     """Return whether an expression is 0, or has a factor 0, as a number or as a parameter."""
 
-    def is_off(part: Typed) -> bool:
+    def is_off(part: TypedNode) -> bool:
         return _is_turned_off(part, analysis)
 
     match node:
@@ -331,7 +331,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
             yield Finding("DB704", term.span, headline, remedy, notes=(simulation.summary,))
 
 
-def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
+def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
     """Return whether a value depends on a condition, through any names."""
     if node.type.boolean:
         return True

@@ -16,7 +16,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
-from deepbots_cli.expressions.types import Typed, walk
+from deepbots_cli.expressions.types import TypedNode, walk
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
@@ -179,7 +179,7 @@ def _unseen(
     return Finding("DB603", context.range_span(number.entry), headline, remedy, labels=also, fix=fix)
 
 
-def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
+def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> TypedNode | None:
     """Return the part of a comparison that is written for the quantity; None where nothing is."""
     identity = analysis.identity(quantity)
     for part in walk(comparison.node):

@@ -14,7 +14,7 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Symbol, Type, shortened_list
+from deepbots_cli.expressions.types import Symbol, ValueType, shortened_list
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.lookup import (
     ExpressionNode,
@@ -267,7 +267,7 @@ def describe_function(function: Function) -> str:
     return "\n".join(lines + (["", f"For example `{function.example}`."] if function.example else []))
 
 
-def describe_type(value_type: Type) -> str:
+def describe_type(value_type: ValueType) -> str:
     """Return the dimension, components and interval of a type, and when it is known: `a length (m), from 0 to
     2.7 m, fixed`."""
     if value_type.picture is not None:
