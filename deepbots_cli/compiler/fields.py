@@ -186,8 +186,8 @@ class FieldReader:
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
         unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
-        remedy = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
-        self._values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", remedy)
+        help = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
+        self._values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help)
         return False
 
     def ends(
@@ -271,8 +271,8 @@ class FieldReader:
             return None
         text = self._values.field(section, "noise")
         if of.type.boolean or of.type.picture:
-            remedy = "remove it, or put the noise on the number from which the value is computed"
-            self._values.add("DB403", text.span, f"noise on {of.type.description}", remedy)
+            help = "remove it, or put the noise on the number from which the value is computed"
+            self._values.add("DB403", text.span, f"noise on {of.type.description}", help)
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -304,8 +304,8 @@ class FieldReader:
             # A link that two patterns match has the color of the later one.
             self.colors[:] = [parameter for parameter in self.colors if parameter.of != of]
         if len(options) > 1 and of is None:
-            remedy = "write one color for all episodes"
-            self._values.add("DB407", text.span, "this color must be fixed, but the value is random", remedy)
+            help = "write one color for all episodes"
+            self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
         elif len(options) > 1 and of is not None:
             single = ValueType(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))

@@ -164,7 +164,7 @@ class Namespace:
         cycle = self._being_resolved[self._being_resolved.index(definition) :]
         chain = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
-        remedy = "define one of these values without the others" + (
+        help = "define one of these values without the others" + (
             ", or use `previous(...)`, the value of the step before" if again else ""
         )
         headline = f"`{definition.name}` depends on itself"
@@ -172,7 +172,7 @@ class Namespace:
             "DB207",
             definition.path,
             headline,
-            remedy,
+            help,
             notes=(f"the cycle is {chain}",) if len(cycle) > 1 else (),
         )
         definition.symbol = Symbol(definition.name, None)

@@ -88,12 +88,12 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     values = namespace.values
     for robot, robot_spec in spec.robots.items():
         if "count" in robot_spec.model_fields_set and robot != name and not values.is_invalid("each"):
-            remedy = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
+            help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.add_at_key(
                 "DB108",
                 ("robots", robot, "count"),
                 f"copies of `{robot}` need `agent: {{each: {robot}}}`",
-                remedy,
+                help,
             )
     if name is None:
         return None
@@ -104,8 +104,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     robot_spec = spec.robots[name]
     count = namespace.fields.fixed(robot_spec, "count")
     if robot_spec.spacing is None and not values.is_invalid("spacing"):
-        remedy = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
-        values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", remedy)
+        help = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
     spacing = namespace.fields.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
@@ -260,9 +260,9 @@ class Actions(NamespaceReader):
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(value, dict):
             if named:
-                remedy = f"assign the variables, as in `{{{variables[0]}: 1}}`"
+                help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
                 self._values.add(
-                    "DB103", path, "this option is a number, but other options assign variables", remedy
+                    "DB103", path, "this option is a number, but other options assign variables", help
                 )
                 self._values.mark_invalid(str(path[1]))
                 return (0.0,) * len(variables)
@@ -410,20 +410,20 @@ class Observations(NamespaceReader):
             fix = move_to_augment_fix(root, name)
             definition = " ".join(self._values.text(("signals", name)).text.split())
             noun = "a signal"
-            remedy = f"move it from `signals` to `augment`: `{name}: {definition}`"
+            help = f"move it from `signals` to `augment`: `{name}: {definition}`"
         elif isinstance(augment, dict) and augment:
             fix = None
             noun = "a parameter"
-            remedy = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
+            help = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
         else:
             fix = None
             noun = "a parameter"
-            remedy = (
+            help = (
                 "list it under `augment`, if the policy may know it: `augment:"
                 f" [{', '.join([*augment, name])}]`"
             )
         self._values.add(
-            "DB609", text.span, f"the observation contains `{name}`, which is {noun}", remedy, fix=fix
+            "DB609", text.span, f"the observation contains `{name}`, which is {noun}", help, fix=fix
         )
 
     def _bounds(self, typed: TypedNode, text: SourceText) -> Bounds | None:
@@ -565,9 +565,9 @@ class Goals(NamespaceReader):
             )
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
-            remedy = "remove `action_repeat`, and use a longer timestep instead"
+            help = "remove `action_repeat`, and use a longer timestep instead"
             self._values.add(
-                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", remedy
+                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help
             )
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
@@ -618,18 +618,18 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     """Report each term that hindsight cannot recompute."""
     for term in terms:
         if term.foreign is not None:
-            remedy = "write the reward as an expression of `achieved` and `desired`"
+            help = "write the reward as an expression of `achieved` and `desired`"
             namespace.values.add(
-                "DB709", term.span, "hindsight replay cannot recompute a reward in Python", remedy
+                "DB709", term.span, "hindsight replay cannot recompute a reward in Python", help
             )
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
-            remedy = (
+            help = (
                 "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER)"
                 " recomputes the reward for other goals"
             )
-            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, remedy)
+            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
             break
 
 
@@ -767,13 +767,11 @@ class Decisions(NamespaceReader):
         span = self._values.span(path)
         options = [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            remedy = (
+            help = (
                 f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
                 f" {options[-1]}: true}}`"
             )
-            self._values.add(
-                "DB103", span, f"expected an option of `{part.name}`, found an expression", remedy
-            )
+            self._values.add("DB103", span, f"expected an option of `{part.name}`, found an expression", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
         elif word not in options:

@@ -95,10 +95,8 @@ class SensorsCompiler(NamespaceReader):
                 headline = (
                     f"the sensors of `{self._robot.name}` have {count:,} {noun}; the limit is {limit:,}"
                 )
-                remedy = (
-                    "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
-                )
-                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, remedy)
+                help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
+                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         reading = self._read(name, spec)
@@ -326,8 +324,8 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
-            remedy = "write `channels: depth`, or remove `range`"
-            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", remedy)
+            help = "write `channels: depth`, or remove `range`"
+            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
         ends = namespace.fields.ends(spec, "range", description="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
@@ -350,11 +348,9 @@ def _angle_of_view(namespace: Namespace, spec: Radar, key: str, limit: float) ->
     return angle
 
 
-def _report_angle_of_view(
-    namespace: Namespace, spec: LinkSensor, key: str, angle: float, remedy: str
-) -> None:
+def _report_angle_of_view(namespace: Namespace, spec: LinkSensor, key: str, angle: float, help: str) -> None:
     headline = f"the angle of view is {math.degrees(angle):g} deg"
-    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, remedy)
+    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, help)
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
@@ -392,24 +388,22 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         return _grid(namespace, spec)
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
-            remedy = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
+            help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
             values.add_at_key(
                 "DB101",
                 (*spec.path, "angle_range"),
                 "`angle_range` does not apply to rays with names",
-                remedy,
+                help,
             )
         return {name: _turned_down(_frame(namespace, ray), spec) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
-            remedy = (
+            help = (
                 "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays:"
                 " {left: {yaw: 30 deg}}`"
             )
-            values.add(
-                "DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", remedy
-            )
+            values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
             return None
         return {"" if spec.rays is None else "r0": _turned_down(Pose(), spec)}
@@ -426,8 +420,8 @@ def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
     values = namespace.values
     for key in ("rays", "angle_range"):
         if key in spec.model_fields_set:
-            remedy = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
-            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", remedy)
+            help = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
+            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", help)
             return None
     size = namespace.fields.pair(spec, "grid")
     spacing = namespace.fields.fixed(spec, "spacing")

@@ -162,8 +162,8 @@ def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> TypedNode
     """Return the typed tree of a text that gives one value; None after a finding that leaves it without a
     type."""
     if isinstance(tree, syntax.Redrawn):
-        remedy = "only parameters and channel settings may be drawn again with `every` or `each step`"
-        report("DB407", tree.value.end, tree.end, "a draw that is repeated", remedy)
+        help = "only parameters and channel settings may be drawn again with `every` or `each step`"
+        report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
         raise StopChecking
     return _Checker(scope, report).whole(tree)
 
@@ -179,8 +179,8 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
         require_kind([period], report)
         require_dimension(period, TIME, "the period", report)
     if not checker.draws:
-        remedy = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
-        report("DB401", tree.value.end, tree.end, "there is no draw to repeat", remedy)
+        help = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
+        report("DB401", tree.value.end, tree.end, "there is no draw to repeat", help)
     return TypedExpression(
         value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None)
     )
@@ -243,12 +243,12 @@ class _Checker:
             self._paid = frozenset(map(id, _summed(tree)))
         value = self.visit(tree)
         if value.type.has_group_components:
-            remedy = (
+            help = (
                 "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number"
                 " of copies varies"
             )
             raise self._fault(
-                "DB404", tree, "expected a single value, found one value for each copy of a group", remedy
+                "DB404", tree, "expected a single value, found one value for each copy of a group", help
             )
         if size(value) > MAX_SIZE:
             headline = f"the expression has more than {MAX_SIZE} operations on single numbers"
@@ -357,8 +357,8 @@ class _Checker:
         none."""
         expected = _one_of(kinds)
         if not isinstance(node, syntax.Name):
-            remedy = "write the name of one, as in `position(cart.tip)`"
-            raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", remedy)
+            help = "write the name of one, as in `position(cart.tip)`"
+            raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", help)
         scope = self._scope
         name = node.dotted
         subject = scope.subject(name, kinds)
@@ -376,20 +376,20 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         description = subject.kind.description if subject is not None else "a value"
-        remedy = _known(fitting, f"the scenario does not have {expected}")
+        help = _known(fitting, f"the scenario does not have {expected}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
-            remedy = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {remedy}"
+            help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
             description = (
                 f"{description} of another type" if description == Kind.SENSOR.description else description
             )
-            remedy = (
-                remedy
+            help = (
+                help
                 if fitting
                 else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
             )
         raise self._fault(
-            "DB203", node, f"`{name}` is {description}, but `{function}` needs {expected}", remedy
+            "DB203", node, f"`{name}` is {description}, but `{function}` needs {expected}", help
         )
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
@@ -398,16 +398,12 @@ class _Checker:
         name = node.dotted
         subject = scope.subject(name)
         if subject is not None:
-            remedy = (
-                f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
-            )
+            help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return (
                 StopChecking()
                 if is_invalid
-                else self._fault(
-                    "DB203", node, f"`{name}` is {subject.kind.description}, not a value", remedy
-                )
+                else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
             )
         if name in FUNCTIONS:
             return self._fault(
@@ -415,11 +411,11 @@ class _Checker:
             )
         if call := self._asked_of_a_body(node):
             what = FUNCTIONS[call.partition("(")[0]].doc.removesuffix(".")
-            remedy = f"read values of the world with a function: `{call}`, {what[0].lower()}{what[1:]}"
+            help = f"read values of the world with a function: `{call}`, {what[0].lower()}{what[1:]}"
             beside = sorted(other for other in scope.names() if other.startswith(f"{node.parts[0]}."))
             if beside:
-                remedy += f"; names of `{node.parts[0]}`: {', '.join(beside[:MAX_BESIDE])}"
-            return self._fault("DB402", node, f"unknown name `{name}`", remedy, Replacement(call, safe=False))
+                help += f"; names of `{node.parts[0]}`: {', '.join(beside[:MAX_BESIDE])}"
+            return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(call, safe=False))
         return self._unknown(
             "name",
             name,
@@ -468,13 +464,13 @@ class _Checker:
             and (owned is not None or is_typo(name, suggestion.text))
         )
         question = f"did you mean `{suggestion.text}`?" if suggestion else ""
-        remedy = " ".join(filter(None, (question, "" if is_clear else listed)))
+        help = " ".join(filter(None, (question, "" if is_clear else listed)))
         fix = (
             suggestion._replace(text=f"{before}{suggestion.text}")
             if suggestion and before is not None
             else None
         )
-        return self._fault("DB402", node, f"unknown {noun} `{name}`", remedy, fix)
+        return self._fault("DB402", node, f"unknown {noun} `{name}`", help, fix)
 
     # literals
 
@@ -504,8 +500,8 @@ class _Checker:
         require_kind(items, self._report)
         for item in items:
             if item.type.components is not None:
-                remedy = "pick a component, as in `v.x`, or use `vector(...)`"
-                raise self._fault("DB404", item, "a vector inside a vector", remedy)
+                help = "pick a component, as in `v.x`, or use `vector(...)`"
+                raise self._fault("DB404", item, "a vector inside a vector", help)
         components = _positions(len(items))
         result = ValueType(
             dimension_of(items, node, self._report), components, known=max(item.type.known for item in items)
@@ -524,11 +520,11 @@ class _Checker:
             if isinstance(value.type.components, (RowComponents, GroupComponents)):
                 raise self._fault("DB404", value, f"{value.type.shape_description} inside a vector")
             if value.type.components != columns or len(vectors) < len(values):
-                remedy = (
+                help = (
                     "pick a component, as in `v.x`; or write vectors of the same components, which become"
                     " rows"
                 )
-                raise self._fault("DB404", value, "a vector beside other values", remedy)
+                raise self._fault("DB404", value, "a vector beside other values", help)
         return RowComponents(tuple(str(number) for number in range(1, len(values) + 1)), columns)
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
@@ -540,11 +536,11 @@ class _Checker:
             raise self._unknown_unit(name)
         if len(node.items) == 2:
             missing = "an operator"
-            remedy = f"to multiply, write `*` before `{name_text}`"
+            help = f"to multiply, write `*` before `{name_text}`"
             if symbol.type is not None and symbol.type.boolean:
                 missing = "`when`"
-                remedy = f"write `when {name_text}` if it is the condition of a reward"
-            raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", remedy)
+                help = f"write `when {name_text}` if it is the condition of a reward"
+            raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", help)
 
     def _require_unit(self, node: syntax.Binary) -> None:
         """Require that a name right behind a unit, as in `5 rad/sx`, is a value; otherwise it is a misspelled
@@ -565,12 +561,12 @@ class _Checker:
         name_text = name.dotted
         unit = suggest_unit(name_text)
         scaled = prefixed_unit(name_text)
-        remedy = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
+        help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
         if unit is not None:
-            remedy = f"did you mean `{unit.text}`?"
+            help = f"did you mean `{unit.text}`?"
         elif scaled is not None:
-            remedy = f"write it in {scaled[1]}: 1 {name_text} is {scaled[0]:g} {scaled[1]}"
-        return self._fault("DB501", name, f"unknown unit `{name_text}`", remedy, unit)
+            help = f"write it in {scaled[1]}: 1 {name_text} is {scaled[0]:g} {scaled[1]}"
+        return self._fault("DB501", name, f"unknown unit `{name_text}`", help, unit)
 
     # operators
 
@@ -662,12 +658,12 @@ class _Checker:
                     exponent = Fraction(interval.low).limit_denominator(_MAX_DENOMINATOR)
                     if float(exponent) == interval.low:
                         return left_dimension ** (exponent if exponent.denominator > 1 else int(exponent))
-                remedy = "divide by a unit first, because only a plain number can have any exponent"
+                help = "divide by a unit first, because only a plain number can have any exponent"
                 raise self._fault(
                     "DB503",
                     right,
                     f"the exponent of {left_dimension.description} must be a fixed, simple number",
-                    remedy,
+                    help,
                 )
             case _:
                 return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
@@ -702,8 +698,8 @@ class _Checker:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
-            if remedy := _FOREIGN_FUNCTION_HELP.get(node.function):
-                raise self._fault("DB402", called, f"unknown function `{node.function}`", remedy)
+            if help := _FOREIGN_FUNCTION_HELP.get(node.function):
+                raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None
         if function.family in (Family.STATEFUL, Family.DRAW):
@@ -713,11 +709,11 @@ class _Checker:
         context = self._scope.context
         is_allowed = function.family in ALLOWED_FAMILIES[context]
         if not is_allowed:
-            remedy = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
+            help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
             headline = f"`{function.name}` cannot be used in {context.value}"
             if context is Context.FIXED and function.family is Family.DRAW:
                 headline = f"this value must be fixed, but `{function.name}` draws a random number"
-            self._fault("DB407", called, headline, remedy)
+            self._fault("DB407", called, headline, help)
         subjects, bound = self._arguments(node, function)
         values = tuple(value for _, value in bound)
         if function.components is None and function.name != "vector":
@@ -849,8 +845,8 @@ class _Checker:
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.has_group_components and function.reduction.empty is None:
-                remedy = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
-                raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", remedy)
+                help = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
+                raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", help)
             if vector.type.components is None:
                 raise self._fault(
                     "DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function)

@@ -275,7 +275,7 @@ class FindingReporter(Protocol):
         start: int,
         end: int,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         replacement: Replacement | None = None,
         names: Mapping[str, str | None] = NO_NAMES,
         corrected: Callable[[str], str] | None = None,

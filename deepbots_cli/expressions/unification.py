@@ -64,13 +64,13 @@ def report_at(
     code: str,
     node: ReportedNode,
     headline: str,
-    remedy: str | None = None,
+    help: str | None = None,
     replacement: Replacement | None = None,
     names: Mapping[str, str | None] = NO_NAMES,
     corrected: Callable[[str], str] | None = None,
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
-    report(code, node.start, node.end, headline, remedy, replacement, names, corrected)
+    report(code, node.start, node.end, headline, help, replacement, names, corrected)
     return StopChecking()
 
 
@@ -112,11 +112,11 @@ def require_kind(values: Sequence[TypedNode], report: FindingReporter, *, boolea
             )
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
-            remedy = (
+            help = (
                 f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5"
                 f" when {name}`"
             )
-            report_at(report, "DB403", value, "expected a number, found a truth value", remedy)
+            report_at(report, "DB403", value, "expected a number, found a truth value", help)
     raise StopChecking
 
 
@@ -140,19 +140,19 @@ def dimension_of(
                 value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
             )
         needed = value if first.type.dimension == NUMBER else first
-        remedy, names = _plain_names(needed.type.dimension, first, value)
-        if remedy is None:
-            remedy, names = _other_unit(first, value)
+        help, names = _plain_names(needed.type.dimension, first, value)
+        if help is None:
+            help, names = _other_unit(first, value)
         headline = f"{_described(first)} is combined with {_described(value)}"
         corrected = None
-        if remedy is None and NUMBER in (first.type.dimension, value.type.dimension):
+        if help is None and NUMBER in (first.type.dimension, value.type.dimension):
             corrected = divided_text(needed, f" / {_divisor(needed.type.dimension)}")
-            remedy = (
+            help = (
                 "both sides need the same dimension; for a plain number, divide by the unit:"
                 f" {CORRECTED_LINE}"
             )
-        remedy = remedy or "both sides need the same dimension; divide by a unit to get a plain number"
-        raise report_at(report, "DB503", node, headline, remedy, names=names, corrected=corrected)
+        help = help or "both sides need the same dimension; divide by a unit to get a plain number"
+        raise report_at(report, "DB503", node, headline, help, names=names, corrected=corrected)
     return first.type.dimension
 
 
@@ -176,14 +176,14 @@ def require_dimension(
         return
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit, noun)
-    remedy, names = _plain_names(dimension, value)
-    if remedy is None:
-        remedy, names = _remedy(value, dimension)
+    help, names = _plain_names(dimension, value)
+    if help is None:
+        help, names = _remedy(value, dimension)
     headline = f"{description} must be {_expected(dimension, noun)}; this is {value.type.description}"
     divisor = f"{WHEEL_RADIUS} * rad" if dimension != NUMBER else _divisor(value.type.dimension)
-    corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in remedy else None
+    corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in help else None
     replacement = WHOLE_TEXT if corrected is not None and dimension == NUMBER else None
-    raise report_at(report, "DB503", value, headline, remedy, replacement, names=names, corrected=corrected)
+    raise report_at(report, "DB503", value, headline, help, replacement, names=names, corrected=corrected)
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -211,7 +211,7 @@ def missing_unit(
     if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
         ends = value.args
         sign = ".." if value.function == "uniform" else "+-"
-    remedy = f"write its unit, as in `{dimension.example}`"
+    help = f"write its unit, as in `{dimension.example}`"
     replacement = None
     corrected = None
     constants = [end for end in ends if isinstance(end, Constant)]
@@ -221,7 +221,7 @@ def missing_unit(
         units = _probable_units(dimension, largest)
         if dimension != ANGLE and unit and largest >= 1:
             units = (unit,)
-        remedy = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
+        help = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
         if len(units) == 1:
             replacement = Replacement(
                 f"{numbers_text} {units[0]}", safe=units[0] == str(dimension) and other is None
@@ -229,10 +229,10 @@ def missing_unit(
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
         plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
-        remedy, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{remedy}; or {plain}", replacement)
+        help, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{help}; or {plain}", replacement)
     node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
-    return report_at(report, "DB502", node, headline, remedy, replacement, corrected=corrected)
+    return report_at(report, "DB502", node, headline, help, replacement, corrected=corrected)
 
 
 def _number_text(number: float) -> str:
@@ -278,11 +278,11 @@ def _other_unit(first: TypedNode, second: TypedNode) -> tuple[str | None, dict[s
     name, corrected = _with_unit(side, dimension)
     if corrected is None:
         return None, {}
-    remedy = (
+    help = (
         f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their"
         " units"
     )
-    return remedy, {name: None}  # without a fix: the other side may be the wrong one
+    return help, {name: None}  # without a fix: the other side may be the wrong one
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
@@ -428,19 +428,19 @@ def _differing(
 ) -> StopChecking:
     both = [name for name in first if name in second]
     example = "".join(both) if both and all(len(name) == 1 for name in both) else "x"
-    remedy = f"both sides need the same components; select them, as in `v.{example}`"
+    help = f"both sides need the same components; select them, as in `v.{example}`"
     if set(first) == set(second):
-        remedy = "list the names of both groups in the same order"
+        help = "list the names of both groups in the same order"
         swapped = next((pair for pair in zip(first, second, strict=False) if pair[0] != pair[1]), None)
         if swapped is not None:
-            remedy += f": the second has `{swapped[1]}` where the first has `{swapped[0]}`"
-        remedy += "; in poses, write the same patterns first, and exceptions after them"
+            help += f": the second has `{swapped[1]}` where the first has `{swapped[0]}`"
+        help += "; in poses, write the same patterns first, and exceptions after them"
     return report_at(
         report,
         "DB404",
         node,
         f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}",
-        remedy,
+        help,
     )
 
 
@@ -453,11 +453,11 @@ def warn_of_degrees(value: TypedNode, report: FindingReporter) -> None:
         largest = max(abs(number) for number in value.values)
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
             headline = f"{largest:g} rad is more than a full turn"
-            remedy = f"write `{largest:g} deg` if you mean degrees"
+            help = f"write `{largest:g} deg` if you mean degrees"
             replacement = (
                 Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
             )
-            report_at(report, "DB504", value, headline, remedy, replacement)
+            report_at(report, "DB504", value, headline, help, replacement)
 
 
 # Whether a value fits its field
@@ -556,27 +556,27 @@ def _require_shape(
     components: Components | None,
     description: str,
     report: FindingReporter,
-    remedy: str | None = None,
+    help: str | None = None,
 ) -> None:
     shape = value.type.components
     if components == ANY_SHAPE or shape is None or shape == components or _is_part(shape, components):
         return
     if components is None:
         functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."
-        remedy = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
+        help = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
         raise report_at(
             report,
             "DB404",
             value,
             f"{description} must be a single value; this is {value.type.shape_description}",
-            remedy,
+            help,
         )
-    if remedy and shape[0] == "x" and "x" not in components:
+    if help and shape[0] == "x" and "x" not in components:
         headline = (
             f"{description} has the components {shortened_list(components)};"
             f" this is {value.type.shape_description}"
         )
-        raise report_at(report, "DB404", value, headline, remedy)
+        raise report_at(report, "DB404", value, headline, help)
     if len(shape) != len(components) and shape[0] in ("x", "1"):
         headline = f"{description} has {len(shape)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"write {' and '.join(components)}")
@@ -594,8 +594,8 @@ def _require_size(value: TypedNode, known: Known, description: str, report: Find
     limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
     if largest > limit and known is not Known.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        remedy = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
-        raise report_at(report, "DB105", value, f"{description} {is_or_reaches} {farthest:g}{unit}", remedy)
+        help = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
+        raise report_at(report, "DB105", value, f"{description} {is_or_reaches} {farthest:g}{unit}", help)
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:

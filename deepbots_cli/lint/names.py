@@ -118,7 +118,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
-        for key_path, problem, remedy in unused:
+        for key_path, problem, help in unused:
             path = ("robots", robot.name, *key_path)
             span = context.values.key_span(path)
             # An included robot file may offer more than the task needs.
@@ -127,7 +127,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
                     "DB205",
                     span,
                     f"`{path[-1]}` is {problem}",
-                    remedy,
+                    help,
                     fix=removal_fix(context.values.root, path),
                 )
 
@@ -195,8 +195,8 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
                 )
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
-                remedy = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
-                yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", remedy)
+                help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
+                yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", help)
 
 
 def _written(program: Program) -> Iterator[Expression]:

@@ -67,11 +67,11 @@ def _unbounded(context: RuleContext, term: Expression, singularity: Singularity)
         # In `(a) * (b)`, the first parenthesis closes before the end.
         divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
         lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
-        remedy = (
+        help = (
             f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10"
             " cm)` for a length `d`"
         )
-        return Finding("DB701", span, headline, remedy, labels=also)
+        return Finding("DB701", span, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", span, headline, "bound the argument, as in `min(x, 3)`", labels=also)
 
@@ -327,8 +327,8 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
-            remedy = "correct the term, or add a script under `scripts` in which it is not zero"
-            yield Finding("DB704", term.span, headline, remedy, notes=(simulation.summary,))
+            help = "correct the term, or add a script under `scripts` in which it is not zero"
+            yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
 
 
 def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
@@ -349,11 +349,11 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """Report a term that is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        remedy = (
+        help = (
             "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow,"
             " `exp(min(n, 3))` for a number"
         )
-        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", remedy, notes=failed.notes)
+        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
 
 
 # Returns
@@ -368,16 +368,16 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    remedy = (
+    help = (
         "reward the goal, as in `1 when goal_reached`"
         if context.program.agent.goal
         else "reward the intended behavior"
     )
     if worth > 0.0:
-        remedy += ", or add a failure that ends a bad episode early"
+        help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
-        remedy += ", or add a success that ends a good episode early"
-    yield Finding("DB711", context.program.agent.reward[0].span, headline, remedy)
+        help += ", or add a success that ends a good episode early"
+    yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
 @rule("DB810")

@@ -113,11 +113,11 @@ class Bench:
         self.text = ""
         self.scope = TableScope()
 
-    def report(self, code, start, end, headline, remedy=None, replacement=None, names=(), corrected=None):
+    def report(self, code, start, end, headline, help=None, replacement=None, names=(), corrected=None):
         assert 0 <= start <= end <= len(self.text)
         assert headline[0] == headline[0].lower() or headline[0] == "`"
         assert not headline.endswith(".")
-        self.findings.append(BenchFinding(code, self.text[start:end], headline, remedy))
+        self.findings.append(BenchFinding(code, self.text[start:end], headline, help))
 
     def read(self, text: str):
         self.text = text

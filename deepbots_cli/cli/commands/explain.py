@@ -64,8 +64,7 @@ def _row(entry: Rule) -> Row:
 
 
 def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:
-    """Return the registry of findings with the text, example and remedy of each page, as `deepbots explain
-    --json` prints it."""
+    """Return the registry of findings with their pages, as `deepbots explain --json` prints it."""
     return {"version": 1, "rules": [_data(entry) for entry in rules]}
 
 
