@@ -90,9 +90,9 @@ class EngineKind(NamedTuple):
 
     def limitation(self, feature: Feature) -> Limitation:
         """Return the limitation of an engine that does not support a feature."""
-        reason, remedy = _LIMITATIONS[feature]
+        reason, help = _LIMITATIONS[feature]
         engine = self.title if self.library is not None else f"the engine `{self.title}`"
-        return Limitation(reason.format(engine=engine), remedy)
+        return Limitation(reason.format(engine=engine), help)
 
     @property
     def is_installed(self) -> bool:
@@ -115,7 +115,7 @@ class EngineKind(NamedTuple):
         return f"{self.title} is not installed"
 
     @property
-    def remedy(self) -> str:
+    def help(self) -> str:
         """The way to install it, or the engine to use instead."""
         others = [name for name, kind in ENGINES.built_in.items() if kind is not self and kind.is_installed]
         instead = f", or the engine `{others[0]}`" if others else ""

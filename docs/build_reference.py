@@ -25,7 +25,7 @@ import typer
 
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import GROUPS
-from deepbots_cli.cli.commands.explain import topics
+from deepbots_cli.cli.explanations import topics
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
@@ -40,13 +40,10 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    default_of,
-    example_of,
-    key_description,
-    section_description,
     section_fields,
     unit_of,
 )
+from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.quantities import Expression, Quantity
 from deepbots_cli.scenario.isaac_lab import TERMS_FILE

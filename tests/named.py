@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.expressions.types import Constant, Type
+from deepbots_cli.expressions.types import Constant, ValueType
 from deepbots_cli.program.values import Expression
 
 
@@ -11,7 +11,11 @@ def constant(value: float, name: str = "constant") -> Expression:
     """An expression that is a number without a unit."""
     text = repr(value)
     return Expression(
-        name, Span(Source("test", text), 0, len(text)), text, Constant(Type(), 0, len(text), (value,)), name
+        name,
+        Span(Source("test", text), 0, len(text)),
+        text,
+        Constant(ValueType(), 0, len(text), (value,)),
+        name,
     )
 
 

@@ -24,8 +24,8 @@ from deepbots_cli.expressions.types import (
     Operation,
     Reference,
     Symbol,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
 )
 from deepbots_cli.expressions.types import children as typed_parts
 from deepbots_cli.program import Program
@@ -44,12 +44,12 @@ _TIME_NAMES = frozenset({"time"})
 class _CachedLowering(Lowering):
     """Returns the same objects for the same part of a tree, and notes the types of the names in `leaves`."""
 
-    def __init__(self, owner: str, leaves: dict[str, Type]) -> None:
+    def __init__(self, owner: str, leaves: dict[str, ValueType]) -> None:
         super().__init__(owner)
         self._leaves = leaves
-        self._lowered: dict[int, tuple[Typed, Scalars]] = {}
+        self._lowered: dict[int, tuple[TypedNode, Scalars]] = {}
 
-    def scalars(self, value: Typed) -> Scalars:
+    def scalars(self, value: TypedNode) -> Scalars:
         cached = self._lowered.get(id(value))
         if cached is None:
             if isinstance(value, Reference):
@@ -75,7 +75,7 @@ class Analysis:
         self._self = cast("Analysis", proxy(self))
         """A weak reference for ranges and rewards, which the analysis refers to: collecting the cycles took 7
         % of the time of linting 200 files."""
-        self.leaves: dict[str, Type] = exact.leaves if exact else {}
+        self.leaves: dict[str, ValueType] = exact.leaves if exact else {}
         """The types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
         self._robots = {robot.name: robot for robot in program.robots}
@@ -164,7 +164,7 @@ class Analysis:
         """Return a value of the supervisor, per component. For a value in Python only the type is known."""
         return self.lowered(value.typed, value.owner)
 
-    def lowered(self, typed: Typed, owner: str) -> tuple[Scalar, ...]:
+    def lowered(self, typed: TypedNode, owner: str) -> tuple[Scalar, ...]:
         """Return a tree of the supervisor, per component; the same objects each time."""
         if owner not in self._lowerings:
             self._lowerings[owner] = _CachedLowering(owner, self.leaves)
@@ -202,7 +202,7 @@ class Analysis:
 
     def value_on_robot(self, value: Expression, robot: str) -> Scalars:
         """Return a value of a robot controller, per component. Its leaves are called `robot:name`."""
-        met: dict[str, Type] = {}
+        met: dict[str, ValueType] = {}
         trees = _CachedLowering(value.owner, met).scalars(value.typed)
         self.leaves.update((f"{robot}:{name}", typed) for name, typed in met.items())
         return tuple(self._on_robot(tree, robot) for tree in trees)
@@ -351,7 +351,7 @@ def _goal_reached(goal: Goal) -> Expression:
     limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text = f"{distance_text} <= {limit}"
     end = len(distance_text)
-    size = Type(goal.achieved.typed.type.dimension, known=Known.STEP)
+    size = ValueType(goal.achieved.typed.type.dimension, known=Known.STEP)
     vector_type = size._replace(components=goal.achieved.typed.type.components)
     sides = tuple(
         Reference(vector_type, 0, end, Symbol(name, vector_type)) for name in ("achieved", "desired")
@@ -359,7 +359,9 @@ def _goal_reached(goal: Goal) -> Expression:
     difference = Operation(vector_type, 0, end, "sub", sides)
     distance = Invocation(size, 0, end, "norm" if vector_type.components else "abs", (), (difference,))
     within = Constant(size, end + 4, len(text), (goal.tolerance,))
-    typed = Operation(Type(boolean=True, known=Known.STEP), 0, len(text), "less_equal", (distance, within))
+    typed = Operation(
+        ValueType(boolean=True, known=Known.STEP), 0, len(text), "less_equal", (distance, within)
+    )
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
 
 
@@ -426,7 +428,7 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
     return list(reads)
 
 
-def _reads_in(node: Typed) -> Iterator[Typed]:
+def _reads_in(node: TypedNode) -> Iterator[TypedNode]:
     """Yield the named values and the functions of the world in an expression, without parts of another
     one."""
     match node:

@@ -11,7 +11,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
-from deepbots_cli.expressions.types import INEQUALITIES, Invocation, Known, Operation, Reference, Typed
+from deepbots_cli.expressions.types import INEQUALITIES, Invocation, Known, Operation, Reference, TypedNode
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def comparisons(analysis: Analysis, condition: Expression) -> Iterator[Condition
 
 
 def _compared(
-    analysis: Analysis, value: Expression, node: Typed, met: set[str]
+    analysis: Analysis, value: Expression, node: TypedNode, met: set[str]
 ) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in INEQUALITIES:

@@ -1,30 +1,33 @@
 """The command `deepbots`.
 
-command.py          the commands as one program; arguments that several commands share
-commands/           the commands, a module each, imported when it is called
-sources.py          scenarios, runs and robots as arguments
-processes.py        the processes of `--workers` and `--cluster`
-exits.py            exceptions to exit codes
-terminal.py         output, color, progress
-tables.py           tables as text
-new_files.py        new files in a folder, which replace no others
-rewriting.py        changes of the user's files, shown or written
-episodes.py         the episodes of `try`, and their tables
-failed_episodes.py  the failed episodes of the last evaluation of a run
-pages.py            the pages of `view` and `play`
-gates.py            the requirements of `eval`, `robustness` and `transfer` on their result
-records.py          results of trainings and evaluations as text, JSON and CSV
-matches.py          policies and scripts of two agents against each other
-trainings.py        the results of `train` and `resume`
-training_page.py    the page of `train --view`
-retries.py          the attempts of `train --retry`
-studies.py          the display and the table of a study of `tune`
-throughput.py       the speed of engines, as commands print it
-exploits.py         the output of `lint --exploits`: recordings, and a record of the searched tasks
-help/               the text of `--help` of each command, without its options
-starters/           the scenarios that `new` writes
-glossary.yaml       the glossary, printed by `explain`, and the source of docs/reference/glossary.md
-project/            templates of `compile --project`
+command.py             the commands as one program; arguments that several commands share
+commands/              the commands, a module each, imported when it is called
+sources.py             scenarios, runs and robots as arguments
+scenario_arguments.py  files, names and folders as the arguments of `lint` and `test`
+processes.py           the processes of `--workers` and `--cluster`
+exits.py               exceptions to exit codes
+terminal.py            output, color, progress
+tables.py              tables as text
+new_files.py           new files in a folder, which replace no others
+rewriting.py           changes of the user's files, shown or written
+episodes.py            the episodes of `try`, and their tables
+failed_episodes.py     the failed episodes of the last evaluation of a run
+explanations.py        the entries of `explain` about a word
+inspected.py           the captions of the tables of `inspect`, and those without `--full`
+pages.py               the pages of `view` and `play`
+gates.py               the requirements of `eval`, `robustness` and `transfer` on their result
+records.py             results of trainings and evaluations as text, JSON and CSV
+matches.py             policies and scripts of two agents against each other
+trainings.py           the results of `train` and `resume`
+training_page.py       the page of `train --view`
+retries.py             the attempts of `train --retry`
+studies.py             the display and the table of a study of `tune`
+throughput.py          the speed of engines, as commands print it
+exploits.py            the output of `lint --exploits`: recordings, and a record of the searched tasks
+help/                  the text of `--help` of each command, without its options
+starters/              the scenarios that `new` writes
+glossary.yaml          the glossary, printed by `explain`, and the source of docs/reference/glossary.md
+project/               templates of `compile --project`
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def known_engine(name: str | None) -> str | None:
         raise typer.BadParameter(f"there is no engine '{name}'; {hint} engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
     if not kind.is_installed and any(candidate.is_installed for candidate in ENGINES.built_in.values()):
-        raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
+        raise typer.BadParameter(f"{kind.missing}; {kind.help}")
     return name
 
 

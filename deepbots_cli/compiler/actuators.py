@@ -169,8 +169,8 @@ class Actuators(NamespaceReader):
             spec, "damping", None, dimension=dimension * TIME, per_component=names
         )
         if spec.damping is not None and spec.stiffness is None:
-            remedy = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
-            self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", remedy)
+            help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
+            self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
         return stiffness, damping
 
     def _torque_curve(self, spec: specs.SpeedLimitedMotor, joint: Joint) -> _TorqueCurve:
@@ -179,17 +179,17 @@ class Actuators(NamespaceReader):
         speed = self._fields.fixed(spec, "no_load_speed", dimension=joint_dimension(joint) / TIME)
         for key, other_key in (("stall_torque", "no_load_speed"), ("no_load_speed", "stall_torque")):
             if getattr(spec, key) is not None and getattr(spec, other_key) is None:
-                remedy = f"add `{other_key}`, or remove `{key}`"
-                self._values.add_at_key("DB102", (*spec.path, key), f"`{key}` needs `{other_key}`", remedy)
+                help = f"add `{other_key}`, or remove `{key}`"
+                self._values.add_at_key("DB102", (*spec.path, key), f"`{key}` needs `{other_key}`", help)
         if stall is None or speed is None:
             return {}
         if isinstance(spec, specs.PositionMotor) and spec.stiffness is None:
-            remedy = (
+            help = (
                 "add `stiffness`, or remove `stall_torque` and `no_load_speed` to use the built-in position"
                 " control of the engine"
             )
             self._values.add_at_key(
-                "DB102", (*spec.path, "stall_torque"), "`stall_torque` needs `stiffness`", remedy
+                "DB102", (*spec.path, "stall_torque"), "`stall_torque` needs `stiffness`", help
             )
         return {"stall_torque": stall, "no_load_speed": speed}
 
@@ -203,8 +203,8 @@ class Actuators(NamespaceReader):
         idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
             headline = f"the joint `{idle[0]}` does not move `{spec.link}`"
-            remedy = "name the joints between the base and the link"
-            self._values.add("DB203", (*spec.path, "joints"), headline, remedy)
+            help = "name the joints between the base and the link"
+            self._values.add("DB203", (*spec.path, "joints"), headline, help)
             return None
         names = tuple(joint.name for joint in joints)
         limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
@@ -235,7 +235,7 @@ class Actuators(NamespaceReader):
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
                 text = self._values.field(spec, key)
-                remedy = f"write a value within the limits of `{joint.name}`"
+                help = f"write a value within the limits of `{joint.name}`"
                 warn_beyond_limits(
                     self._values,
                     text,
@@ -243,7 +243,7 @@ class Actuators(NamespaceReader):
                     reach,
                     "a position of",
                     single(position),
-                    remedy,
+                    help,
                 )
                 return
 
@@ -278,9 +278,9 @@ class Actuators(NamespaceReader):
             directions |= dict.fromkeys(members, self._fields.fixed(spec, "spin", pattern))
         missing_links = [link for link in links if link not in directions]
         if missing_links and not unknown:
-            remedy = f"write 1 or -1 for each link, as in `{missing_links[0]}: 1`"
+            help = f"write 1 or -1 for each link, as in `{missing_links[0]}: 1`"
             self._values.add_at_key(
-                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{missing_links[0]}`", remedy
+                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{missing_links[0]}`", help
             )
         spins = [spin for link in links if (spin := directions.get(link)) is not None]
         return tuple(spins) if len(spins) == len(links) else None
@@ -354,11 +354,11 @@ class Actuators(NamespaceReader):
             text = self._values.field(spec, key)
             allowed = Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
-            remedy = (
+            help = (
                 "deepbots uses the smaller limit: lower this value or, if the motor is stronger, write"
                 f" its `{key}` under `{joints}`"
             )
-            warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), remedy)
+            warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
 def _tighter(file_limits: Limits, limit: float) -> Limits:

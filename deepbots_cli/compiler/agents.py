@@ -631,8 +631,8 @@ def report_foreign_values(
             heads = [name.partition(".") for name in foreign if "." in name]
             if heads and value.span not in spans:
                 robot, _, sent = heads[0]
-                headline, remedy = _foreign_words(robot, sent, drivers[robot], agent)
-                document.findings.add("DB402", value.span, headline, remedy)
+                headline, help = _foreign_words(robot, sent, drivers[robot], agent)
+                document.findings.add("DB402", value.span, headline, help)
                 spans.add(value.span)
 
 
@@ -655,8 +655,8 @@ def findings_of_other_agents(
             f"`{finding.span.text}`" in finding.headline
         )  # and no name that a mirrored agent has instead
         if finding.code == "DB402" and dot and owner != agent and is_written:
-            headline, remedy = _foreign_words(robot, value, owner, agent)
-            finding = replace(finding, headline=headline, help=remedy)
+            headline, help = _foreign_words(robot, value, owner, agent)
+            finding = replace(finding, headline=headline, help=help)
         yield finding
 
 

@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Reference,
     Symbol,
-    Type,
+    ValueType,
     referenced_names,
     walk,
 )
@@ -79,7 +79,9 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
     if not is_complete or len(dimensions) != 1:
         return Symbol(name, None)
     fixed = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, fixed)), fixed)
+    return Symbol(
+        name, ValueType(dimensions.pop(), tuple(positions)).with_intervals(map(single, fixed)), fixed
+    )
 
 
 @dataclass(eq=False)
@@ -159,8 +161,8 @@ class RobotBuilder:
             return Symbol(full, None)
         heard = namespace.definitions.get(source)
         if heard is not None and heard.path[2:3] == ("hear",):
-            remedy = "hear the robot that sends the value, or send a value of `emit`"
-            self.values.add("DB407", path, f"`{sender}` hears `{source}`, and does not send it", remedy)
+            help = "hear the robot that sends the value, or send a value of `emit`"
+            self.values.add("DB407", path, f"`{sender}` hears `{source}`, and does not send it", help)
             return Symbol(full, None)
         if namespace.origin(source) is not Origin.FIELD:
             fields = [
@@ -306,11 +308,11 @@ class RobotBuilder:
                         f"the start of `{node.function}` is a received value; with `on_loss: zero`,"
                         " it is 0 if the first message is lost"
                     )
-                    remedy = (
+                    help = (
                         "write `on_loss: hold` or `skip` under `messages.to_robot`: the robot applies"
                         " nothing until a message arrives"
                     )
-                    report("DB407", node.start, node.end, headline, remedy)
+                    report("DB407", node.start, node.end, headline, help)
 
     def _command(
         self, name: str, command: object, path: NodePath, driven: ResolvedActuator | None, scope: RobotScope
@@ -324,12 +326,12 @@ class RobotBuilder:
         example = (
             f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
         )
-        remedy = (
+        help = (
             "write one number, which drives all of them; to control each of them separately, define one"
             f" actuator for each: `{parts[0]}: {example}`"
         )
         typed = self.values.quantity(
-            text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, remedy
+            text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help
         )
         if typed is None:
             return None

@@ -35,8 +35,8 @@ from deepbots_cli.expressions.types import (
     Redraw,
     Subject,
     Symbol,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
     walk,
 )
 from deepbots_cli.expressions.unification import expect_value
@@ -92,9 +92,9 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
-        remedy = "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly"
+        help = "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly"
         values.add_at_key(
-            "DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", remedy
+            "DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", help
         )
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
@@ -137,25 +137,23 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
 
 
 def is_repeated_as_a_whole(
-    typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader
+    typed: TypedNode, redraw: Redraw | None, text: SourceText, values: ValueReader
 ) -> bool:
     """Return whether a value that changes within an episode determines how often its own draws are
     repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
-    remedy = (
-        "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
-    )
+    help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
     values.add(
         "DB407",
         text.span,
         "a single random draw cannot be combined with a value that changes within the episode",
-        remedy,
+        help,
     )
     return False
 
 
-def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
+def _is_positive(period: TypedNode, text: SourceText, values: ValueReader) -> bool:
     if expect_value(period, values.report(text), "the period") is None:
         return False
     low, high = period.type.interval.low, period.type.interval.high
@@ -298,10 +296,10 @@ def _report_whole_robot(
     """Report a start that names a robot where it must name a joint."""
     key = robot.name
     movable = [f"{key}.{part}" for part in _movable_parts(robot)]
-    remedy = choices_help(key, movable) if movable else "no joint of this robot can move"
-    remedy = _pose_help(robot, str(namespace.scenario.reset.joints[key]), poses) or remedy
+    help = choices_help(key, movable) if movable else "no joint of this robot can move"
+    help = _pose_help(robot, str(namespace.scenario.reset.joints[key]), poses) or help
     headline = f"expected a joint or a group of joints, found the robot `{key}`"
-    namespace.values.add("DB203", text.span, headline, remedy)
+    namespace.values.add("DB203", text.span, headline, help)
 
 
 def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
@@ -368,10 +366,10 @@ def _start_value(
     reached = typed.type.intervals or (typed.type.interval,) * len(allowed)
     for reach, limits in zip(reached, allowed, strict=True):
         if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
-            remedy = (
+            help = (
                 "set a position within the limits; otherwise the physics engine pushes the joint back at once"
             )
-            warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, remedy)
+            warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
@@ -438,9 +436,9 @@ def _require_places(namespace: Namespace) -> None:
             and namespace.origin(name) is Origin.OBJECT
             and not namespace.values.is_invalid(name)
         ):
-            remedy = f"write where they start, as in `{name}: {{region: arena}}`"
+            help = f"write where they start, as in `{name}: {{region: arena}}`"
             namespace.values.add(
-                "DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", remedy
+                "DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", help
             )
 
 
@@ -507,10 +505,10 @@ def python_term(name: str, term: PythonTerm, namespace: Namespace, *, boolean: b
             "DB410", text.span, headline, "write it as an expression, if the language has its functions"
         )
     else:
-        remedy = "write an expression, or allow it with --allow-code if you trust the package"
-        values.add("DB409", text.span, f"`{name}` would run Python code: {term.python}", remedy)
+        help = "write an expression, or allow it with --allow-code if you trust the package"
+        values.add("DB409", text.span, f"`{name}` would run Python code: {term.python}", help)
     module, _, function = term.python.partition(":")
-    kind = Type(
+    kind = ValueType(
         boolean=boolean,
         interval=TRUTH if boolean else Interval(float("-inf"), float("inf")),
         known=Known.STEP,
@@ -531,7 +529,7 @@ class Signals(NamespaceReader):
         if isinstance(spec.augment, dict):
             for name, value in spec.augment.items():
                 if value == name and self._is_defined_elsewhere(name):
-                    remedy = (
+                    help = (
                         f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an"
                         " entry of a mapping needs a new name"
                     )
@@ -539,7 +537,7 @@ class Signals(NamespaceReader):
                         "DB202",
                         self._values.key_span(("augment", name)),
                         f"`{name}` under `augment` exists already",
-                        remedy,
+                        help,
                     )
                     continue
                 self._define(name, value, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
@@ -630,16 +628,16 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     return tuple(terms)
 
 
-def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
+def _reward_value(text: SourceText, namespace: Namespace) -> TypedNode | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
-        remedy = (
+        help = (
             "write the reward for it, as in `1 when"
             f" {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
         )
         worth = "expected a number, found a truth value"
-        report("DB403", 0, len(text.text), worth, remedy, Replacement(f"1 when {text.text}", safe=False))
+        report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
     return typed and expect_value(typed, report, "a reward", dimension=NUMBER)
 
@@ -651,9 +649,9 @@ def truncation(namespace: Namespace) -> Truncation:
     if limits is None:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
-            remedy = "add `truncation: {max_steps: 1000}`, or a `max_time`"
+            help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
             values.add_at_key(
-                "DB803", (key,), "the scenario has no time limit, so an episode could last forever", remedy
+                "DB803", (key,), "the scenario has no time limit, so an episode could last forever", help
             )
         return Truncation()
     steps = namespace.fields.fixed(*_limit(limits, "max_steps"))
@@ -710,8 +708,8 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
         return Solved(episodes, mean_return=threshold)
     if not (spec.defines_success or any(map(values.is_invalid, ("success", "termination", "goal")))):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
-        remedy = success_help(limits, timestep, instead, bool(spec.termination.failure))
-        values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, remedy)
+        help = success_help(limits, timestep, instead, bool(spec.termination.failure))
+        values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes, success_rate=threshold)
 
 

@@ -30,7 +30,7 @@ from deepbots_cli.document.nodes import (
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
+from deepbots_cli.expressions.types import Constant, Context, Operation, TypedNode, walk
 from deepbots_cli.expressions.unification import expect_range
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
 from deepbots_cli.program.task import (
@@ -192,8 +192,8 @@ def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
         values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
     path = ("train", "staleness")
     if train.staleness and train.shards == 1:
-        remedy = "set `shards` to at least 2, or leave out `staleness`"
-        values.add("DB105", path, "only shards may act with older weights", remedy)
+        help = "set `shards` to at least 2, or leave out `staleness`"
+        values.add("DB105", path, "only shards may act with older weights", help)
     if train.staleness and train.teacher is not None:
         headline = "with a teacher, shards cannot act with older weights"
         values.add("DB105", path, headline, "leave out `staleness` or `teacher`")
@@ -209,9 +209,9 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
     path = ("train", "teacher") if isinstance(teacher, str) else ("train", "teacher", "script")
     if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
         suggestion = nearest_word(spec.script, namespace.scenario.scripts)
-        remedy = f"did you mean `{suggestion}`?" if suggestion else "name a script from `scripts`"
+        help = f"did you mean `{suggestion}`?" if suggestion else "name a script from `scripts`"
         fix = Fix.replacing(values.span(path), spec.script, suggestion, safe=False) if suggestion else None
-        values.add("DB201", path, f"there is no script `{spec.script}`", remedy, fix=fix)
+        values.add("DB201", path, f"there is no script `{spec.script}`", help, fix=fix)
     elif copies is not None:
         values.add("DB102", path, "a teacher cannot teach copies of a robot", "leave out `teacher`")
     return Teacher(spec.script, float(spec.share))
@@ -229,8 +229,8 @@ def _hindsight(hindsight: HindsightSpec | str | None, namespace: Namespace) -> H
         return None
     values = namespace.values
     if namespace.scenario.goal is None and not values.is_invalid("goal"):
-        remedy = "add a `goal` with `achieved` and `desired`, or remove `replay`"
-        values.add("DB102", ("train", "replay"), "hindsight replay without a `goal`", remedy)
+        help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
+        values.add("DB102", ("train", "replay"), "hindsight replay without a `goal`", help)
     return (
         Hindsight(hindsight.n_sampled_goal, hindsight.goal_selection_strategy)
         if isinstance(hindsight, HindsightSpec)
@@ -243,30 +243,30 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
     intervals = [part for part in action if isinstance(part, ActionRange)]
     if acts_by == {"choice"} and (intervals or len(action) > 1):
         headline = f"{algorithm} supports only a single discrete action"
-        remedy = "use PPO, or define one action with `choices`"
+        help = "use PPO, or define one action with `choices`"
     elif "ranges" not in acts_by and intervals:
         headline = f"`{algorithm}` supports only discrete actions"
-        remedy = "use PPO, or define one action with `choices`"
+        help = "use PPO, or define one action with `choices`"
     elif acts_by == {"ranges"} and len(intervals) < len(action):
         headline = f"{algorithm} supports only continuous actions"
-        remedy = _for_choices(train, action, namespace)
+        help = _for_choices(train, action, namespace)
     elif intervals and len(intervals) < len(action):
         headline = "no algorithm supports choices and ranges in the same agent"
-        remedy = "define every action with `choices`, or every action as a range"
+        help = "define every action with `choices`, or every action as a range"
     elif not train.uses_masks and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
         headline = f"{algorithm} ignores `forbid`"
-        remedy = "use MaskablePPO, or remove `forbid`"
+        help = "use MaskablePPO, or remove `forbid`"
     elif train.symmetry is not None and (reason := _reason_against_symmetry(train)):
         headline = reason
-        remedy = "use PPO, or remove `symmetry`"
+        help = "use PPO, or remove `symmetry`"
     elif namespace.scenario.critic and not train.has_critic:
         headline = f"{algorithm} has no critic beside its policy, so it cannot use `critic`"
-        remedy = "use PPO, or remove `critic`"
+        help = "use PPO, or remove `critic`"
     else:
         return
-    namespace.values.add("DB612", ("train", "algorithm"), headline, remedy)
+    namespace.values.add("DB612", ("train", "algorithm"), headline, help)
 
 
 def _reason_against_symmetry(train: TrainingSpec) -> str:
@@ -389,21 +389,21 @@ class _VariantCompiler:
             criterion = read_until(stage.until)
             if criterion and criterion.metric == "success_rate" and not spec.defines_success:
                 until = f"until: mean_return >= 100 over {criterion.episodes} episodes"
-                remedy = success_help(
+                help = success_help(
                     self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure)
                 )
-                values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, remedy)
+                values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
-                remedy = "add `until: success_rate >= 0.7 over 40 episodes`"
+                help = "add `until: success_rate >= 0.7 over 40 episodes`"
                 values.add(
                     "DB102",
                     name_path,
                     f"the stage `{stage.name}` never ends, so the next stage never begins",
-                    remedy,
+                    help,
                 )
             elif stage.until is not None and last:
-                remedy = "remove it; `solved` determines when the training ends"
-                values.add_at_key("DB407", (*path, "until"), "the last stage has an `until`", remedy)
+                help = "remove it; `solved` determines when the training ends"
+                values.add_at_key("DB407", (*path, "until"), "the last stage has an `until`", help)
 
     def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
         """Return the task under the `set` at `path`; None after a finding."""
@@ -462,11 +462,11 @@ class _VariantCompiler:
             isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
         ):
             return False
-        remedy = (
+        help = (
             f"remove this change; a {word} can change the world, the reset, the reward, the endings and"
             " the parameters"
         )
-        self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", remedy)
+        self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, name_span: Span) -> bool:
@@ -478,21 +478,21 @@ class _VariantCompiler:
                 f" {program.world.timestep:g} s"
             )
         if program.engine != self._base.engine:
-            remedy = (
+            help = (
                 "remove the change; to evaluate a policy in both engines, use `deepbots eval RUN --engine"
                 " mujoco,pybullet`"
             )
-            self._values.add("DB407", name_span, f"the {word} `{name}` cannot change `world.engine`", remedy)
+            self._values.add("DB407", name_span, f"the {word} `{name}` cannot change `world.engine`", help)
             return False
         if lines:
             timestep = "the timestep, " if word == "stage" else ""
-            remedy = f"keep {timestep}the observation, the action and the messages as in the scenario"
+            help = f"keep {timestep}the observation, the action and the messages as in the scenario"
             if any(line.startswith("observation.") for line in lines):
-                remedy += f"; if a range uses a parameter that the {word} changes, write the range as numbers"
+                help += f"; if a range uses a parameter that the {word} changes, write the range as numbers"
             for robot, base in zip(program.robots, self._base.robots, strict=True):
                 if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
                     listed = ", ".join(field.name for field in robot.emit)
-                    remedy = (
+                    help = (
                         f"`{robot.name}` sends only what the scenario itself uses; let it always send"
                         f" all: `emit: [{listed}]`"
                     )
@@ -500,7 +500,7 @@ class _VariantCompiler:
                 "DB613",
                 name_span,
                 f"the {word} `{name}` changes the interface of the policy",
-                remedy,
+                help,
                 notes=tuple(lines[:5]),
             )
         return not lines
@@ -588,8 +588,8 @@ class _Reader(NamespaceReader):
         names = list(self._spec.action)
         if not isinstance(value, dict):
             if len(names) > 1:
-                remedy = f"write `{{{': ..., '.join(names)}: ...}}`"
-                self._values.add("DB103", path, f"one value for an action of {len(names)} parts", remedy)
+                help = f"write `{{{': ..., '.join(names)}: ...}}`"
+                self._values.add("DB103", path, f"one value for an action of {len(names)} parts", help)
                 return None
             value = dict.fromkeys(names, value)
         return self._fixed(path, self._decisions.read(path, value, "the action"))
@@ -611,9 +611,9 @@ class _Reader(NamespaceReader):
                     for number in constant_values(value.typed) or (math.nan,)
                 ]
                 if not all(map(math.isfinite, numbers)):
-                    remedy = "write fixed values, or use a script from `scripts`"
+                    help = "write fixed values, or use a script from `scripts`"
                     self._values.add(
-                        "DB407", path, f"the value of `{part.name}` must be the same in every episode", remedy
+                        "DB407", path, f"the value of `{part.name}` must be the same in every episode", help
                     )
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
@@ -635,9 +635,9 @@ class _Reader(NamespaceReader):
         )
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
-            remedy = "lower `episodes`, `max_steps` or `max_time`"
+            help = "lower `episodes`, `max_steps` or `max_time`"
             self._values.add_at_key(
-                "DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", remedy
+                "DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", help
             )
         return steps
 
@@ -658,11 +658,11 @@ class _Reader(NamespaceReader):
                         if key == "success_rate"
                         else "a failure rate needs a failure, but the scenario does not define one"
                     )
-                    remedy = (
+                    help = (
                         f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect"
                         " something else, such as `ends_by`"
                     )
-                    self._values.add("DB407", text.span, headline, remedy)
+                    self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
                     yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
@@ -694,9 +694,9 @@ class _Reader(NamespaceReader):
             return None
         low, high = (*bounds, math.inf)[:2]
         if key != "mean_return" and not (0 <= low <= 1 and (high == math.inf or 0 <= high <= 1)):
-            remedy = "write a number from 0 to 1, or a percentage such as `90 %`"
+            help = "write a number from 0 to 1, or a percentage such as `90 %`"
             self._values.add(
-                "DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", remedy
+                "DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", help
             )
             return None
         return low, high
@@ -741,7 +741,7 @@ class _Reader(NamespaceReader):
             )
 
 
-def _compared(tree: Typed) -> Iterator[Typed]:
+def _compared(tree: TypedNode) -> Iterator[TypedNode]:
     """Yield the single values that comparisons of a condition compare, except constants."""
     spans: set[tuple[int, int]] = set()
     for node in walk(tree):

@@ -20,8 +20,8 @@ from deepbots_cli.expressions.types import (
     Invocation,
     Known,
     Scope,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
     Vector,
     is_bare_zero,
 )
@@ -70,7 +70,7 @@ class FieldReader:
 
     def typed(
         self, text: SourceText, description: str | None = None, **context: Unpack[FieldContext]
-    ) -> Typed | None:
+    ) -> TypedNode | None:
         """Return the tree of a quantity; None after a finding, in which the field is called `description`."""
         return self._values.quantity(
             text, description or f"`{text.path[-1]}`", *self._expected_type(text, context)
@@ -109,7 +109,7 @@ class FieldReader:
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
-    def _si_values(self, typed: Typed, text: SourceText, count: int) -> tuple[float, ...] | None:
+    def _si_values(self, typed: TypedNode, text: SourceText, count: int) -> tuple[float, ...] | None:
         """Return the SI values of a fixed tree; a single one is used for all of `count`."""
         fixed = self._values.fixed(typed, text, f"`{text.path[-1]}`")
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
@@ -176,7 +176,7 @@ class FieldReader:
         ends = [end for end in typed.type.interval if math.isfinite(end)]
         return (sum(ends) / len(ends) if ends else 0.0,) * count
 
-    def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
+    def _is_bounded(self, typed: TypedNode, text: SourceText) -> bool:
         """Return whether a drawn value keeps the bounds of its field: a normal distribution has none."""
         reach = typed.type.interval
         kind = text.kind
@@ -186,8 +186,8 @@ class FieldReader:
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
         unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
-        remedy = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
-        self._values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", remedy)
+        help = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
+        self._values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help)
         return False
 
     def ends(
@@ -261,7 +261,7 @@ class FieldReader:
             return tuple(map(float, numbers))
         return float(numbers[0])
 
-    def noise(self, section: Section, of: Typed) -> Noise | None:
+    def noise(self, section: Section, of: TypedNode) -> Noise | None:
         """Return the `noise` of a section on the value `of`: its standard deviation in the unit of the value,
         or relative to it with `%`.
 
@@ -271,8 +271,8 @@ class FieldReader:
             return None
         text = self._values.field(section, "noise")
         if of.type.boolean or of.type.picture:
-            remedy = "remove it, or put the noise on the number from which the value is computed"
-            self._values.add("DB403", text.span, f"noise on {of.type.description}", remedy)
+            help = "remove it, or put the noise on the number from which the value is computed"
+            self._values.add("DB403", text.span, f"noise on {of.type.description}", help)
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -304,10 +304,10 @@ class FieldReader:
             # A link that two patterns match has the color of the later one.
             self.colors[:] = [parameter for parameter in self.colors if parameter.of != of]
         if len(options) > 1 and of is None:
-            remedy = "write one color for all episodes"
-            self._values.add("DB407", text.span, "this color must be fixed, but the value is random", remedy)
+            help = "write one color for all episodes"
+            self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
         elif len(options) > 1 and of is not None:
-            single = Type(known=Known.EPISODE)
+            single = ValueType(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
             option_index = Invocation(single, 0, 0, "integer", (), ends, 0)
             shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])

@@ -45,8 +45,8 @@ class _LevelsReader(NamespaceReader):
         shared = sorted(up & down - {SUCCESS})
         if shared:
             headline = f"after `{shared[0]}` a world cannot be one level higher and one level lower"
-            remedy = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
-            self._values.add("DB407", (*spec.path, "down"), headline, remedy)
+            help = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
+            self._values.add("DB407", (*spec.path, "down"), headline, help)
         if len(self._values.findings.errors) > errors_before or start is None or None in values.values():
             return None
         return Levels(
@@ -64,8 +64,8 @@ class _LevelsReader(NamespaceReader):
     def _values_of(self, name: str) -> tuple[float, ...] | None:
         """Return the value of a parameter in each level; None after a finding."""
         path: NodePath = (*self._levels.path, "set", name)
-        remedy = f"draw it from all levels, for example `{name}: uniform({self._values.text(path).text})`"
-        entry = self._draw(name, self._values.key_span(path), remedy)
+        help = f"draw it from all levels, for example `{name}: uniform({self._values.text(path).text})`"
+        entry = self._draw(name, self._values.key_span(path), help)
         if entry is None:
             return None
         parameter = self._parameter(name)
@@ -93,15 +93,15 @@ class _LevelsReader(NamespaceReader):
         return next((value for value in self._program.parameters if value.name == parameter), None)
 
     def _draw(self, name: str, span: Span, if_fixed: str) -> EpisodeDraw | None:
-        """Return the draw of a parameter; None after a finding, whose remedy is `if_fixed` for a parameter with
+        """Return the draw of a parameter; None after a finding, whose help is `if_fixed` for a parameter with
         one value."""
         draws = [entry for entry in self._program.draws.entries if entry.is_parameter]
         entry = next((entry for entry in draws if entry.name == name), None)
         if entry is not None and not entry.changes:
             return entry
         if entry is not None:
-            remedy = f"draw it once for each episode: remove `every` from `{name}`"
-            self._values.add("DB407", span, f"`{name}` changes within an episode", remedy)
+            help = f"draw it once for each episode: remove `every` from `{name}`"
+            self._values.add("DB407", span, f"`{name}` changes within an episode", help)
         elif name not in self._spec.parameters:
             self._values.report_unknown(
                 span,
@@ -110,11 +110,11 @@ class _LevelsReader(NamespaceReader):
                 list(dict.fromkeys([*self._spec.parameters, *(entry.name for entry in draws)])),
             )
         elif components := [entry.name for entry in draws if entry.name.startswith(f"{name}.")]:
-            remedy = f"set its components: {', '.join(f'`{component}`' for component in components)}"
-            self._values.add("DB404", span, f"`{name}` is a vector", remedy)
+            help = f"set its components: {', '.join(f'`{component}`' for component in components)}"
+            self._values.add("DB404", span, f"`{name}` is a vector", help)
         elif self._parameter(name) is not None:
-            remedy = "name those in place of it"
-            self._values.add("DB407", span, f"`{name}` is computed from other parameters", remedy)
+            help = "name those in place of it"
+            self._values.add("DB407", span, f"`{name}` is computed from other parameters", help)
         elif not self._is_assigned(name) and not self._values.is_invalid(name):
             self._values.add("DB205", span, f"`{name}` has one value in all episodes", if_fixed)
         return None
@@ -139,15 +139,15 @@ class _LevelsReader(NamespaceReader):
             ]
             if missing:
                 headline = f"a level has `{name}` = {missing[0]:g}, which is none of its choices"
-                remedy = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
-                self._values.add("DB105", path, headline, remedy)
+                help = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
+                self._values.add("DB105", path, headline, help)
             return not missing
         if kind == "integer" and any(abs(number - round(number)) > _TOLERANCE for number in numbers):
             count = round(abs(numbers[-1] - numbers[0])) + 1
             headline = f"{len(numbers)} levels do not divide the range into whole numbers"
             ends = f"{numbers[0]:g} .. {numbers[-1]:g}"
-            remedy = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
-            self._values.add("DB105", path, headline, remedy)
+            help = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
+            self._values.add("DB105", path, headline, help)
             return False
         beyond = [
             number
@@ -156,31 +156,31 @@ class _LevelsReader(NamespaceReader):
         ]
         if beyond:
             headline = f"a level has `{name}` = {beyond[0]:g}, but the scenario draws {low:g} to {high:g}"
-            remedy = "keep the range within it, or draw the parameter from a wider range"
-            self._values.add("DB105", path, f"{headline} (SI units)", remedy)
+            help = "keep the range within it, or draw the parameter from a wider range"
+            self._values.add("DB105", path, f"{headline} (SI units)", help)
         return not beyond
 
     def _per_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
         """Return a parameter and its values, of which each world has one; None after a finding."""
         path: NodePath = (*self._levels.path, "per_world")
-        remedy = f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`"
-        entry = self._draw(name, self._values.span(path), remedy)
+        help = f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`"
+        entry = self._draw(name, self._values.span(path), help)
         if entry is None:
             return None
         values = _finite_values(entry.tree)
-        remedy = ""
+        help = ""
         if name in self._levels.set:
             headline = f"`{name}` has a value in each level, so a world cannot keep one"
-            remedy = f"remove `{name}` from `set` or from `per_world`"
+            help = f"remove `{name}` from `set` or from `per_world`"
         elif not values:
             headline = f"`{name}` is not drawn from single values, which the worlds could have in turn"
-            remedy = f"draw `{name}` from whole numbers or choices: `integer(0 .. 5)`, `choice(1 | 2 | 3)`"
+            help = f"draw `{name}` from whole numbers or choices: `integer(0 .. 5)`, `choice(1 | 2 | 3)`"
         elif self._spec.train is not None and self._spec.train.environments < len(values):
             worlds = self._spec.train.environments
             headline = f"`{name}` has {len(values)} values, but the training has only {worlds} environments"
-            remedy = f"write `train.environments: {len(values)}` or a multiple, or remove `per_world`"
-        if remedy:
-            self._values.add("DB407", path, headline, remedy)
+            help = f"write `train.environments: {len(values)}` or a multiple, or remove `per_world`"
+        if help:
+            self._values.add("DB407", path, headline, help)
             return None
         return entry.name, tuple(map(float, values))
 
@@ -201,8 +201,8 @@ class _LevelsReader(NamespaceReader):
             return None
         low, high = bounds
         if not (low.is_integer() and high.is_integer() and 0 <= low <= high < self._levels.levels):
-            remedy = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
-            self._values.add("DB105", text.span, f"`start` is {text.text}, which is not a level", remedy)
+            help = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
+            self._values.add("DB105", text.span, f"`start` is {text.text}, which is not a level", help)
             return None
         return int(low), int(high)
 
@@ -237,8 +237,8 @@ class _LevelsReader(NamespaceReader):
                 defined = "a limit under `truncation`" if name == "truncation" else f"`termination.{name}`"
                 if name == "termination":
                     defined = "an ending under `termination`"
-                remedy = f"define {defined}, or name another ending"
-                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", remedy)
+                help = f"define {defined}, or name another ending"
+                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", help)
             return outcomes
         if name not in single and not self._values.is_invalid("termination"):
             self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])

@@ -25,7 +25,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Subject,
     Symbol,
-    Type,
+    ValueType,
 )
 from deepbots_cli.program.resets import ObjectGroup
 from deepbots_cli.scenario.scenario import Scenario
@@ -164,7 +164,7 @@ class Namespace:
         cycle = self._being_resolved[self._being_resolved.index(definition) :]
         chain = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
-        remedy = "define one of these values without the others" + (
+        help = "define one of these values without the others" + (
             ", or use `previous(...)`, the value of the step before" if again else ""
         )
         headline = f"`{definition.name}` depends on itself"
@@ -172,7 +172,7 @@ class Namespace:
             "DB207",
             definition.path,
             headline,
-            remedy,
+            help,
             notes=(f"the cycle is {chain}",) if len(cycle) > 1 else (),
         )
         definition.symbol = Symbol(definition.name, None)
@@ -383,11 +383,11 @@ class SupervisorScope(_Scope):
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
-            return Symbol(name, Type(TIME, interval=_NON_NEGATIVE, known=Known.STEP))
+            return Symbol(name, ValueType(TIME, interval=_NON_NEGATIVE, known=Known.STEP))
         if name == "step":
-            return Symbol(name, Type(NUMBER, interval=_NON_NEGATIVE, known=Known.STEP))
+            return Symbol(name, ValueType(NUMBER, interval=_NON_NEGATIVE, known=Known.STEP))
         if name in _PAST_REWARDS:
-            return Symbol(name, Type(NUMBER, known=Known.STEP))
+            return Symbol(name, ValueType(NUMBER, known=Known.STEP))
         if name in self.namespace.built_in:
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
@@ -397,7 +397,7 @@ class SupervisorScope(_Scope):
                 else "it is computed after the endings; use it only in rewards"
             )
             return Symbol(
-                name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused
+                name, ValueType(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused
             )
         if name == "goal_reached":
             return Symbol(

@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     Context,
     Invocation,
     Known,
-    Type,
+    ValueType,
 )
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
@@ -147,9 +147,9 @@ class PlacementChecker(NamespaceReader):
                 f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .."
                 f" {patch.y + reach_y:g} m"
             )
-            remedy = f"leave out `region` to use the whole top, which covers {sides}"
+            help = f"leave out `region` to use the whole top, which covers {sides}"
             self._values.add_at_key(
-                "DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", remedy
+                "DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help
             )
 
     def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
@@ -166,8 +166,8 @@ class PlacementChecker(NamespaceReader):
         is_first = below.body == next(body for body in standing if body in stack)
         if is_first and below.body == place.body:
             notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            remedy = f"remove `on` of `{place.body}`, which then rests on the ground"
-            self._values.add("DB207", span, f"`{place.body}` is placed on itself", remedy, notes=notes)
+            help = f"remove `on` of `{place.body}`, which then rests on the ground"
+            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
         return not is_first or below.body == place.body
 
     def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
@@ -188,19 +188,19 @@ class PlacementChecker(NamespaceReader):
                 *(["reduce `clearance`"] if margin else []),
                 *(["use another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
             ]
-            remedy = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
+            help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
             if area > _MAX_AREA_RATIO * top.area:
-                remedy = f"check the unit of the size of `{place.body}`"
+                help = f"check the unit of the size of `{place.body}`"
             headline = f"{covers} does not fit on the top of `{support.body}` ({_size(top)}){turn_text}"
         elif copies * area > top.area:
             headline = (
                 f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
                 f" of `{support.body}`"
             )
-            remedy = f"make `{support.body}` larger, or place fewer copies"
+            help = f"make `{support.body}` larger, or place fewer copies"
         else:
             return False
-        self._values.add("DB105", span, headline, remedy)
+        self._values.add("DB105", span, headline, help)
         return True
 
     def _check_covered(
@@ -339,11 +339,11 @@ def _size(covered: Footprint) -> str:
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
     """Return a number in SI units that is not written in the text."""
-    return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
+    return Constant(ValueType(dimension, interval=single(value)), 0, 0, (value,))
 
 
 _ANY_ANGLE = Invocation(
-    Type(ANGLE, interval=TURN, known=Known.EPISODE),
+    ValueType(ANGLE, interval=TURN, known=Known.EPISODE),
     0,
     0,
     "uniform",
@@ -403,8 +403,8 @@ class Places(NamespaceReader):
         elif pose.region is not None:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            remedy = "add one, as in `region: arena`"
-            self._values.add_at_key("DB102", (*pose.path, "grid"), "`grid` needs a `region`", remedy)
+            help = "add one, as in `region: arena`"
+            self._values.add_at_key("DB102", (*pose.path, "grid"), "`grid` needs a `region`", help)
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
@@ -541,12 +541,12 @@ class Places(NamespaceReader):
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            remedy = (
+            help = (
                 "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
                 " copy with `at_most: 1`"
             )
             self._values.add_at_key(
-                "DB105", path, f"up to {copies} copies of `{place.body}` at one position", remedy
+                "DB105", path, f"up to {copies} copies of `{place.body}` at one position", help
             )
 
 
@@ -575,11 +575,11 @@ class Layouts(NamespaceReader):
             shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             first, second = list(layouts)[:2]
-            remedy = (
+            help = (
                 f"choose one with `layout: {first}`, or draw one with"
                 f" `layout: {{{first}: 50 %, {second}: 50 %}}`"
             )
-            self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", remedy)
+            self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
                 path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")

@@ -35,8 +35,8 @@ from deepbots_cli.expressions.types import (
     Reference,
     Scope,
     Symbol,
-    Type,
-    Typed,
+    TypedNode,
+    ValueType,
     children,
 )
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
@@ -88,12 +88,12 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     values = namespace.values
     for robot, robot_spec in spec.robots.items():
         if "count" in robot_spec.model_fields_set and robot != name and not values.is_invalid("each"):
-            remedy = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
+            help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.add_at_key(
                 "DB108",
                 ("robots", robot, "count"),
                 f"copies of `{robot}` need `agent: {{each: {robot}}}`",
-                remedy,
+                help,
             )
     if name is None:
         return None
@@ -104,8 +104,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     robot_spec = spec.robots[name]
     count = namespace.fields.fixed(robot_spec, "count")
     if robot_spec.spacing is None and not values.is_invalid("spacing"):
-        remedy = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
-        values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", remedy)
+        help = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
     spacing = namespace.fields.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
@@ -226,8 +226,8 @@ class Actions(NamespaceReader):
             return Symbol(name, None)
         components = action_names(parts)
         if all(isinstance(part, Choices) for part in parts):
-            return Symbol(name, Type(NUMBER, components, boolean=True, known=Known.STEP))
-        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
+            return Symbol(name, ValueType(NUMBER, components, boolean=True, known=Known.STEP))
+        return Symbol(name, ValueType(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Define the variables of an action: each option sets the variable called like the action, or the
@@ -239,7 +239,7 @@ class Actions(NamespaceReader):
         rows = {option: self._numbers(part, option, variables, named=bool(names)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            variable_type = Type(
+            variable_type = ValueType(
                 NUMBER,
                 interval=Interval(min(column, default=0.0), max(column, default=0.0)),
                 known=Known.STEP,
@@ -260,9 +260,9 @@ class Actions(NamespaceReader):
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(value, dict):
             if named:
-                remedy = f"assign the variables, as in `{{{variables[0]}: 1}}`"
+                help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
                 self._values.add(
-                    "DB103", path, "this option is a number, but other options assign variables", remedy
+                    "DB103", path, "this option is a number, but other options assign variables", help
                 )
                 self._values.mark_invalid(str(path[1]))
                 return (0.0,) * len(variables)
@@ -287,7 +287,8 @@ class Actions(NamespaceReader):
         low, high = ends.low[0], ends.high[0]
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
         return Symbol(
-            name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP)
+            name,
+            ValueType(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP),
         )
 
     def _group(self, reference: str, path: NodePath) -> Components | None:
@@ -368,7 +369,7 @@ class Observations(NamespaceReader):
         history, clip = (spec.history, spec.clip) if isinstance(spec, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
-    def _observed(self, section: str, text: SourceText) -> Typed | None:
+    def _observed(self, section: str, text: SourceText) -> TypedNode | None:
         tree = self._values.parsed(text)
         if tree is None:
             return None
@@ -409,23 +410,23 @@ class Observations(NamespaceReader):
             fix = move_to_augment_fix(root, name)
             definition = " ".join(self._values.text(("signals", name)).text.split())
             noun = "a signal"
-            remedy = f"move it from `signals` to `augment`: `{name}: {definition}`"
+            help = f"move it from `signals` to `augment`: `{name}: {definition}`"
         elif isinstance(augment, dict) and augment:
             fix = None
             noun = "a parameter"
-            remedy = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
+            help = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
         else:
             fix = None
             noun = "a parameter"
-            remedy = (
+            help = (
                 "list it under `augment`, if the policy may know it: `augment:"
                 f" [{', '.join([*augment, name])}]`"
             )
         self._values.add(
-            "DB609", text.span, f"the observation contains `{name}`, which is {noun}", remedy, fix=fix
+            "DB609", text.span, f"the observation contains `{name}`, which is {noun}", help, fix=fix
         )
 
-    def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
+    def _bounds(self, typed: TypedNode, text: SourceText) -> Bounds | None:
         count = len(typed.type.components or ("",))
         picture = typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
@@ -564,9 +565,9 @@ class Goals(NamespaceReader):
             )
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
-            remedy = "remove `action_repeat`, and use a longer timestep instead"
+            help = "remove `action_repeat`, and use a longer timestep instead"
             self._values.add(
-                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", remedy
+                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help
             )
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
@@ -610,29 +611,29 @@ class Goals(NamespaceReader):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
                 return Symbol(name, None)
-        return Symbol(name, Type(boolean=True, known=Known.STEP))
+        return Symbol(name, ValueType(boolean=True, known=Known.STEP))
 
 
 def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     """Report each term that hindsight cannot recompute."""
     for term in terms:
         if term.foreign is not None:
-            remedy = "write the reward as an expression of `achieved` and `desired`"
+            help = "write the reward as an expression of `achieved` and `desired`"
             namespace.values.add(
-                "DB709", term.span, "hindsight replay cannot recompute a reward in Python", remedy
+                "DB709", term.span, "hindsight replay cannot recompute a reward in Python", help
             )
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
-            remedy = (
+            help = (
                 "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER)"
                 " recomputes the reward for other goals"
             )
-            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, remedy)
+            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
             break
 
 
-def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
+def _parts_besides_goal(value: TypedNode) -> Iterator[TypedNode]:
     """Yield the parts of a value that are not made of the goal and of fixed values."""
     match value:
         case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:
@@ -766,13 +767,11 @@ class Decisions(NamespaceReader):
         span = self._values.span(path)
         options = [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            remedy = (
+            help = (
                 f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
                 f" {options[-1]}: true}}`"
             )
-            self._values.add(
-                "DB103", span, f"expected an option of `{part.name}`, found an expression", remedy
-            )
+            self._values.add("DB103", span, f"expected an option of `{part.name}`, found an expression", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
         elif word not in options:

@@ -31,7 +31,7 @@ from deepbots_cli.expressions.dimensions import (
     Unit,
 )
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, Type
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, ValueType
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -152,15 +152,15 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, noun: str, n
         values.report_unknown(span, noun, pattern, names, "DB302" if noun == "joint" else "DB201")
     else:
         suggestion = _without_regular_expression(pattern, names) or _similar_pattern(pattern, names)
-        remedy = (
+        help = (
             f"did you mean `{suggestion}`? {choices_help('', names)}"
             if suggestion
             else choices_help(pattern, names)
         )
         if ".*" in pattern:
-            remedy = f"patterns are not regular expressions: `*` stands for any characters; {remedy}"
+            help = f"patterns are not regular expressions: `*` stands for any characters; {help}"
         fix = Fix.replacing(span, pattern, suggestion, safe=False) if suggestion else None
-        values.add("DB206", span, f"`{pattern}` matches no {noun}", remedy, fix=fix)
+        values.add("DB206", span, f"`{pattern}` matches no {noun}", help, fix=fix)
 
 
 def _without_regular_expression(pattern: str, names: Sequence[str]) -> str | None:
@@ -203,18 +203,16 @@ def report_missing_joint(
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
     """Report DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
-    remedy = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
-    values.add(
-        "DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", remedy
-    )
+    help = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
+    values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
 
 
 def report_motionless_joint(
     values: ValueReader, span: Span, joint: Joint, movable_names: Sequence[str]
 ) -> None:
     names = ", ".join(f"`{name}`" for name in movable_names)
-    remedy = f"joints that move are {names}" if names else "no joint of this robot can move"
-    values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", remedy)
+    help = f"joints that move are {names}" if names else "no joint of this robot can move"
+    values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help)
 
 
 # Limits of the robot file
@@ -230,7 +228,7 @@ def warn_beyond_limits(
     allowed: Interval,
     description: str,
     actual: Interval,
-    remedy: str,
+    help: str,
 ) -> None:
     """Report DB304: `description` is `actual`, which is not all within the range that the robot file allows for
     the value that is written in `text`."""
@@ -255,7 +253,7 @@ def warn_beyond_limits(
         f"{description} {in_unit(actual)} {unit.text},"
         f" but the robot file allows {in_unit(limits)} {unit.text}"
     )
-    values.add("DB304", text.span, headline, remedy, fix=_clamping_fix(text, numbers, allowed))
+    values.add("DB304", text.span, headline, help, fix=_clamping_fix(text, numbers, allowed))
 
 
 def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
@@ -377,7 +375,9 @@ class Overrides:
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
         """Return the scope of a change of a value that is called `urdf` and comes from the robot file."""
-        symbol = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
+        symbol = (
+            _UNKNOWN if urdf is None else Symbol("urdf", ValueType(dimension, interval=single(urdf)), (urdf,))
+        )
         return self.namespace.scope(Context.FIELD, {"urdf": symbol})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
@@ -708,9 +708,9 @@ def _package_help(reference: str, document: Document, span: Span) -> str:
     """Return why `package://X/rest` names no file, and the path of a file of this name in the project."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     if meshes.package_folder(package):
-        remedy = f"the Python package `{package}` is installed, but has no file `{inside}`"
+        help = f"the Python package `{package}` is installed, but has no file `{inside}`"
     else:
-        remedy = (
+        help = (
             "`package://` names a file of an installed Python package, and there is no package"
             f" `{package}`; write the path of the file"
         )
@@ -718,8 +718,8 @@ def _package_help(reference: str, document: Document, span: Span) -> str:
         files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None
     )
     if candidates is None:
-        return remedy
-    return f"{remedy}: `{FilePath(os.path.relpath(candidates, document.directory_of(span))).as_posix()}`"
+        return help
+    return f"{help}: `{FilePath(os.path.relpath(candidates, document.directory_of(span))).as_posix()}`"
 
 
 def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, NameGroup]:

@@ -147,12 +147,12 @@ class _Prober:
         )
         if lines:
             headline = f"`{name}: {text}` changes the interface of the policy"
-            remedy = (
+            help = (
                 "search only over values that leave the observation, the action and the messages as they are"
             )
             source = Source("", f"{name}={text}")
             yield Finding(
-                "DB613", Span(source, len(name), len(source.text)), headline, remedy, notes=tuple(lines[:5])
+                "DB613", Span(source, len(name), len(source.text)), headline, help, notes=tuple(lines[:5])
             )
 
 

@@ -18,7 +18,7 @@ from deepbots_cli.compiler.robots import (
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, Type
+from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, ValueType
 from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import (
     MAX_SENSED_RAYS,
@@ -95,10 +95,8 @@ class SensorsCompiler(NamespaceReader):
                 headline = (
                     f"the sensors of `{self._robot.name}` have {count:,} {noun}; the limit is {limit:,}"
                 )
-                remedy = (
-                    "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
-                )
-                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, remedy)
+                help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
+                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         reading = self._read(name, spec)
@@ -121,9 +119,11 @@ class SensorsCompiler(NamespaceReader):
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=parameters)
         self.symbols[name] = Symbol(name, typed._replace(known=Known.STEP))
 
-    def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
+    def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, ValueType] | None:
         """Return a sensor without errors, and the type of its readings; None after a finding."""
-        typed = Type(spec.dimension, spec.components or None, boolean=spec.boolean, interval=spec.interval)
+        typed = ValueType(
+            spec.dimension, spec.components or None, boolean=spec.boolean, interval=spec.interval
+        )
         subjects: tuple[str, ...] = ()
         more: dict[str, Any] = {}
         match spec:
@@ -160,7 +160,7 @@ class SensorsCompiler(NamespaceReader):
         )
         return sensor, typed._replace(known=Known.STEP)
 
-    def _measured(self, spec: LinkSensor, typed: Type) -> tuple[dict[str, Any], Type] | None:
+    def _measured(self, spec: LinkSensor, typed: ValueType) -> tuple[dict[str, Any], ValueType] | None:
         """Return the fields that only a sensor on a link has, and the type of its readings; None after a
         finding."""
         namespace = self._namespace
@@ -178,7 +178,7 @@ class SensorsCompiler(NamespaceReader):
                     return None
                 more["radar"] = radar
                 names = tuple(name.replace("#", "_") for name in radar.targets)
-                typed = Type(
+                typed = ValueType(
                     spec.measures[spec.measure],
                     names if spec.target is None else None,
                     boolean=spec.measure == "seen",
@@ -189,7 +189,7 @@ class SensorsCompiler(NamespaceReader):
                 if optics is None:
                     return None
                 more["optics"] = optics
-                typed = Type(picture=optics.shape)
+                typed = ValueType(picture=optics.shape)
         return more, typed
 
     def _carrier_of(self, spec: LinkSensor) -> tuple[str, ...]:
@@ -324,8 +324,8 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
-            remedy = "write `channels: depth`, or remove `range`"
-            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", remedy)
+            help = "write `channels: depth`, or remove `range`"
+            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
         ends = namespace.fields.ends(spec, "range", description="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
@@ -348,11 +348,9 @@ def _angle_of_view(namespace: Namespace, spec: Radar, key: str, limit: float) ->
     return angle
 
 
-def _report_angle_of_view(
-    namespace: Namespace, spec: LinkSensor, key: str, angle: float, remedy: str
-) -> None:
+def _report_angle_of_view(namespace: Namespace, spec: LinkSensor, key: str, angle: float, help: str) -> None:
     headline = f"the angle of view is {math.degrees(angle):g} deg"
-    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, remedy)
+    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, help)
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
@@ -390,24 +388,22 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         return _grid(namespace, spec)
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
-            remedy = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
+            help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
             values.add_at_key(
                 "DB101",
                 (*spec.path, "angle_range"),
                 "`angle_range` does not apply to rays with names",
-                remedy,
+                help,
             )
         return {name: _turned_down(_frame(namespace, ray), spec) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
-            remedy = (
+            help = (
                 "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays:"
                 " {left: {yaw: 30 deg}}`"
             )
-            values.add(
-                "DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", remedy
-            )
+            values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
             return None
         return {"" if spec.rays is None else "r0": _turned_down(Pose(), spec)}
@@ -424,8 +420,8 @@ def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
     values = namespace.values
     for key in ("rays", "angle_range"):
         if key in spec.model_fields_set:
-            remedy = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
-            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", remedy)
+            help = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
+            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", help)
             return None
     size = namespace.fields.pair(spec, "grid")
     spacing = namespace.fields.fixed(spec, "spacing")
@@ -497,7 +493,9 @@ _NUMERIC_KEYS = ("noise", "bias", "drift", "resolution", "range")
 """The keys of sensors that read numbers."""
 
 
-def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
+def _noise_model(
+    namespace: Namespace, spec: SensorSpec, typed: ValueType
+) -> tuple[NoiseModel | None, ValueType]:
     """Return the errors of a sensor, period apart, and the type of its readings with them; None for a perfect
     sensor."""
     variations_before = len(namespace.fields.variations)
@@ -547,7 +545,7 @@ def _latency(namespace: Namespace, spec: SensorSpec) -> float:
 
 
 def _error(
-    namespace: Namespace, spec: SensorSpec, key: str, typed: Type
+    namespace: Namespace, spec: SensorSpec, key: str, typed: ValueType
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return a value per component, absolute or relative: one written with `%` is relative to the reading."""
     if key not in spec.model_fields_set:
@@ -572,7 +570,7 @@ def _error(
     return ((), error) if relative else (error, ())
 
 
-def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[float, ...]:
+def _resolution(namespace: Namespace, spec: SensorSpec, typed: ValueType) -> tuple[float, ...]:
     if "resolution" not in spec.model_fields_set:
         return ()
     steps = namespace.fields.numbers(
@@ -592,7 +590,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[fl
 
 
 def _range(
-    namespace: Namespace, spec: SensorSpec, typed: Type
+    namespace: Namespace, spec: SensorSpec, typed: ValueType
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if isinstance(spec, Radar):
         count = len(typed.components or ("",))

@@ -50,12 +50,12 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         try:
             part_of(field, topic)
         except ValueError as error:
-            remedy = (
+            help = (
                 "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types"
                 " that fit"
             )
             values.add(
-                "DB321", ("ros", name, "type" if topic_spec.part is None else "part"), str(error), remedy
+                "DB321", ("ros", name, "type" if topic_spec.part is None else "part"), str(error), help
             )
         else:
             topics_by_field[name] = (field, topic)

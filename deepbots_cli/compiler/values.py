@@ -36,7 +36,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Redraw,
     Scope,
-    Typed,
+    TypedNode,
     TypedRange,
     is_bare_zero,
 )
@@ -120,7 +120,7 @@ class SourceText(NamedTuple):
 
     def expression(
         self,
-        typed: Typed,
+        typed: TypedNode,
         name: str | None = None,
         *,
         per_component: Components | None = None,
@@ -174,7 +174,7 @@ class ScopedExpression(NamedTuple):
 
     text: SourceText
     scope: Scope
-    trees: tuple[Typed, ...]
+    trees: tuple[TypedNode, ...]
 
 
 class ValueReader:
@@ -245,7 +245,7 @@ class ValueReader:
         code: str,
         span_or_path: Span | NodePath,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         *,
         labels: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
@@ -253,19 +253,19 @@ class ValueReader:
     ) -> None:
         """Add a finding at a span, or at the value at a path."""
         span = span_or_path if isinstance(span_or_path, Span) else self.span(span_or_path)
-        self.findings.add(code, span, headline, remedy=remedy, labels=labels, notes=notes, fix=fix)
+        self.findings.add(code, span, headline, help=help, labels=labels, notes=notes, fix=fix)
 
     def add_at_key(
         self,
         code: str,
         path: NodePath,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         *,
         notes: tuple[str, ...] = (),
     ) -> None:
         """Add a finding at the last key of a path."""
-        self.add(code, self.key_span(path), headline, remedy, notes=notes)
+        self.add(code, self.key_span(path), headline, help, notes=notes)
 
     def is_whole_number_of_timesteps(
         self, seconds: float, timestep: float, span: Span, description: str
@@ -312,12 +312,12 @@ class ValueReader:
             suggestion = owned or suggest_replacement(name, names)
             fix = Fix.replacing(span, name, suggestion.text, safe=suggestion.safe) if suggestion else None
             section = _DEFINED_UNDER.get(noun)
-            remedy = choices_help(name, names) if names else f"no {noun} is defined"
+            help = choices_help(name, names) if names else f"no {noun} is defined"
             if owned:
-                remedy = f"write `{owned.text}`"
+                help = f"write `{owned.text}`"
             elif not names and section is not None:
-                remedy = f"define `{name}` under `{section}`"
-            self.add(code, span, f"there is no {noun} `{name}`", remedy, fix=fix)
+                help = f"define `{name}` under `{section}`"
+            self.add(code, span, f"there is no {noun} `{name}`", help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
@@ -327,7 +327,7 @@ class ValueReader:
             start: int,
             end: int,
             headline: str,
-            remedy: str | None = None,
+            help: str | None = None,
             replacement: Replacement | None = None,
             names: Table[str, str | None] = NO_NAMES,
             corrected: Callable[[str], str] | None = None,
@@ -345,21 +345,21 @@ class ValueReader:
             is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"
-                and (remedy is None or is_insertion)
+                and (help is None or is_insertion)
                 and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
             ):
-                remedy = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
+                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
                 replacement = None
-                remedy += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
+                help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             if code == "DB402" and "_" in piece:
-                remedy = term_help(piece) or remedy
+                help = term_help(piece) or help
             word = self._word_replacement(text, piece) if code == "DB402" else None
-            if word and not (remedy or "").startswith("did you mean"):
-                remedy = f"write the word `{word}`, or a value; {remedy}"
+            if word and not (help or "").startswith("did you mean"):
+                help = f"write the word `{word}`, or a value; {help}"
                 replacement = Replacement(word, safe=False)
             if corrected is not None:
                 key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
-                remedy = (remedy or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
+                help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
             fix = None if replacement is None else _fix(text, start, end, replacement, corrected)
             paths = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
@@ -368,7 +368,7 @@ class ValueReader:
                 definition = labels[0].span
                 if fix is not None and _is_as_near(definition, span):
                     span, labels = definition, (Label(span, "used here"),)
-            self.add(code, span, headline, remedy, labels=labels, fix=fix)
+            self.add(code, span, headline, help, labels=labels, fix=fix)
 
         return report
 
@@ -401,7 +401,7 @@ class ValueReader:
     def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))
 
-    def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> Typed | None:
+    def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> TypedNode | None:
         """Return the typed tree of an expression; `boolean` demands a truth value (True) or a number
         (False)."""
         tree = self.parsed(text)
@@ -411,7 +411,7 @@ class ValueReader:
             return typed
         return expect_kind(typed, self.report(text), boolean=boolean)
 
-    def condition(self, text: SourceText, scope: Scope) -> Typed | None:
+    def condition(self, text: SourceText, scope: Scope) -> TypedNode | None:
         """Return the typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
         return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
@@ -428,7 +428,7 @@ class ValueReader:
 
     def redrawn(
         self, text: SourceText, description: str, scope: Scope, dimension: Dimension
-    ) -> tuple[Typed | None, Redraw | None]:
+    ) -> tuple[TypedNode | None, Redraw | None]:
         """Return a single value that may be new in every step, like `quantity`; with it, how often its draws
         are repeated."""
         checked = self.drawn(text, scope)
@@ -454,7 +454,7 @@ class ValueReader:
         components: Components | None = None,
         known: Known = Known.FIXED,
         shape_help: str | None = None,
-    ) -> Typed | None:
+    ) -> TypedNode | None:
         """Return a value of the dimension (None: any) and components that a field declares, known by then.
 
         `description` is the name of the field in findings, such as "the timestep"; `shape_help` as in
@@ -482,7 +482,7 @@ class ValueReader:
             else None
         )
 
-    def _is_vector(self, value: Typed, text: SourceText, description: str) -> bool:
+    def _is_vector(self, value: TypedNode, text: SourceText, description: str) -> bool:
         """Return whether a value with a direction has all its components; a size or a factor, which is fixed,
         may be one for all axes."""
         kind = text.kind
@@ -495,11 +495,11 @@ class ValueReader:
             return True
         unit = value.type.dimension
         example = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
-        remedy = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
-        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", remedy)
+        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
+        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", help)
         return False
 
-    def _is_within(self, value: Typed, text: SourceText, description: str) -> bool:
+    def _is_within(self, value: TypedNode, text: SourceText, description: str) -> bool:
         """Return whether the value keeps the bounds of its field; the schema has looked at bare numbers
         only."""
         kind = text.kind
@@ -522,23 +522,23 @@ class ValueReader:
             and (low < minimum or (kind.exclusive and low == minimum))
         ):
             odd = low
-            remedy = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+            help = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
             if text.path[-1:] == ("noise",) and low == -high:
-                remedy = (
+                help = (
                     "noise is Gaussian, and `noise` is its standard deviation: write"
                     f" `noise: {_with_unit(float(f'{high / math.sqrt(3.0):.2g}'), unit)}`, which spreads as"
                     f" much as this uniform noise; `bias: {text.text}` is drawn once per episode"
                 )
         elif maximum is not None and math.isfinite(high) and high > maximum:
             odd = high
-            remedy = f"write at most {_with_unit(maximum, unit)}"
+            help = f"write at most {_with_unit(maximum, unit)}"
         elif (
             kind.whole
             and constants
             and (broken := [number for number in constants if not float(number).is_integer()])
         ):
             odd = broken[0]
-            remedy = "write a whole number"
+            help = "write a whole number"
         else:
             return True
         if constants is None:
@@ -547,19 +547,19 @@ class ValueReader:
             verb = "is"
         else:
             verb = "contains"
-        self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", remedy)
+        self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", help)
         return False
 
-    def fixed(self, value: Typed, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
+    def fixed(self, value: TypedNode, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
         """Return the SI values of a value that is settled in the file; a finding where they cannot be
         computed."""
         values = constant_values(value)
         if values is None:
-            remedy = (
+            help = (
                 "correct it: the expression divides by zero, leaves the domain of a function, or gives"
                 " too large a number"
             )
-            self.add("DB105", text.span, f"{description} cannot be computed", remedy)
+            self.add("DB105", text.span, f"{description} cannot be computed", help)
         return values
 
     def ends(

@@ -19,7 +19,7 @@ from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, is_drawn, names_in
-from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
+from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, ValueType
 from deepbots_cli.files import read_at_most
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
@@ -122,8 +122,8 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
         )
         return None
     if highest > MAX_BODIES:
-        remedy = "use fewer bodies: an engine would take minutes to build this world"
-        values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", remedy)
+        help = "use fewer bodies: an engine would take minutes to build this world"
+        values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
         return None
     return ObjectGroup(name, max(1, int(highest)), count)
 
@@ -239,9 +239,9 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
             headline = (
                 "two points in a row are the same" if after else "the last point repeats the first point"
             )
-            remedy = "leave one of them out" if after else "remove it; `closed: true` already joins the ends"
+            help = "leave one of them out" if after else "remove it; `closed: true` already joins the ends"
             namespace.values.add(
-                "DB105", namespace.values.span((*spec.path, "points", after or index)), headline, remedy
+                "DB105", namespace.values.span((*spec.path, "points", after or index)), headline, help
             )
             return None
     return tuple(points)
@@ -391,14 +391,14 @@ def _check_width(
         return
     is_fine = width < smallest
     headline = f"`{key}` is {width:g} m, but a tile has room for {largest:g} m within its edge"
-    remedy = "write a smaller one, or a larger `side`"
+    help = "write a smaller one, or a larger `side`"
     if is_fine:
         headline = f"`{key}` is {width:g} m, but heights are {smallest:g} m apart"
-        remedy = "write a larger one, or a smaller `cell`"
+        help = "write a larger one, or a smaller `cell`"
     path = (*section.path, key)
     if key not in section.model_fields_set:
         path = (*terrain.path, "cell" if is_fine else "side")
-    namespace.values.add("DB105", namespace.values.span(path), headline, remedy)
+    namespace.values.add("DB105", namespace.values.span(path), headline, help)
 
 
 def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
@@ -442,7 +442,7 @@ def _widths(tile: Tile) -> list[tuple[str, float]]:
 def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
     sides = {
-        name: Type(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
+        name: ValueType(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
         for name, side in zip(PLANE, size, strict=True)
     }
     scope = namespace.scope(Context.FIXED, {name: Symbol(name, length) for name, length in sides.items()})
@@ -458,10 +458,8 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
             if drawn_names
             else "a random draw"
         )
-        remedy = (
-            "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
-        )
-        values.add("DB407", text.span, f"`heights` must be fixed, but uses {subject}", remedy)
+        help = "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
+        values.add("DB407", text.span, f"`heights` must be fixed, but uses {subject}", help)
         return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
@@ -470,14 +468,14 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
             position_text = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(grid, Const) and math.isfinite(grid.value):
                 headline = f"the ground is {grid.value:g} m high {position_text}"
-                remedy = "write heights between -10 km and 10 km"
+                help = "write heights between -10 km and 10 km"
             else:
                 headline = f"the height of the ground cannot be computed {position_text}"
-                remedy = (
+                help = (
                     "correct `heights`: the expression divides by zero, leaves the domain of a function,"
                     " or gives too large a number"
                 )
-            values.add("DB105", text.span, headline, remedy)
+            values.add("DB105", text.span, headline, help)
             return None
     return Formula(heights, size)
 
@@ -545,9 +543,9 @@ def _variant(
     are fixed."""
     for key in _OF_ALL:
         if getattr(spec, key) is not None:
-            remedy = f"write one `{key}` for all variants, next to `one_of`"
+            help = f"write one `{key}` for all variants, next to `one_of`"
             namespace.values.add_at_key(
-                "DB108", (*spec.path, key), f"`{key}` of one variant is not supported yet", remedy
+                "DB108", (*spec.path, key), f"`{key}` of one variant is not supported yet", help
             )
     variant_shape = shape(spec, namespace)
     massive, rough, painted, still = (

@@ -140,8 +140,8 @@ class Fix:
 class Finding:
     """One problem at one place.
 
-    A headline starts in lower case, has no full stop and does not contain the remedy, which is `help`. `code`
-    is in the rule registry, which supplies name and severity.
+    A headline starts in lower case, has no full stop and does not contain what to write instead, which is
+    `help`. `code` is in the rule registry, which supplies name and severity.
     """
 
     code: str
@@ -190,11 +190,11 @@ def exception_finding(what: str, source: Source, error: Exception) -> Finding:
 
 def internal_error_finding(what: str, source: Source, description: str) -> Finding:
     """Return the DB903 for `what`; `describe_exception` gives the description."""
-    remedy = (
+    help = (
         "this is a bug in deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows"
         " the traceback)"
     )
-    return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", remedy)
+    return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
 
 
 def describe_exception(error: BaseException) -> str:
@@ -234,13 +234,13 @@ class Findings:
         code: str,
         span: Span,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         *,
         labels: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
         fix: Fix | None = None,
     ) -> None:
-        self.append(Finding(code, span, headline, remedy, labels, notes, fix))
+        self.append(Finding(code, span, headline, help, labels, notes, fix))
 
     def append(self, finding: Finding) -> None:
         if self.limit is not None and len(self._found) >= self.limit and finding.sort_key not in self._found:
@@ -249,13 +249,13 @@ class Findings:
 
     def report_limit(self, too_many: TooManyFindings) -> None:
         """Report that the limit is reached and the search ended."""
-        remedy = "correct some of these first; the rest was not checked"
-        last = Finding("DB005", too_many.finding.span, f"more than {self.limit} findings", remedy)
+        help = "correct some of these first; the rest was not checked"
+        last = Finding("DB005", too_many.finding.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 
-    def replace_help(self, finding: Finding, remedy: str) -> None:
+    def replace_help(self, finding: Finding, help: str) -> None:
         """Replace the help of a finding that was added."""
-        self._found[finding.sort_key] = replace(finding, help=remedy)
+        self._found[finding.sort_key] = replace(finding, help=help)
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(sorted(self._found.values(), key=lambda f: f.sort_key))
@@ -354,9 +354,9 @@ class Selection:
             rule = entries[0]
             span = self._words.span(word)
             if rule.preview and not self._preview:
-                remedy = "add --preview (`preview = true`), or remove the code"
+                help = "add --preview (`preview = true`), or remove the code"
                 inactive.append(
-                    Finding("DB902", span, f"{rule.code} is in preview and does not run", help=remedy)
+                    Finding("DB902", span, f"{rule.code} is in preview and does not run", help=help)
                 )
             if not self._ran.get(rule.deep, True):
                 option = "--deep" if rule.deep == "only" else "--exploits"
@@ -468,15 +468,15 @@ def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
     if rule is None:
         near = nearest_word(entry.code, RULES)
-        remedy = f"did you mean {near}?" if near else "a code has the form DB603"
+        help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
-        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=remedy, fix=guess)
+        return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
     headline = f"this comment suppresses nothing: there is no {entry.code} here"
-    remedy = "remove the comment"
+    help = "remove the comment"
     if rule.severity == "error":
         headline = f"{entry.code} is an error, which cannot be suppressed"
-        remedy = "correct the error"
-    return Finding("DB901", entry.span, headline, help=remedy, fix=Fix((entry.removal,), safe=True))
+        help = "correct the error"
+    return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 
 def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:

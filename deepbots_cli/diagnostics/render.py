@@ -103,10 +103,10 @@ def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 
 def _concise(finding: Finding) -> str:
-    remedy = f" ({shortened(finding.help)})" if finding.help else ""
+    help = f" ({shortened(finding.help)})" if finding.help else ""
     return (
         f"{escaped(finding.span.location)}: {finding.severity} {finding.code}[{finding.name}]"
-        f" {shortened(finding.headline)}{remedy}"
+        f" {shortened(finding.headline)}{help}"
     )
 
 

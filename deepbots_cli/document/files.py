@@ -319,10 +319,8 @@ def decode(
     if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
         if len(data) > MAX_BYTES:
-            remedy = "split it with `include`, or check that it is a scenario"
-            findings.add(
-                "DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", remedy
-            )
+            help = "split it with `include`, or check that it is a scenario"
+            findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help)
         else:
             findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", "save it as UTF-8")
         return source, False
@@ -348,12 +346,12 @@ def check_characters(source: Source, findings: Findings) -> bool:
     character = match.group()
     number = f"U+{ord(character):04X}"
     if character == "\0":
-        headline, remedy = "the file is binary", "a scenario is a YAML text file"
+        headline, help = "the file is binary", "a scenario is a YAML text file"
     elif character in "\r\x85\u2028\u2029":
         headline = f"a line ends in an unusual character ({number})"
-        remedy = "save the file with Unix line endings (LF)"
+        help = "save the file with Unix line endings (LF)"
     else:
         headline = f"the character {number} is not allowed in YAML"
-        remedy = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
-    findings.add("DB001", Span(source, *match.span()), headline, remedy)
+        help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
+    findings.add("DB001", Span(source, *match.span()), headline, help)
     return False

@@ -322,8 +322,8 @@ class _Reader:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
-            remedy = f"the operating system reports: {(error.strerror or 'no reason').lower()}"
-            self.findings.add("DB204", by, f"`{path.name}` cannot be read", remedy)
+            help = f"the operating system reports: {(error.strerror or 'no reason').lower()}"
+            self.findings.add("DB204", by, f"`{path.name}` cannot be read", help)
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
@@ -352,14 +352,14 @@ class _Reader:
                 _, key, target = descend(own_tree, steps)
                 if target == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is both defined here and listed under `remove`"
-                    remedy = "keep one of the two: a new value replaces the inherited one without `remove`"
+                    help = "keep one of the two: a new value replaces the inherited one without `remove`"
                     self.findings.add(
-                        "DB205", key.span, headline, remedy, labels=(Label(item.span, "removed here"),)
+                        "DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),)
                     )
             else:
                 span = item.part(len(item.text) - len(unresolved), len(item.text))
-                remedy = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
-                self.findings.add("DB201", span, f"there is no `{item.text}` to remove", remedy)
+                help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
+                self.findings.add("DB201", span, f"there is no `{item.text}` to remove", help)
         pruned = without_paths(tree, paths)
         return pruned if isinstance(pruned, MappingNode) else tree
 
@@ -430,10 +430,10 @@ def apply_assignment(
     if not path.strip():
         findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")
     elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
-        remedy = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
+        help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
         if match := re.fullmatch(r"\s*([\w.]+)\s*[: ]\s*(\S.*)", assignment):
-            remedy = f"write an equals sign: --set {match[1]}={match[2]}"
-        findings.add("DB107", whole, f"`{path}` is set to nothing", remedy)
+            help = f"write an equals sign: --set {match[1]}={match[2]}"
+        findings.add("DB107", whole, f"`{path}` is set to nothing", help)
     else:
         # Spaces in place of the path: the offsets of the value are those in the assignment.
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
@@ -492,8 +492,8 @@ def _target(
     start = path.text.index(dotted)
     end = start + len(dotted)
     if dotted.count(".") >= MAX_DEPTH:
-        remedy = "name a value of the scenario, such as `world.timestep`"
-        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", remedy)
+        help = "name a value of the scenario, such as `world.timestep`"
+        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help)
         return None
     parameters = root.get("parameters")
     if isinstance(parameters, MappingNode) and "." not in dotted:
@@ -531,13 +531,13 @@ def _target(
             keys.append(_key(path, at, at + len(step)))
             at += len(step) + 1
         return (*steps, name), keys
-    remedy = f"did you mean `{near}`?" if near else _listed(reached)
+    help = f"did you mean `{near}`?" if near else _listed(reached)
     if name and all(below) and not near:
-        remedy += (
+        help += (
             "; to add it, set it whole:"
             f" `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"
         )
-    findings.add("DB201", name_span, f"there is no `{name}`{inside}", remedy)
+    findings.add("DB201", name_span, f"there is no `{name}`{inside}", help)
     return None
 
 

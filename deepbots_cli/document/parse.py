@@ -76,8 +76,8 @@ def parse(
     """
     text = source.text if text is None else text
     if directive := _TAG_DIRECTIVE.search(text):
-        remedy = "remove it, or put it in quotes if it belongs to a text"
-        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", remedy)
+        help = "remove it, or put it in quotes if it belongs to a text"
+        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help)
         return None
     noticed = Findings(findings.limit)
     broken: Finding | None = None
@@ -127,8 +127,8 @@ class _Builder:
     def document(self) -> Node | None:
         next(self.events)  # skips the start of the stream
         if isinstance(next(self.events), StreamEndEvent):
-            remedy = "start from a shipped scenario: deepbots new mine --from cartpole"
-            self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", remedy)
+            help = "start from a shipped scenario: deepbots new mine --from cartpole"
+            self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
             return None
         root = self.node(next(self.events), 0)
         next(self.events)  # skips the end of the document
@@ -164,8 +164,8 @@ class _Builder:
         if event.tag is not None:
             mark = _TAG.search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
-            remedy = "put text that starts with `!` in quotes; `not` negates a condition"
-            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", remedy)
+            help = "put text that starts with `!` in quotes; `not` negates a condition"
+            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help)
             node = None
         # An anchor is registered after the node below it: an alias within its own anchor is an error, and no
         # tree contains itself.
@@ -178,9 +178,9 @@ class _Builder:
         self.end = span.end
         if event.anchor not in self.anchors:
             name = span.text
-            remedy = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
+            help = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
             fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
-            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", remedy, fix=fix)
+            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help, fix=fix)
             return None
         node = self.anchors[event.anchor]
         # Measuring takes no longer than the budget for expansion allows.
@@ -293,8 +293,8 @@ class _Builder:
         if syntax_hints.report_missing_colon(key, self.findings):
             return None
         if key.style == "plain" and key.text == "<<":
-            remedy = "use `extends` for a whole file, or `include` for a part of one"
-            self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", remedy)
+            help = "use `extends` for a whole file, or `include` for a part of one"
+            self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help)
             return None
         return key
 

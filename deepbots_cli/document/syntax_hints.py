@@ -125,14 +125,14 @@ class _Problem:
     def finding(
         self,
         headline: str,
-        remedy: str,
+        help: str,
         start: int,
         length: int = 1,
         fix: Fix | None = None,
         labels: tuple[Label, ...] = (),
     ) -> Finding:
         span = Span(self.source, start, min(start + length, len(self.source.text)))
-        return Finding("DB001", span, headline, remedy, labels=labels, fix=fix)
+        return Finding("DB001", span, headline, help, labels=labels, fix=fix)
 
 
 def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
@@ -162,10 +162,10 @@ def _tab(problem: _Problem) -> Finding | None:
             spaces = ""
             if above is not None:
                 spaces = " " * (above.indent + 2 if above.opens else above.indent)
-            remedy = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
+            help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
             indent = _INDENT.match(text, start)
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
-            return problem.finding("a tab in the indentation", remedy, match.end() - 1, fix=fix)
+            return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
     return None
 
 
@@ -175,8 +175,8 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
     if match is None:
         return None
     headline = "`!` does not negate: YAML reads it as the beginning of a tag"
-    remedy = "write `not` to negate a condition"
-    return problem.finding(headline, remedy, problem.line_start + match.end() - 2, 2)
+    help = "write `not` to negate a condition"
+    return problem.finding(headline, help, problem.line_start + match.end() - 2, 2)
 
 
 def _bracket_behind_key(problem: _Problem) -> Finding | None:
@@ -238,10 +238,8 @@ def _brackets(problem: _Problem) -> Finding | None:
             return None
     hidden = _HIDDEN_IN_BRACKETS.search(text, opening, problem.at)
     if hidden and hidden[1].count("#") == 1:
-        remedy = f'put the value in quotes: "{hidden[1]}"'
-        return problem.finding(
-            "a `#` after a space begins a comment", remedy, hidden.start(1), len(hidden[1])
-        )
+        help = f'put the value in quotes: "{hidden[1]}"'
+        return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
     character = text[problem.at : problem.at + 1]
     missing = _missing_comma(problem, opening)
     if character == ":" and opening >= problem.line_start:
@@ -258,11 +256,11 @@ def _brackets(problem: _Problem) -> Finding | None:
             return finding
         closing = _CLOSING[text[opening]]
         if _is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
-            headline, remedy = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
+            headline, help = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
             span = Span(problem.source, problem.at, problem.at + 1)
-            return problem.finding(headline, remedy, problem.at, fix=Fix((Edit(span, closing),), safe=False))
-        remedy = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
-        return problem.finding(f"this `{character}` closes no bracket", remedy, problem.at)
+            return problem.finding(headline, help, problem.at, fix=Fix((Edit(span, closing),), safe=False))
+        help = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
+        return problem.finding(f"this `{character}` closes no bracket", help, problem.at)
     return missing or problem.finding(
         f"unexpected `{character}` between brackets",
         "separate items by commas, or put the value in quotes",
@@ -283,9 +281,9 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
     corrected = " ".join(f"{text[start:at].strip()},{problem.rest_of_line(at)}".split())
-    remedy = f"separate keys by commas: `{corrected[:MAX_SHOWN]}`, or put the value in quotes"
+    help = f"separate keys by commas: `{corrected[:MAX_SHOWN]}`, or put the value in quotes"
     fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
-    return problem.finding("a comma is missing before this key", remedy, problem.at, fix=fix)
+    return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
 
 
 def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
@@ -296,11 +294,11 @@ def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
     end = text.find("\n", at)
     line = text[text.rfind("\n", 0, at) + 1 : end if end >= 0 else len(text)]
     closed_line = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
-    remedy, fix = f"add the closing `{closing}`", None
+    help, fix = f"add the closing `{closing}`", None
     if len(closed_line) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
-        remedy = f"{remedy}: `{closed_line}`"
+        help = f"{help}: `{closed_line}`"
         fix = Fix((Edit(Span(problem.source, at, at), closing),), safe=False)
-    return problem.finding(f"this `{sign}` is not closed", remedy, opening, fix=fix)
+    return problem.finding(f"this `{sign}` is not closed", help, opening, fix=fix)
 
 
 def _is_readable(text: str, end: int) -> bool:
@@ -315,7 +313,7 @@ def _is_readable(text: str, end: int) -> bool:
     return True
 
 
-def _second_colon(problem: _Problem, remedy: str) -> Finding:
+def _second_colon(problem: _Problem, help: str) -> Finding:
     line = problem.rest_of_line(problem.line_start)
     key = _KEY.match(line)
     replacement = foreign.conditional(line[key.end() :]) if key else None
@@ -326,8 +324,8 @@ def _second_colon(problem: _Problem, remedy: str) -> Finding:
             problem.line_start + key.end(),
             len(line) - key.end(),
         )
-    remedy = "write `a if condition else b`" if " ? " in problem.before else remedy
-    return problem.finding("a second colon in one value", remedy, problem.at)
+    help = "write `a if condition else b`" if " ? " in problem.before else help
+    return problem.finding("a second colon in one value", help, problem.at)
 
 
 def _colon(problem: _Problem) -> Finding | None:
@@ -335,8 +333,8 @@ def _colon(problem: _Problem) -> Finding | None:
     if problem.says("could not find expected ':'"):
         return _line_without_key(problem, problem.since, problem.rest_of_line(problem.since))
     if problem.says("sequence entries are not allowed"):
-        remedy = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
-        return problem.finding("a list item on the line of its key", remedy, problem.at)
+        help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
+        return problem.finding("a list item on the line of its key", help, problem.at)
     if not problem.says("mapping values are not allowed"):
         return None
     key = problem.before.lstrip()
@@ -360,21 +358,21 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         if missing_colon(line_text) and _is_first(problem, above):
             return _line_without_key(problem, above.start + above.indent, line_text)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
-        remedy = (
+        help = (
             "align it with the other keys of its section; a key has either a value or an indented block"
             " of keys"
         )
         return problem.finding(
-            "this line belongs to the value above, so it cannot begin with a key", remedy, at, length
+            "this line belongs to the value above, so it cannot begin with a key", help, at, length
         )
     if explained := _value_and_block(problem, above) or _value_out_of_place(problem, line, above):
         return explained
     line_text = problem.rest_of_line(problem.line_start).strip()[:MAX_SHOWN]
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
-    remedy = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
+    help = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
-        headline, remedy, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
+        headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
     )
 
 
@@ -386,10 +384,10 @@ def _value_and_block(problem: _Problem, above: _Line) -> Finding | None:
     value = above.start + line.index(":", above.indent + len(above.key)) + 1
     end = above.start + len(line)
     fix = Fix((Edit(Span(problem.source, value, end), ""),), safe=False)
-    remedy = f"a key has either a value or an indented block of keys; write `{above.key}:`"
+    help = f"a key has either a value or an indented block of keys; write `{above.key}:`"
     return problem.finding(
         f"{above.name} has a value, and a block below it",
-        remedy,
+        help,
         above.start + above.indent,
         len(above.key),
         fix,
@@ -408,10 +406,10 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
     value = problem.rest_of_line(above.start).strip()[:MAX_SHOWN]
     word = "below" if is_first else "like"
     headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
-    remedy = f"indent it like the line below: `{' ' * line.indent}{value}`"
+    help = f"indent it like the line below: `{' ' * line.indent}{value}`"
     fix = _indented(problem, above.start, above.indent, line.indent)
     labels = (problem.label(line, _indented_by(line.indent)),)
-    return problem.finding(headline, remedy, above.start + above.indent, len(above.key), fix, labels)
+    return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
 
 
 def _is_first(problem: _Problem, line: _Line) -> bool:
@@ -435,9 +433,9 @@ def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
     text = key.span.source.text
     end = text.find("\n", key.span.end)
     value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
-    remedy = f"write a colon after the key: `{name}: {value[:MAX_SHOWN]}`"
+    help = f"write a colon after the key: `{name}: {value[:MAX_SHOWN]}`"
     fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
-    findings.add("DB001", key.span, _NO_KEY, remedy, fix=fix)
+    findings.add("DB001", key.span, _NO_KEY, help, fix=fix)
     return True
 
 
@@ -447,28 +445,28 @@ def _indented_by(spaces: int) -> str:
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     """Report a comment of another language, or a key without its colon."""
-    remedy, edit = "write `key: value`, or indent the line if it belongs to the value above", None
+    help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
-        remedy, edit = "begin a comment with `#`", (0, 2, "#")
+        help, edit = "begin a comment with `#`", (0, 2, "#")
     elif match := GLUED.match(line):
-        remedy = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:MAX_SHOWN]}`"
+        help = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:MAX_SHOWN]}`"
         edit = (match.end(), match.end(), " ")
     elif match := _ASSIGNED.match(line):
-        remedy = f"write a colon: `{f'{match[1]}: {match[2][:MAX_SHOWN]}'.rstrip()}`"
+        help = f"write a colon: `{f'{match[1]}: {match[2][:MAX_SHOWN]}'.rstrip()}`"
         edit = (match.end(1), match.start(2), ": " if match[2] else ":")
     elif correction := missing_colon(line):
         key, corrected = correction
         otherwise = (
             "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
         )
-        remedy = f"write a colon after the key: `{corrected[:MAX_SHOWN]}`{otherwise}"
+        help = f"write a colon after the key: `{corrected[:MAX_SHOWN]}`{otherwise}"
         edit = (0, len(key), f"{key}:")
     fix = (
         Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False)
         if edit
         else None
     )
-    return problem.finding(_NO_KEY, remedy, start, max(1, len(line)), fix)
+    return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)
 
 
 def _behind_value(problem: _Problem) -> Finding | None:
@@ -498,8 +496,8 @@ def _behind_value(problem: _Problem) -> Finding | None:
         return problem.finding("a list item among keys", "indent the list below its key", at, length)
     line, levels = problem.line_at(problem.line_start), _levels_above(problem)
     if line is None or not levels:
-        remedy = "give keys of one mapping the same indentation"
-        return problem.finding("this line does not align with the lines above", remedy, at, length)
+        help = "give keys of one mapping the same indentation"
+        return problem.finding("this line does not align with the lines above", help, at, length)
     above = problem.line_above(line.start)
     if above is not None and above.key and not above.opens:
         misplaced = _value_out_of_place(problem, line, above)
@@ -512,16 +510,16 @@ def _behind_value(problem: _Problem) -> Finding | None:
         near, *others = sorted([near, *others], key=lambda level: level.indent >= below.indent)
     fix = _indented(problem, line.start, line.indent, near.indent)
     headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
-    remedy = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:MAX_SHOWN]}`"
+    help = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:MAX_SHOWN]}`"
     if _is_first(problem, near) and near == problem.line_above(line.start) and _continues(line, below):
         fix = _indented(problem, near.start, near.indent, line.indent)
         value = problem.rest_of_line(near.start).strip()[:MAX_SHOWN]
-        remedy = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
+        help = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
     elif others:
         other = others[0]
-        remedy += f"; or by {other.indent}, like {other.name}"
+        help += f"; or by {other.indent}, like {other.name}"
     labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
-    return problem.finding(headline, remedy, at, length, fix, labels)
+    return problem.finding(headline, help, at, length, fix, labels)
 
 
 def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:

@@ -68,14 +68,14 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
     for span in cut:
         text = " ".join(span.text.split())
         quoted = f': "{text}"' if len(text) <= MAX_SHOWN and '"' not in text else ""
-        remedy = f"put the value in quotes{quoted}, or on a line of its own"
+        help = f"put the value in quotes{quoted}, or on a line of its own"
         fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
-            remedy, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
+            help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
         elif call := _WHERE.fullmatch(text):
-            remedy, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
+            help, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 
 
@@ -103,12 +103,12 @@ def report_decimal_commas(
             last = None
     for span in cut:
         text, fix = span.text.replace(",", "."), None
-        remedy = f"write a decimal point: `{text}`"
+        help = f"write a decimal point: `{text}`"
         if _THOUSANDS.search(span.text):
-            remedy = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
+            help = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
         else:
             fix = Fix((Edit(span, text),), safe=False)
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 
 
@@ -117,33 +117,33 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     text, end = key.span.source.text, key.span.end
     hidden = _HIDDEN.match(text, end)
     following = _NEXT_LINE.match(text, end)
-    remedy, fix = GIVE_A_VALUE, None
+    help, fix = GIVE_A_VALUE, None
     if value.style != "plain":
-        remedy = (
+        help = (
             f"a leading `{value.span.text[0]}` begins a block of text; put the value in quotes:"
             f' "{value.span.text}"'
         )
     elif value.text:
-        remedy = "remove the key: deepbots has no null value"
+        help = "remove the key: deepbots has no null value"
     elif is_flow and GLUED.match(key.text):
-        remedy = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
+        help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
     elif (
         is_flow
         and (" " in key.text or "=" in key.text)
         and not _HAS_COLON.match(text, end)
         and (correction := missing_colon(key.text))
     ):
-        remedy = f"write a colon after the key: `{correction[1]}`"
+        help = f"write a colon after the key: `{correction[1]}`"
         fix = Fix.replacing(key.span, key.text, correction[1], safe=False)
     elif is_flow and not _HAS_COLON.match(text, end):
-        remedy = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
+        help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:
-        remedy = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
+        help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
         if _COLOR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
-        remedy = "write a value, or indent the lines that belong to this key"
-    findings.add("DB107", key.span, f"`{key.text}` has no value", remedy, fix=fix)
+        help = "write a value, or indent the lines that belong to this key"
+    findings.add("DB107", key.span, f"`{key.text}` has no value", help, fix=fix)
 
 
 def help_for_key(key: ScalarNode) -> str:
@@ -163,17 +163,17 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
     """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
-        remedy = f"write {_YAML11[text]}, or put it in quotes if you mean text"
+        help = f"write {_YAML11[text]}, or put it in quotes if you mean text"
         headline = f"`{text}` is text, but YAML 1.1 reads it as {_YAML11[text]}"
         # Where a truth value is needed, a later pass reports an error, whose fix comes first.
-        findings.add("DB003", span, headline, remedy, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
+        findings.add("DB003", span, headline, help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
     elif (odd := _odd_number(text)) is not None:
-        headline, remedy, number = odd
+        headline, help, number = odd
         if isinstance(scalar.value, str):
-            remedy = f"{remedy}, or put it in quotes if you mean text"
+            help = f"{help}, or put it in quotes if you mean text"
             number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
         findings.add(
-            "DB004", span, headline, remedy, fix=Fix((Edit(span, number),), safe=True) if number else None
+            "DB004", span, headline, help, fix=Fix((Edit(span, number),), safe=True) if number else None
         )
 
 

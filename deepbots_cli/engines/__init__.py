@@ -61,7 +61,7 @@ def create(name: str, world: WorldModel) -> Engine:
             and error.name == kind.library
             and any(candidate.is_installed for candidate in ENGINES.values())
         ):
-            raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.remedy}") from error
+            raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.help}") from error
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
@@ -78,8 +78,8 @@ def create(name: str, world: WorldModel) -> Engine:
     for feature, needing in _features(world):
         if feature not in engine.capabilities:
             engine.close()
-            reason, remedy = ALL[name].limitation(feature)
-            raise EngineError(f"{reason}, such as {needing}; {remedy}")
+            reason, help = ALL[name].limitation(feature)
+            raise EngineError(f"{reason}, such as {needing}; {help}")
     return engine
 
 

@@ -51,9 +51,9 @@ from deepbots_cli.expressions.types import (
     RowComponents,
     Scope,
     Subject,
-    Type,
-    Typed,
+    TypedNode,
     TypedRange,
+    ValueType,
     Vector,
     shortened_list,
     size,
@@ -153,17 +153,17 @@ _FOREIGN_FUNCTION_HELP = {
 class TypedExpression(NamedTuple):
     """A whole text: its value, and how often its draws are repeated (None: once per episode)."""
 
-    value: Typed
+    value: TypedNode
     redraw: Redraw | None = None
 
 
 @none_after_finding
-def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typed:
+def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> TypedNode:
     """Return the typed tree of a text that gives one value; None after a finding that leaves it without a
     type."""
     if isinstance(tree, syntax.Redrawn):
-        remedy = "only parameters and channel settings may be drawn again with `every` or `each step`"
-        report("DB407", tree.value.end, tree.end, "a draw that is repeated", remedy)
+        help = "only parameters and channel settings may be drawn again with `every` or `each step`"
+        report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
         raise StopChecking
     return _Checker(scope, report).whole(tree)
 
@@ -179,8 +179,8 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
         require_kind([period], report)
         require_dimension(period, TIME, "the period", report)
     if not checker.draws:
-        remedy = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
-        report("DB401", tree.value.end, tree.end, "there is no draw to repeat", remedy)
+        help = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
+        report("DB401", tree.value.end, tree.end, "there is no draw to repeat", help)
     return TypedExpression(
         value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None)
     )
@@ -235,7 +235,7 @@ class _Checker:
         self._paid: frozenset[int] = frozenset()
         self.draws = 0
 
-    def whole(self, tree: syntax.Node) -> Typed:
+    def whole(self, tree: syntax.Node) -> TypedNode:
         """Check a whole text, or one end of a range."""
         if isinstance(tree, syntax.Range):
             raise self._fault("DB401", tree, "expected a single value, found a range")
@@ -243,19 +243,19 @@ class _Checker:
             self._paid = frozenset(map(id, _summed(tree)))
         value = self.visit(tree)
         if value.type.has_group_components:
-            remedy = (
+            help = (
                 "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number"
                 " of copies varies"
             )
             raise self._fault(
-                "DB404", tree, "expected a single value, found one value for each copy of a group", remedy
+                "DB404", tree, "expected a single value, found one value for each copy of a group", help
             )
         if size(value) > MAX_SIZE:
             headline = f"the expression has more than {MAX_SIZE} operations on single numbers"
             raise self._fault("DB005", tree, headline, "define parts of it as signals or parameters")
         return value
 
-    def visit(self, node: syntax.Node) -> Typed:
+    def visit(self, node: syntax.Node) -> TypedNode:
         match node:  # the most frequent first
             case syntax.Name():
                 return self._reference(node)
@@ -281,7 +281,7 @@ class _Checker:
             case syntax.Vector():
                 return self._vector(node)
             case syntax.Truth():
-                return Constant(Type(boolean=True, interval=TRUTH), node.start, node.end, (node.value,))
+                return Constant(ValueType(boolean=True, interval=TRUTH), node.start, node.end, (node.value,))
             case _:
                 raise self._fault("DB401", node, "expected a single value, found a range or a draw")
 
@@ -300,7 +300,7 @@ class _Checker:
 
     # names
 
-    def _reference(self, node: syntax.Name) -> Typed:
+    def _reference(self, node: syntax.Name) -> TypedNode:
         """Return the symbol of the longest known part of a dotted name; the rest of the name picks
         components."""
         for length in range(len(node.parts), 0, -1):
@@ -311,13 +311,13 @@ class _Checker:
                 self._fault("DB407", node, f"`{symbol.name}` has no value here", symbol.refusal)
             if symbol.type is None:
                 raise StopChecking
-            value: Typed = Reference(symbol.type, node.start, node.end, symbol)
+            value: TypedNode = Reference(symbol.type, node.start, node.end, symbol)
             for index in range(length, len(node.parts)):
                 value = self._pick(value, node.parts[index], node, ".".join([*node.parts[:index], ""]))
             return value
         raise self._no_value(node)
 
-    def _pick(self, value: Typed, member: str, node: syntax.Node, before: str | None = None) -> Typed:
+    def _pick(self, value: TypedNode, member: str, node: syntax.Node, before: str | None = None) -> TypedNode:
         """Return one component by its name, or several by single letters (`.xy`); `before` is the text of the
         value, if it is a name."""
         components = value.type.components
@@ -332,8 +332,8 @@ class _Checker:
         return ComponentSelection(value.type.selected(indices), node.start, node.end, value, indices)
 
     def _pick_of_rows(
-        self, value: Typed, components: RowComponents, member: str, node: syntax.Node, before: str | None
-    ) -> Typed:
+        self, value: TypedNode, components: RowComponents, member: str, node: syntax.Node, before: str | None
+    ) -> TypedNode:
         """Return a row by its name, or one or several components of all rows."""
         rows, columns = components.rows, components.columns
         selection: Components
@@ -357,8 +357,8 @@ class _Checker:
         none."""
         expected = _one_of(kinds)
         if not isinstance(node, syntax.Name):
-            remedy = "write the name of one, as in `position(cart.tip)`"
-            raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", remedy)
+            help = "write the name of one, as in `position(cart.tip)`"
+            raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", help)
         scope = self._scope
         name = node.dotted
         subject = scope.subject(name, kinds)
@@ -376,20 +376,20 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         description = subject.kind.description if subject is not None else "a value"
-        remedy = _known(fitting, f"the scenario does not have {expected}")
+        help = _known(fitting, f"the scenario does not have {expected}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
-            remedy = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {remedy}"
+            help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
             description = (
                 f"{description} of another type" if description == Kind.SENSOR.description else description
             )
-            remedy = (
-                remedy
+            help = (
+                help
                 if fitting
                 else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
             )
         raise self._fault(
-            "DB203", node, f"`{name}` is {description}, but `{function}` needs {expected}", remedy
+            "DB203", node, f"`{name}` is {description}, but `{function}` needs {expected}", help
         )
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
@@ -398,16 +398,12 @@ class _Checker:
         name = node.dotted
         subject = scope.subject(name)
         if subject is not None:
-            remedy = (
-                f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
-            )
+            help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return (
                 StopChecking()
                 if is_invalid
-                else self._fault(
-                    "DB203", node, f"`{name}` is {subject.kind.description}, not a value", remedy
-                )
+                else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
             )
         if name in FUNCTIONS:
             return self._fault(
@@ -415,11 +411,11 @@ class _Checker:
             )
         if call := self._asked_of_a_body(node):
             what = FUNCTIONS[call.partition("(")[0]].doc.removesuffix(".")
-            remedy = f"read values of the world with a function: `{call}`, {what[0].lower()}{what[1:]}"
+            help = f"read values of the world with a function: `{call}`, {what[0].lower()}{what[1:]}"
             beside = sorted(other for other in scope.names() if other.startswith(f"{node.parts[0]}."))
             if beside:
-                remedy += f"; names of `{node.parts[0]}`: {', '.join(beside[:MAX_BESIDE])}"
-            return self._fault("DB402", node, f"unknown name `{name}`", remedy, Replacement(call, safe=False))
+                help += f"; names of `{node.parts[0]}`: {', '.join(beside[:MAX_BESIDE])}"
+            return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(call, safe=False))
         return self._unknown(
             "name",
             name,
@@ -468,13 +464,13 @@ class _Checker:
             and (owned is not None or is_typo(name, suggestion.text))
         )
         question = f"did you mean `{suggestion.text}`?" if suggestion else ""
-        remedy = " ".join(filter(None, (question, "" if is_clear else listed)))
+        help = " ".join(filter(None, (question, "" if is_clear else listed)))
         fix = (
             suggestion._replace(text=f"{before}{suggestion.text}")
             if suggestion and before is not None
             else None
         )
-        return self._fault("DB402", node, f"unknown {noun} `{name}`", remedy, fix)
+        return self._fault("DB402", node, f"unknown {noun} `{name}`", help, fix)
 
     # literals
 
@@ -489,12 +485,12 @@ class _Checker:
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
             raise self._fault("DB401", node, "a quantity too large for a number")
-        constant_type = Type(unit.dimension if unit else NUMBER, components).with_intervals(
+        constant_type = ValueType(unit.dimension if unit else NUMBER, components).with_intervals(
             map(single, values)
         )
         return Constant(constant_type, node.start, node.end, values, unit)
 
-    def _vector(self, node: syntax.Vector) -> Typed:
+    def _vector(self, node: syntax.Vector) -> TypedNode:
         if isinstance(node.items[-1], syntax.Name):
             self._require_item(node, node.items[-1])
         literals = [item for item in node.items if isinstance(item, syntax.Number)]
@@ -504,17 +500,17 @@ class _Checker:
         require_kind(items, self._report)
         for item in items:
             if item.type.components is not None:
-                remedy = "pick a component, as in `v.x`, or use `vector(...)`"
-                raise self._fault("DB404", item, "a vector inside a vector", remedy)
+                help = "pick a component, as in `v.x`, or use `vector(...)`"
+                raise self._fault("DB404", item, "a vector inside a vector", help)
         components = _positions(len(items))
-        result = Type(
+        result = ValueType(
             dimension_of(items, node, self._report), components, known=max(item.type.known for item in items)
         )
         return Vector(
             result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items)
         )
 
-    def _put_together(self, values: Sequence[Typed]) -> Components:
+    def _put_together(self, values: Sequence[TypedNode]) -> Components:
         """Return the components of single values side by side, or those of vectors as rows."""
         vectors = [value for value in values if value.type.components is not None]
         if not vectors:
@@ -524,11 +520,11 @@ class _Checker:
             if isinstance(value.type.components, (RowComponents, GroupComponents)):
                 raise self._fault("DB404", value, f"{value.type.shape_description} inside a vector")
             if value.type.components != columns or len(vectors) < len(values):
-                remedy = (
+                help = (
                     "pick a component, as in `v.x`; or write vectors of the same components, which become"
                     " rows"
                 )
-                raise self._fault("DB404", value, "a vector beside other values", remedy)
+                raise self._fault("DB404", value, "a vector beside other values", help)
         return RowComponents(tuple(str(number) for number in range(1, len(values) + 1)), columns)
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
@@ -540,11 +536,11 @@ class _Checker:
             raise self._unknown_unit(name)
         if len(node.items) == 2:
             missing = "an operator"
-            remedy = f"to multiply, write `*` before `{name_text}`"
+            help = f"to multiply, write `*` before `{name_text}`"
             if symbol.type is not None and symbol.type.boolean:
                 missing = "`when`"
-                remedy = f"write `when {name_text}` if it is the condition of a reward"
-            raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", remedy)
+                help = f"write `when {name_text}` if it is the condition of a reward"
+            raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", help)
 
     def _require_unit(self, node: syntax.Binary) -> None:
         """Require that a name right behind a unit, as in `5 rad/sx`, is a value; otherwise it is a misspelled
@@ -565,31 +561,33 @@ class _Checker:
         name_text = name.dotted
         unit = suggest_unit(name_text)
         scaled = prefixed_unit(name_text)
-        remedy = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
+        help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
         if unit is not None:
-            remedy = f"did you mean `{unit.text}`?"
+            help = f"did you mean `{unit.text}`?"
         elif scaled is not None:
-            remedy = f"write it in {scaled[1]}: 1 {name_text} is {scaled[0]:g} {scaled[1]}"
-        return self._fault("DB501", name, f"unknown unit `{name_text}`", remedy, unit)
+            help = f"write it in {scaled[1]}: 1 {name_text} is {scaled[0]:g} {scaled[1]}"
+        return self._fault("DB501", name, f"unknown unit `{name_text}`", help, unit)
 
     # operators
 
-    def _when(self, node: syntax.Binary, value: Typed, condition: Typed) -> Typed:
+    def _when(self, node: syntax.Binary, value: TypedNode, condition: TypedNode) -> TypedNode:
         """Return `a when c` as `a if c else 0`."""
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)
         value, condition = both = aligned((value, condition), node, self._report)
         components = components_of(both, node, self._report)
-        nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
+        nothing = Constant(ValueType(interval=single(0.0)), node.end, node.end, (0.0,))
         known = max(value.type.known, condition.type.known)
         result = _ranged(
-            Type(value.type.dimension, components, known=known),
+            ValueType(value.type.dimension, components, known=known),
             lambda interval: hull((interval, single(0.0))),
             (value.type,),
         )
         return Operation(result, node.start, node.end, "where", (condition, value, nothing))
 
-    def _conditional(self, node: syntax.Conditional, condition: Typed, values: Sequence[Typed]) -> Typed:
+    def _conditional(
+        self, node: syntax.Conditional, condition: TypedNode, values: Sequence[TypedNode]
+    ) -> TypedNode:
         require_kind([condition], self._report, boolean=True)
         boolean = any(value.type.boolean for value in values)
         require_kind(values, self._report, boolean=boolean)
@@ -597,12 +595,12 @@ class _Checker:
         condition, *values = parts = aligned((condition, *values), node, self._report)
         components = components_of(parts, node, self._report)
         known = max(value.type.known for value in parts)
-        result = Type(dimension, components, boolean, TRUTH, known)
+        result = ValueType(dimension, components, boolean, TRUTH, known)
         if not boolean:
             result = _ranged(result, OPERATORS["where"].interval, [part.type for part in parts])
         return Operation(result, node.start, node.end, "where", (condition, *values))
 
-    def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
+    def _unary(self, node: syntax.Unary, operand: TypedNode) -> TypedNode:
         require_kind([operand], self._report, boolean=node.operator == "not")
         if node.operator == "not":
             return Operation(operand.type, node.start, node.end, "not", (operand,))
@@ -613,13 +611,13 @@ class _Checker:
             )
         return Operation(result, node.start, node.end, "neg", (operand,))
 
-    def _binary(self, node: syntax.Binary, left: Typed, right: Typed) -> Typed:
+    def _binary(self, node: syntax.Binary, left: TypedNode, right: TypedNode) -> TypedNode:
         left, right = both = aligned((left, right), node, self._report)
         components = components_of(both, node, self._report)
         known = max(left.type.known, right.type.known)
         if operator := _ARITHMETIC.get(node.operator):
             require_kind(both, self._report)
-            result = Type(self._result_dimension(node, left, right), components, known=known)
+            result = ValueType(self._result_dimension(node, left, right), components, known=known)
             self._warn_of_domain(node.operator, left, right, node)
             result = _ranged(result, OPERATORS[operator].interval, (left.type, right.type))
             # A division by zero gives an interval that is not single.
@@ -636,10 +634,10 @@ class _Checker:
             if dimension_of(both, node, self._report) == ANGLE:
                 warn_of_degrees(left, self._report)
                 warn_of_degrees(right, self._report)
-        truth = Type(components=components, boolean=True, interval=TRUTH, known=known)
+        truth = ValueType(components=components, boolean=True, interval=TRUTH, known=known)
         return Operation(truth, node.start, node.end, COMPARISONS.get(node.operator, node.operator), both)
 
-    def _result_dimension(self, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
+    def _result_dimension(self, node: syntax.Binary, left: TypedNode, right: TypedNode) -> Dimension:
         left_dimension, right_dimension = left.type.dimension, right.type.dimension
         match node.operator:
             case "*":
@@ -660,17 +658,17 @@ class _Checker:
                     exponent = Fraction(interval.low).limit_denominator(_MAX_DENOMINATOR)
                     if float(exponent) == interval.low:
                         return left_dimension ** (exponent if exponent.denominator > 1 else int(exponent))
-                remedy = "divide by a unit first, because only a plain number can have any exponent"
+                help = "divide by a unit first, because only a plain number can have any exponent"
                 raise self._fault(
                     "DB503",
                     right,
                     f"the exponent of {left_dimension.description} must be a fixed, simple number",
-                    remedy,
+                    help,
                 )
             case _:
                 return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
 
-    def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
+    def _warn_of_domain(self, operator: str, left: TypedNode, right: TypedNode, node: syntax.Binary) -> None:
         """Report DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
         columns = _columns((left.type, right.type))
         b = next((b for _, b in columns if b.is_finite and 0.0 in b), None)
@@ -696,12 +694,12 @@ class _Checker:
 
     # calls
 
-    def _call(self, node: syntax.Call) -> Typed:
+    def _call(self, node: syntax.Call) -> TypedNode:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
-            if remedy := _FOREIGN_FUNCTION_HELP.get(node.function):
-                raise self._fault("DB402", called, f"unknown function `{node.function}`", remedy)
+            if help := _FOREIGN_FUNCTION_HELP.get(node.function):
+                raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None
         if function.family in (Family.STATEFUL, Family.DRAW):
@@ -711,11 +709,11 @@ class _Checker:
         context = self._scope.context
         is_allowed = function.family in ALLOWED_FAMILIES[context]
         if not is_allowed:
-            remedy = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
+            help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
             headline = f"`{function.name}` cannot be used in {context.value}"
             if context is Context.FIXED and function.family is Family.DRAW:
                 headline = f"this value must be fixed, but `{function.name}` draws a random number"
-            self._fault("DB407", called, headline, remedy)
+            self._fault("DB407", called, headline, help)
         subjects, bound = self._arguments(node, function)
         values = tuple(value for _, value in bound)
         if function.components is None and function.name != "vector":
@@ -731,7 +729,7 @@ class _Checker:
 
     def _arguments(
         self, node: syntax.Call, function: Function
-    ) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
+    ) -> tuple[tuple[Subject, ...], list[tuple[Param, TypedNode]]]:
         """Return the subjects, and each value with its parameter: both ends of a range have the same."""
         params = function.params
         count = len(node.args)
@@ -747,7 +745,7 @@ class _Checker:
                 "DB401", node, f"`{function.name}` takes {expected} {noun}, not {count}", _usage(function)
             )
 
-        def argument(index: int) -> tuple[list[Subject], list[tuple[Param, Typed]]]:
+        def argument(index: int) -> tuple[list[Subject], list[tuple[Param, TypedNode]]]:
             param = params[min(index, len(params) - 1)]
             arg = node.args[index]
             if param.form is Form.SUBJECT:
@@ -781,8 +779,8 @@ class _Checker:
         node: syntax.Call,
         function: Function,
         subjects: tuple[Subject, ...],
-        bound: list[tuple[Param, Typed]],
-    ) -> Type:
+        bound: list[tuple[Param, TypedNode]],
+    ) -> ValueType:
         """Return the type of the value of a call."""
         values = [value for _, value in bound]
         truths = [value for param, value in bound if param.boolean]
@@ -808,7 +806,9 @@ class _Checker:
             known = max(known, Known.EPISODE)
         elif function.family is not Family.PURE:
             known = Known.STEP
-        result = Type(NUMBER if boolean else function.result(measured), components, boolean, TRUTH, known)
+        result = ValueType(
+            NUMBER if boolean else function.result(measured), components, boolean, TRUTH, known
+        )
         if boolean:
             return result
         if reduction:
@@ -826,7 +826,7 @@ class _Checker:
         node: syntax.Call,
         function: Function,
         subjects: tuple[Subject, ...],
-        bound: list[tuple[Param, Typed]],
+        bound: list[tuple[Param, TypedNode]],
     ) -> Components | None:
         """Return the components of the result; DB404 where the arguments have others than they must."""
         values = [value for _, value in bound]
@@ -845,8 +845,8 @@ class _Checker:
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.has_group_components and function.reduction.empty is None:
-                remedy = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
-                raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", remedy)
+                help = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
+                raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", help)
             if vector.type.components is None:
                 raise self._fault(
                     "DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function)
@@ -865,7 +865,7 @@ class _Checker:
             )
         return groups[0] if groups else components_of(values, node, self._report)
 
-    def _warn(self, function: Function, bound: list[tuple[Param, Typed]]) -> None:
+    def _warn(self, function: Function, bound: list[tuple[Param, TypedNode]]) -> None:
         """Report DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw
         from a falling range."""
         for param, value in bound:
@@ -882,18 +882,18 @@ class _Checker:
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
 
 
-def _columns_of(value: Typed) -> Components | None:
+def _columns_of(value: TypedNode) -> Components | None:
     """Return the components of each row; None where there are no rows."""
     components = value.type.components
     return components.columns if isinstance(components, RowComponents) else None
 
 
-def _intervals(value: Typed) -> Sequence[Interval]:
+def _intervals(value: TypedNode) -> Sequence[Interval]:
     """Return the interval of each component."""
     return value.type.intervals or (value.type.interval,) * len(value.type.components or ("",))
 
 
-def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
+def _columns(arguments: Sequence[ValueType | Subject]) -> list[tuple[Interval, ...]]:
     """Return the intervals of values for each component; for all at once, if those of single components are
     not known."""
     count = max((len(value.intervals) for value in arguments), default=0) or 1
@@ -903,7 +903,9 @@ def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
     ]
 
 
-def _ranged(result: Type, rule: Callable[..., Interval], arguments: Sequence[Type | Subject]) -> Type:
+def _ranged(
+    result: ValueType, rule: Callable[..., Interval], arguments: Sequence[ValueType | Subject]
+) -> ValueType:
     """Return the result type with the interval that `rule` makes of the given intervals, for each
     component."""
     return result.with_intervals(rule(*column) for column in _columns(arguments))
@@ -946,7 +948,7 @@ def _keep_above(low: float) -> str:
     )
 
 
-def _no_zero(value: Typed) -> str:
+def _no_zero(value: TypedNode) -> str:
     """Return the help for a value that can be zero: a bound in its unit."""
     dimension = value.type.dimension
     return (

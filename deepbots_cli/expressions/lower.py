@@ -24,7 +24,7 @@ from deepbots_cli.expressions.types import (
     Reference,
     RowComponents,
     Subject,
-    Typed,
+    TypedNode,
     Vector,
 )
 from deepbots_cli.expressions.world_trees import rotation
@@ -68,7 +68,7 @@ def _computed(name: str, values: list[float | bool]) -> Const | None:
     return Const(value) if isinstance(value, bool) or math.isfinite(value) else None
 
 
-def lower(value: Typed, owner: str, per_component: Components | None = None) -> Scalars:
+def lower(value: TypedNode, owner: str, per_component: Components | None = None) -> Scalars:
     """Return one scalar per component, or a single one.
 
     Args:
@@ -88,7 +88,7 @@ def stream_name(name: str) -> str:
     return re.sub(r"\.color(?=:)", ".colour", re.sub(r"^reset\.joints\.", "reset.set.", name))
 
 
-def constant_values(value: Typed) -> tuple[float | bool, ...] | None:
+def constant_values(value: TypedNode) -> tuple[float | bool, ...] | None:
     """Return the SI values if they are known now; None for values that are drawn, vary or cannot be
     computed."""
     scalars = lower(value, "")
@@ -104,7 +104,7 @@ class Lowering:
         self._owner = owner
         self._target = target
 
-    def scalars(self, value: Typed) -> Scalars:
+    def scalars(self, value: TypedNode) -> Scalars:
         match value:
             case Constant(values=values):
                 return tuple(Const(number) for number in values)
@@ -120,7 +120,7 @@ class Lowering:
             case Vector(items=items):
                 return tuple(chain.from_iterable(map(self.scalars, items)))
 
-    def _columns(self, value: Typed, args: tuple[Typed, ...]) -> list[Scalars]:
+    def _columns(self, value: TypedNode, args: tuple[TypedNode, ...]) -> list[Scalars]:
         """Return the arguments of each component; a single value is repeated in every column."""
         rows = [self.scalars(arg) for arg in args]
         count = len(value.type.components or ("",))
@@ -149,7 +149,7 @@ class Lowering:
             return self._reduced(value.args[0], function.reduction)
         return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
-    def _reduced(self, vector: Typed, reduction: Reduction) -> Scalars:
+    def _reduced(self, vector: TypedNode, reduction: Reduction) -> Scalars:
         parts = self.scalars(vector)
         components = vector.type.components
         if reduction.counts:
@@ -161,7 +161,7 @@ class Lowering:
         groups = rows if reduction.of_rows else zip(*rows, strict=True)
         return tuple(self._joined(vector, group, reduction) for group in groups)
 
-    def _joined(self, vector: Typed, parts: Scalars, reduction: Reduction) -> Scalar:
+    def _joined(self, vector: TypedNode, parts: Scalars, reduction: Reduction) -> Scalar:
         """Return the parts of a vector as one value."""
         if vector.type.has_group_components:
             copies = zip(vector.type.components or (), parts, strict=True)

@@ -113,8 +113,8 @@ def parse(text: str, report: FindingReporter) -> Node | None:
         report(*fault.finding)
         return None
     if "where" in text and (call := _call_of_where(tree)):
-        remedy = f"write `{_without_where(tree, text)}`" if len(call.args) == 3 else _CONDITIONAL.help
-        report("DB402", call.start, call.name_end, "unknown function `where`", remedy)
+        help = f"write `{_without_where(tree, text)}`" if len(call.args) == 3 else _CONDITIONAL.help
+        report("DB402", call.start, call.name_end, "unknown function `where`", help)
         return None
     return tree
 
@@ -134,12 +134,12 @@ class _SyntaxError(Exception):
         start: int,
         end: int,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         replacement: Replacement | None = None,
         code: str = "DB401",
     ) -> None:
         super().__init__(headline)
-        self.finding = (code, start, end, headline, remedy, replacement)
+        self.finding = (code, start, end, headline, help, replacement)
 
 
 class _Parser:
@@ -298,12 +298,12 @@ class _Parser:
         word = self._next()
         condition = self._operation(0)
         if self._peek.text == "if":
-            remedy = "put the inner one in parentheses: `a if (b if c else d) else e`"
-            raise _SyntaxError(self._peek.start, self._peek.end, "`if` inside a condition", remedy)
+            help = "put the inner one in parentheses: `a if (b if c else d) else e`"
+            raise _SyntaxError(self._peek.start, self._peek.end, "`if` inside a condition", help)
         if self._peek.text != "else" and self._peek.text in _SLOT_ENDS:
             conditional = f"{self._written(value)} if {self._written(condition)}"
-            remedy = f"write what the value is otherwise, as in `{conditional} else 0`"
-            raise _SyntaxError(word.start, condition.end, "`if` without `else`", remedy)
+            help = f"write what the value is otherwise, as in `{conditional} else 0`"
+            raise _SyntaxError(word.start, condition.end, "`if` without `else`", help)
         if not self._take("else"):
             raise self._misplaced()
         self._deeper(word)
@@ -497,13 +497,11 @@ class _Parser:
         """Return the error of a parenthesis, which is probably to be closed at the offset `at`."""
         at = _closing_offset(self._tokens, opening) if at is None else at
         closed = f"{self._text[:at]}){self._text[at:]}"
-        remedy = f"add the closing `)`: `{' '.join(closed.split())}`"
+        help = f"add the closing `)`: `{' '.join(closed.split())}`"
         if len(closed) > _MAX_SHOWN_CHARACTERS:
-            remedy = "add the closing `)`"
+            help = "add the closing `)`"
         replacement = Replacement(")", safe=False, at=at)
-        return _SyntaxError(
-            opening.start, opening.end, "a parenthesis that is not closed", remedy, replacement
-        )
+        return _SyntaxError(opening.start, opening.end, "a parenthesis that is not closed", help, replacement)
 
     def _misplaced(self, *, missing: bool = False) -> _SyntaxError:
         """Return the error at a token that cannot be here; `missing` if a value was due."""
@@ -525,9 +523,9 @@ class _Parser:
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(replacement.split())}`")
         if token.text == "(" and (names := self._names_before()):
             first = self._tokens[self._at - 2 * len(names) + 1]
-            remedy = f"call the function without a prefix: `{foreign.call(names)}`"
+            help = f"call the function without a prefix: `{foreign.call(names)}`"
             return _SyntaxError(
-                first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", remedy
+                first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
             )
         return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
 
@@ -653,35 +651,35 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     before = tokens[at - 1] if at else tokens[at]
     token_text = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
     is_copy = token.text == "#" and tokens[at + 1].kind == "NUMBER"
-    remedy, text = (COPIES_HELP, None) if is_copy else _HINTS.get(token.text, (None, None))
+    help, text = (COPIES_HELP, None) if is_copy else _HINTS.get(token.text, (None, None))
     if token.kind == "END":
         return "the expression is incomplete", _missing_end(tokens) if at else None, None
     if token.text == "=":
         return "`=` in an expression", *_about_equals(tokens, at)
-    if token.kind == "STRANGE" or (token.kind == "NAME" and remedy and token.text not in _CONDITIONAL_WORDS):
+    if token.kind == "STRANGE" or (token.kind == "NAME" and help and token.text not in _CONDITIONAL_WORDS):
         if text is not None and text.isalpha():  # a word needs blanks around it
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
         # Of three dots, the last may be the point of a decimal.
         return (
             f"`{token_text}` in an expression",
-            remedy,
+            help,
             None if text is None else Replacement(text, safe=token.text != "..."),
         )
     if missing:
-        return f"a value is missing before `{token_text}`", remedy, None
+        return f"a value is missing before `{token_text}`", help, None
     if token.text in _OUT_OF_PLACE:
-        return _OUT_OF_PLACE[token.text], remedy, None
+        return _OUT_OF_PLACE[token.text], help, None
     if token.text == ",":
         return _about_comma(tokens, at)
     if token.kind == "SIGN" and token.text != "(":
-        return f"unexpected `{token_text}`", remedy, None
+        return f"unexpected `{token_text}`", help, None
     if token.text == "(" and before.kind == "NAME":
-        remedy = "call a function by its name, as in `abs(x)`; to multiply, write `*`"
+        help = "call a function by its name, as in `abs(x)`; to multiply, write `*`"
     elif token.kind == before.kind == "NUMBER":
-        remedy = "inside an expression, write a vector as `vector(a, b, c)`"
+        help = "inside an expression, write a vector as `vector(a, b, c)`"
     elif token.kind == "NAME" and tokens[at + 1].kind == "END":
-        remedy = f"to multiply, write `*` before `{token_text}`; if it is a condition, `when`"
-    return f"an operator is missing before `{token_text}`", remedy, None
+        help = f"to multiply, write `*` before `{token_text}`; if it is a condition, `when`"
+    return f"an operator is missing before `{token_text}`", help, None
 
 
 def _unclosed(tokens: list[Token]) -> Token | None:

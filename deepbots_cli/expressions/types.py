@@ -80,7 +80,7 @@ class Known(IntEnum):
         return ("fixed", "drawn once per episode", "different in every step")[self]
 
 
-class Type(NamedTuple):
+class ValueType(NamedTuple):
     """Dimension, components (None for a single value) and interval in SI units of a number, truth value or
     picture, and when it is known.
 
@@ -96,7 +96,7 @@ class Type(NamedTuple):
     picture: Shape | None = None
     intervals: tuple[Interval, ...] = ()
 
-    def with_intervals(self, intervals: Iterable[Interval]) -> Type:
+    def with_intervals(self, intervals: Iterable[Interval]) -> ValueType:
         """Return the type with an interval per component, or with one for all of them. Equal ones are kept
         once: a scan has 1000 components."""
         by_component = tuple(intervals)
@@ -104,7 +104,7 @@ class Type(NamedTuple):
             interval=hull(by_component), intervals=by_component if len(set(by_component)) > 1 else ()
         )
 
-    def selected(self, indices: Sequence[int]) -> Type:
+    def selected(self, indices: Sequence[int]) -> ValueType:
         """Return the type of some components of a vector, by position."""
         names = (
             tuple(self.components[index] for index in indices)
@@ -163,7 +163,7 @@ class Symbol(NamedTuple):
     """
 
     name: str
-    type: Type | None
+    type: ValueType | None
     value: tuple[float | bool, ...] | None = None
     refusal: str | None = None
     text: str = ""
@@ -275,7 +275,7 @@ class FindingReporter(Protocol):
         start: int,
         end: int,
         headline: str,
-        remedy: str | None = None,
+        help: str | None = None,
         replacement: Replacement | None = None,
         names: Mapping[str, str | None] = NO_NAMES,
         corrected: Callable[[str], str] | None = None,
@@ -296,7 +296,7 @@ _READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all
 class Constant(NamedTuple):
     """SI values, one per component; `unit` as written, None for bare numbers and truth values."""
 
-    type: Type
+    type: ValueType
     start: int
     end: int
     values: tuple[float | bool, ...]
@@ -306,7 +306,7 @@ class Constant(NamedTuple):
 class Reference(NamedTuple):
     """The value of a symbol."""
 
-    type: Type
+    type: ValueType
     start: int
     end: int
     symbol: Symbol
@@ -315,30 +315,30 @@ class Reference(NamedTuple):
 class ComponentSelection(NamedTuple):
     """Some components of a vector, by position."""
 
-    type: Type
+    type: ValueType
     start: int
     end: int
-    value: Typed
+    value: TypedNode
     indices: tuple[int, ...]
 
 
 class Operation(NamedTuple):
     """An operator applied elementwise: `add`, `less`, `and` ... (the names of `scalar.Op`)."""
 
-    type: Type
+    type: ValueType
     start: int
     end: int
     operator: str
-    args: tuple[Typed, ...]
+    args: tuple[TypedNode, ...]
 
 
 class Vector(NamedTuple):
     """Single values put together."""
 
-    type: Type
+    type: ValueType
     start: int
     end: int
-    items: tuple[Typed, ...]
+    items: tuple[TypedNode, ...]
 
 
 class Invocation(NamedTuple):
@@ -347,23 +347,24 @@ class Invocation(NamedTuple):
     `occurrence` counts the stateful calls and draws of one text, in its order; None for others.
     """
 
-    type: Type
+    type: ValueType
     start: int
     end: int
     function: str
     subjects: tuple[Subject, ...]
-    args: tuple[Typed, ...]
+    args: tuple[TypedNode, ...]
     occurrence: int | None = None
 
 
-Typed = Constant | Reference | ComponentSelection | Operation | Vector | Invocation
+TypedNode = Constant | Reference | ComponentSelection | Operation | Vector | Invocation
+"""A node of the tree of an expression, with its type; its start and end are offsets in the text."""
 
 
 class TypedRange(NamedTuple):
     """A range with both ends; they agree in dimension, and in components where both are vectors."""
 
-    low: Typed
-    high: Typed
+    low: TypedNode
+    high: TypedNode
     start: int
     end: int
 
@@ -371,10 +372,10 @@ class TypedRange(NamedTuple):
 class Redraw(NamedTuple):
     """The interval at which the draws of an expression are repeated; `period` None means in each step."""
 
-    period: Typed | None
+    period: TypedNode | None
 
 
-def children(node: Typed) -> tuple[Typed, ...]:
+def children(node: TypedNode) -> tuple[TypedNode, ...]:
     match node:
         case Constant() | Reference():  # first: most nodes are one of these
             return ()
@@ -386,7 +387,7 @@ def children(node: Typed) -> tuple[Typed, ...]:
             return items
 
 
-def walk(node: Typed) -> Iterator[Typed]:
+def walk(node: TypedNode) -> Iterator[TypedNode]:
     """Yield every node, each before its children."""
     waiting = [node]
     while waiting:
@@ -397,12 +398,12 @@ def walk(node: Typed) -> Iterator[Typed]:
             waiting += reversed(children(node))
 
 
-def referenced_names(tree: Typed) -> Iterator[str]:
+def referenced_names(tree: TypedNode) -> Iterator[str]:
     """Return the names that an expression refers to."""
     return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))
 
 
-def unit_of_text(value: Typed) -> Unit | None:
+def unit_of_text(value: TypedNode) -> Unit | None:
     """Return the unit in which the text writes the value: the first one of its dimension; None where the text
     has none."""
     dimension = value.type.dimension
@@ -410,7 +411,7 @@ def unit_of_text(value: Typed) -> Unit | None:
     return next((unit for unit in units if unit.dimension == dimension), None)
 
 
-def is_bare_number(value: Typed) -> bool:
+def is_bare_number(value: TypedNode) -> bool:
     """Return whether this is made of numbers without units alone."""
     match value:
         case Constant(unit=unit):
@@ -425,12 +426,12 @@ def is_bare_number(value: Typed) -> bool:
             return False
 
 
-def is_bare_zero(value: Typed) -> bool:
+def is_bare_zero(value: TypedNode) -> bool:
     """Return whether this is a bare zero, which fits every dimension."""
     return isinstance(value, Constant) and is_bare_number(value) and not any(value.values)
 
 
-def size(node: Typed) -> int:
+def size(node: TypedNode) -> int:
     """Return an upper bound of the number of operations over all components, cut off at twice `MAX_SIZE`."""
     count = len(node.type.components) if node.type.components else 1
     if isinstance(node, (Constant, Reference)):

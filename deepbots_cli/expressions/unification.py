@@ -34,7 +34,7 @@ from deepbots_cli.expressions.types import (
     Operation,
     Reference,
     RowComponents,
-    Typed,
+    TypedNode,
     TypedRange,
     is_bare_number,
     is_bare_zero,
@@ -43,7 +43,7 @@ from deepbots_cli.expressions.types import (
 
 P = ParamSpec("P")
 T = TypeVar("T")
-ReportedNode = syntax.Node | Typed | TypedRange
+ReportedNode = syntax.Node | TypedNode | TypedRange
 """A node that a finding is about."""
 
 ANY_SHAPE: Components = ("*",)
@@ -64,13 +64,13 @@ def report_at(
     code: str,
     node: ReportedNode,
     headline: str,
-    remedy: str | None = None,
+    help: str | None = None,
     replacement: Replacement | None = None,
     names: Mapping[str, str | None] = NO_NAMES,
     corrected: Callable[[str], str] | None = None,
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
-    report(code, node.start, node.end, headline, remedy, replacement, names, corrected)
+    report(code, node.start, node.end, headline, help, replacement, names, corrected)
     return StopChecking()
 
 
@@ -90,7 +90,7 @@ def none_after_finding(function: Callable[P, T]) -> Callable[P, T | None]:
 # Whether values fit together
 
 
-def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: bool = False) -> None:
+def require_kind(values: Sequence[TypedNode], report: FindingReporter, *, boolean: bool = False) -> None:
     """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each
     picture."""
     wrong = [value for value in values if value.type.picture or value.type.boolean != boolean]
@@ -112,16 +112,16 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
             )
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
-            remedy = (
+            help = (
                 f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5"
                 f" when {name}`"
             )
-            report_at(report, "DB403", value, "expected a number, found a truth value", remedy)
+            report_at(report, "DB403", value, "expected a number, found a truth value", help)
     raise StopChecking
 
 
 def dimension_of(
-    values: Sequence[Typed], node: ReportedNode, report: FindingReporter, *, is_paid: bool = False
+    values: Sequence[TypedNode], node: ReportedNode, report: FindingReporter, *, is_paid: bool = False
 ) -> Dimension:
     """Return the one dimension of all values except bare zeros; DB502 or DB503 where they differ.
 
@@ -140,30 +140,30 @@ def dimension_of(
                 value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
             )
         needed = value if first.type.dimension == NUMBER else first
-        remedy, names = _plain_names(needed.type.dimension, first, value)
-        if remedy is None:
-            remedy, names = _other_unit(first, value)
+        help, names = _plain_names(needed.type.dimension, first, value)
+        if help is None:
+            help, names = _other_unit(first, value)
         headline = f"{_described(first)} is combined with {_described(value)}"
         corrected = None
-        if remedy is None and NUMBER in (first.type.dimension, value.type.dimension):
+        if help is None and NUMBER in (first.type.dimension, value.type.dimension):
             corrected = divided_text(needed, f" / {_divisor(needed.type.dimension)}")
-            remedy = (
+            help = (
                 "both sides need the same dimension; for a plain number, divide by the unit:"
                 f" {CORRECTED_LINE}"
             )
-        remedy = remedy or "both sides need the same dimension; divide by a unit to get a plain number"
-        raise report_at(report, "DB503", node, headline, remedy, names=names, corrected=corrected)
+        help = help or "both sides need the same dimension; divide by a unit to get a plain number"
+        raise report_at(report, "DB503", node, headline, help, names=names, corrected=corrected)
     return first.type.dimension
 
 
-def _described(value: Typed) -> str:
+def _described(value: TypedNode) -> str:
     """Return the name of a value, if it has one, and its dimension."""
     name = f"`{value.symbol.name}`, " if isinstance(value, Reference) else ""
     return f"{name}{value.type.description}"
 
 
 def require_dimension(
-    value: Typed,
+    value: TypedNode,
     dimension: Dimension,
     description: str,
     report: FindingReporter,
@@ -176,14 +176,14 @@ def require_dimension(
         return
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit, noun)
-    remedy, names = _plain_names(dimension, value)
-    if remedy is None:
-        remedy, names = _remedy(value, dimension)
+    help, names = _plain_names(dimension, value)
+    if help is None:
+        help, names = _remedy(value, dimension)
     headline = f"{description} must be {_expected(dimension, noun)}; this is {value.type.description}"
     divisor = f"{WHEEL_RADIUS} * rad" if dimension != NUMBER else _divisor(value.type.dimension)
-    corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in remedy else None
+    corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in help else None
     replacement = WHOLE_TEXT if corrected is not None and dimension == NUMBER else None
-    raise report_at(report, "DB503", value, headline, remedy, replacement, names=names, corrected=corrected)
+    raise report_at(report, "DB503", value, headline, help, replacement, names=names, corrected=corrected)
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -191,13 +191,13 @@ def _expected(dimension: Dimension, noun: str | None) -> str:
 
 
 def missing_unit(
-    value: Typed | TypedRange,
+    value: TypedNode | TypedRange,
     dimension: Dimension,
     report: FindingReporter,
     unit: str | None = None,
     noun: str | None = None,
     *,
-    other: Typed | None = None,
+    other: TypedNode | None = None,
     is_paid: bool = False,
 ) -> StopChecking:
     """Report a number without a unit (DB502); the caller raises the result. If it is at least 1 it is
@@ -206,12 +206,12 @@ def missing_unit(
     Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be
     meant as a plain number; the summands of a reward (`is_paid`) are meant as plain numbers.
     """
-    ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
+    ends: Sequence[TypedNode] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
     if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
         ends = value.args
         sign = ".." if value.function == "uniform" else "+-"
-    remedy = f"write its unit, as in `{dimension.example}`"
+    help = f"write its unit, as in `{dimension.example}`"
     replacement = None
     corrected = None
     constants = [end for end in ends if isinstance(end, Constant)]
@@ -221,7 +221,7 @@ def missing_unit(
         units = _probable_units(dimension, largest)
         if dimension != ANGLE and unit and largest >= 1:
             units = (unit,)
-        remedy = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
+        help = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
         if len(units) == 1:
             replacement = Replacement(
                 f"{numbers_text} {units[0]}", safe=units[0] == str(dimension) and other is None
@@ -229,10 +229,10 @@ def missing_unit(
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
         plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
-        remedy, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{remedy}; or {plain}", replacement)
+        help, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{help}; or {plain}", replacement)
     node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
-    return report_at(report, "DB502", node, headline, remedy, replacement, corrected=corrected)
+    return report_at(report, "DB502", node, headline, help, replacement, corrected=corrected)
 
 
 def _number_text(number: float) -> str:
@@ -240,7 +240,7 @@ def _number_text(number: float) -> str:
     return short if float(short) == number else repr(number)
 
 
-def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict[str, str | None]]:
+def _plain_names(dimension: Dimension, *values: TypedNode) -> tuple[str | None, dict[str, str | None]]:
     """Return a hint for plain numbers that come from names, since a definition probably lacks a unit of
     `dimension`; and the names, with the text of each where it is clear."""
     plain = [value for value in values if value.type.dimension == NUMBER]
@@ -263,7 +263,7 @@ def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict
     }
 
 
-def _other_unit(first: Typed, second: Typed) -> tuple[str | None, dict[str, str | None]]:
+def _other_unit(first: TypedNode, second: TypedNode) -> tuple[str | None, dict[str, str | None]]:
     """Return a hint for a named fixed value that is combined with a measured one, since its definition
     probably has the wrong unit; and the name, with its corrected text."""
     sides = ((first, second.type.dimension), (second, first.type.dimension))
@@ -278,11 +278,11 @@ def _other_unit(first: Typed, second: Typed) -> tuple[str | None, dict[str, str 
     name, corrected = _with_unit(side, dimension)
     if corrected is None:
         return None, {}
-    remedy = (
+    help = (
         f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their"
         " units"
     )
-    return remedy, {name: corrected}
+    return help, {name: corrected}
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
@@ -292,14 +292,14 @@ def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
     return ("deg",) if largest > 2 * math.pi else ("deg", "rad")  # nobody writes three turns in radians
 
 
-def _is_proportional(value: Typed) -> bool:
+def _is_proportional(value: TypedNode) -> bool:
     """Return whether a sum or product has the unit of the numbers in it, since it divides by none."""
     if not isinstance(value, Operation):
         return True
     return value.operator != "div" and all(map(_is_proportional, value.args))
 
 
-def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
+def _named_numbers(value: TypedNode) -> Iterator[tuple[str, str]]:
     """Yield the named fixed numbers in a sum or product, with the text of those without a unit."""
     if isinstance(value, Reference) and value.symbol.value is not None:
         is_plain = value.type.dimension == NUMBER
@@ -309,7 +309,7 @@ def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
             yield from _named_numbers(part)
 
 
-def _remedy(value: Typed, needed: Dimension) -> tuple[str, dict[str, str | None]]:
+def _remedy(value: TypedNode, needed: Dimension) -> tuple[str, dict[str, str | None]]:
     """Return the help for a value of another dimension, and the names whose unit may be wrong, with the
     right text if there is one name."""
     dimension = value.type.dimension
@@ -343,7 +343,7 @@ def _divisor(dimension: Dimension) -> str:
     return f"({unit})" if "/" in unit or "*" in unit else unit
 
 
-def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
+def _with_unit(value: TypedNode, needed: Dimension) -> tuple[str, str | None]:
     """Return the name of the only named number in a value, or else of the number itself (none), and its text
     in a unit of the dimension that is needed (None for several numbers)."""
     dimension = value.type.dimension
@@ -372,7 +372,7 @@ def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
     return name, f"{_number_text(numbers[0])} {unit}"
 
 
-def _references(value: Typed) -> Iterator[Reference]:
+def _references(value: TypedNode) -> Iterator[Reference]:
     """Yield the names with fixed values in a sum or product."""
     if isinstance(value, Reference) and value.symbol.value is not None:
         yield value
@@ -381,7 +381,9 @@ def _references(value: Typed) -> Iterator[Reference]:
             yield from _references(part)
 
 
-def components_of(values: Sequence[Typed], node: ReportedNode, report: FindingReporter) -> Components | None:
+def components_of(
+    values: Sequence[TypedNode], node: ReportedNode, report: FindingReporter
+) -> Components | None:
     """Return the components of the result, None for a single value; DB404 where vectors differ.
 
     A vector for each row combines with a vector that has a value for each row, or for each column.
@@ -403,13 +405,15 @@ def _is_part(components: Components | None, vector: Components | None) -> bool:
     return isinstance(vector, RowComponents) and components in (vector.rows, vector.columns)
 
 
-def aligned(values: Sequence[Typed], node: ReportedNode, report: FindingReporter) -> tuple[Typed, ...]:
+def aligned(
+    values: Sequence[TypedNode], node: ReportedNode, report: FindingReporter
+) -> tuple[TypedNode, ...]:
     """Return the values with the same components, single values as they are; DB404 where vectors differ."""
     components = components_of(values, node, report)
     return tuple(spread(value, components) for value in values)
 
 
-def spread(value: Typed, components: Components | None) -> Typed:
+def spread(value: TypedNode, components: Components | None) -> TypedNode:
     """Return a value for each row, or for each column, as one for each of the components."""
     part = value.type.components
     if not isinstance(components, RowComponents) or part not in (components.rows, components.columns):
@@ -424,23 +428,23 @@ def _differing(
 ) -> StopChecking:
     both = [name for name in first if name in second]
     example = "".join(both) if both and all(len(name) == 1 for name in both) else "x"
-    remedy = f"both sides need the same components; select them, as in `v.{example}`"
+    help = f"both sides need the same components; select them, as in `v.{example}`"
     if set(first) == set(second):
-        remedy = "list the names of both groups in the same order"
+        help = "list the names of both groups in the same order"
         swapped = next((pair for pair in zip(first, second, strict=False) if pair[0] != pair[1]), None)
         if swapped is not None:
-            remedy += f": the second has `{swapped[1]}` where the first has `{swapped[0]}`"
-        remedy += "; in poses, write the same patterns first, and exceptions after them"
+            help += f": the second has `{swapped[1]}` where the first has `{swapped[0]}`"
+        help += "; in poses, write the same patterns first, and exceptions after them"
     return report_at(
         report,
         "DB404",
         node,
         f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}",
-        remedy,
+        help,
     )
 
 
-def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
+def warn_of_degrees(value: TypedNode, report: FindingReporter) -> None:
     """Report DB504 for radians that look like degrees, such as 30 rad.
 
     Wheels turn by hundreds of radians; only values up to 180 and from 270 to 360 count.
@@ -449,18 +453,18 @@ def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
         largest = max(abs(number) for number in value.values)
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
             headline = f"{largest:g} rad is more than a full turn"
-            remedy = f"write `{largest:g} deg` if you mean degrees"
+            help = f"write `{largest:g} deg` if you mean degrees"
             replacement = (
                 Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
             )
-            report_at(report, "DB504", value, headline, remedy, replacement)
+            report_at(report, "DB504", value, headline, help, replacement)
 
 
 # Whether a value fits its field
 
 
 @none_after_finding
-def expect_kind(value: Typed, report: FindingReporter, *, boolean: bool) -> Typed:
+def expect_kind(value: TypedNode, report: FindingReporter, *, boolean: bool) -> TypedNode:
     """Return the value if it is a truth value (`boolean`) or a number, or None after a finding."""
     require_kind([value], report, boolean=boolean)
     return value
@@ -468,7 +472,7 @@ def expect_kind(value: Typed, report: FindingReporter, *, boolean: bool) -> Type
 
 @none_after_finding
 def expect_value(
-    value: Typed,
+    value: TypedNode,
     report: FindingReporter,
     description: str,
     *,
@@ -479,7 +483,7 @@ def expect_value(
     unit: str | None = None,
     noun: str | None = None,
     shape_help: str | None = None,
-) -> Typed:
+) -> TypedNode:
     """Return the value as a field takes it, or None after a finding.
 
     Args:
@@ -548,38 +552,38 @@ def expect_range(
 
 
 def _require_shape(
-    value: Typed,
+    value: TypedNode,
     components: Components | None,
     description: str,
     report: FindingReporter,
-    remedy: str | None = None,
+    help: str | None = None,
 ) -> None:
     shape = value.type.components
     if components == ANY_SHAPE or shape is None or shape == components or _is_part(shape, components):
         return
     if components is None:
         functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."
-        remedy = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
+        help = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
         raise report_at(
             report,
             "DB404",
             value,
             f"{description} must be a single value; this is {value.type.shape_description}",
-            remedy,
+            help,
         )
-    if remedy and shape[0] == "x" and "x" not in components:
+    if help and shape[0] == "x" and "x" not in components:
         headline = (
             f"{description} has the components {shortened_list(components)};"
             f" this is {value.type.shape_description}"
         )
-        raise report_at(report, "DB404", value, headline, remedy)
+        raise report_at(report, "DB404", value, headline, help)
     if len(shape) != len(components) and shape[0] in ("x", "1"):
         headline = f"{description} has {len(shape)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"write {' and '.join(components)}")
     raise _differing(components, shape, value, report)
 
 
-def _require_size(value: Typed, known: Known, description: str, report: FindingReporter) -> None:
+def _require_size(value: TypedNode, known: Known, description: str, report: FindingReporter) -> None:
     """Warn of implausible values; refuse values beyond an engine's precision that are known before the
     episode."""
     dimension, interval = value.type.dimension, value.type.interval
@@ -590,8 +594,8 @@ def _require_size(value: Typed, known: Known, description: str, report: FindingR
     limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
     if largest > limit and known is not Known.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        remedy = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
-        raise report_at(report, "DB105", value, f"{description} {is_or_reaches} {farthest:g}{unit}", remedy)
+        help = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
+        raise report_at(report, "DB105", value, f"{description} {is_or_reaches} {farthest:g}{unit}", help)
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
@@ -604,7 +608,7 @@ def _require_size(value: Typed, known: Known, description: str, report: FindingR
         )
 
 
-def negated_text(value: Typed) -> Callable[[str], str]:
+def negated_text(value: TypedNode) -> Callable[[str], str]:
     """Return a function that makes the text of the negated value from the text of the value; of `a when c`,
     `a` is negated."""
     is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
@@ -625,7 +629,7 @@ def negated_text(value: Typed) -> Callable[[str], str]:
     return turned
 
 
-def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
+def divided_text(value: TypedNode, divisor: str) -> Callable[[str], str]:
     """Return a function that puts `divisor` behind the text of a value; a sum or a condition is put in
     parentheses."""
 
@@ -641,7 +645,7 @@ def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
     return divided
 
 
-def _is_sum(value: Typed) -> bool:
+def _is_sum(value: TypedNode) -> bool:
     """Return whether it is a sum or a difference without parentheses around it, which a node counts as its
     own."""
     return (

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
-from deepbots_cli.expressions.types import Invocation, Operation, Reference, Typed
+from deepbots_cli.expressions.types import Invocation, Operation, Reference, TypedNode
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
@@ -182,7 +182,7 @@ class _ConditionBuilder:
         )
 
     def _condition(
-        self, node: Typed, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any"
+        self, node: TypedNode, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any"
     ) -> Condition:
         """Return the condition of a truth value in the text of `expression`, with `not` pushed down to the
         comparisons."""
@@ -224,7 +224,7 @@ class _ConditionBuilder:
             self.probe(node, expression),
         )
 
-    def _lasting(self, node: Typed, expression: Expression) -> Condition | None:
+    def _lasting(self, node: TypedNode, expression: Expression) -> Condition | None:
         """Return the condition in `duration(...)`, also behind the name of a signal."""
         match node:
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
@@ -234,7 +234,7 @@ class _ConditionBuilder:
                     return self._condition(inner, expression, negated=False)
         return None
 
-    def probe(self, node: Typed, expression: Expression) -> str:
+    def probe(self, node: TypedNode, expression: Expression) -> str:
         """Return the name of a signal that has the value of a part of an expression."""
         probe = Expression(
             "",

@@ -220,7 +220,7 @@ class _Retries:
     def _is_given_up(self, number: int, best: int) -> bool:
         """Return whether the values of an attempt are worse than those of the best one. A longer training is
         not given up, because it may have to be longer still."""
-        worse = _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best))
+        worse = is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best))
         return worse and not self._is_longer(self.group.record.attempts[number - 1])
 
     def _causes(self, number: int) -> list[Statement]:
@@ -277,7 +277,7 @@ class _Retries:
         )
 
 
-def _is_worse(verdict: RunVerdict, best_verdict: RunVerdict) -> bool:
+def is_worse(verdict: RunVerdict, best_verdict: RunVerdict) -> bool:
     """Return whether an evaluation is clearly worse: the intervals of success rate, or else of mean return,
     do not overlap."""
     evaluation, best = verdict.evaluation, best_verdict.evaluation

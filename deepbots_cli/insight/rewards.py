@@ -551,7 +551,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         evidence.policy or evidence.idle
     )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
-    has_grown = float(evidence.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
+    has_grown = evidence.mean_return(0.0, 0.1) < 0.9 * mean
     if not is_near and (stands or not is_same or not has_grown or not _is_flat(evidence, mean)):
         return None
     steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
@@ -596,8 +596,8 @@ def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
     ]
     if len(mean_returns) >= _FLAT_EVALUATIONS:
         return max(abs(value - mean) for value in mean_returns) <= 2 * _CEILING * mean
-    third, last = (evidence.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
-    return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
+    third, last = evidence.mean_return(0.5, 0.75), evidence.mean_return(0.75, 1.0)
+    return abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean
 
 
 @statement(

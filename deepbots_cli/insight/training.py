@@ -208,6 +208,10 @@ class TrainingEvidence:
         1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
+    def mean_return(self, first: float, last: float) -> float:
+        """Return the mean return of `episodes_between`."""
+        return float(self.episodes_between(first, last).returns.mean())
+
     def episodes_by_steps(self, first: float, last: float) -> Any:
         """Return the episodes of the present stage that ended between two shares of its steps."""
         low, high = (self.first_step + share * self.stage_steps for share in (first, last))
@@ -313,9 +317,7 @@ def returns_rise(evidence: TrainingEvidence) -> tuple[float, float, float, float
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it
     # levels off.
-    start, before = (
-        float(evidence.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5)
-    )
+    start, before = evidence.mean_return(0.0, 0.25), evidence.mean_return(0.5, 0.75)
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     return float(early.mean()), float(late.mean()), gain, chance

@@ -99,7 +99,7 @@ class Transfer:
         return second.mean_return < first.mean_return - (1 - SHARE_OF_NOMINAL) * abs(first.mean_return)
 
 
-def _names(
+def world_names(
     scenarios: tuple[str, str], engines: tuple[str, str], is_other_scenario: bool
 ) -> tuple[tuple[str, str], str]:
     """Different names of two worlds, and the worlds with their scenarios and engines, in words."""
@@ -188,7 +188,7 @@ def transfer(
             executor=executor,
             **settings,
         )
-    names, between = _names(
+    names, between = world_names(
         (run.program.name, program.name), (run.record.engine, engine), scenario is not None
     )
     conditions = robustness.conditions if robustness is not None else ()
@@ -210,13 +210,13 @@ def transfer(
         if min_return is not None:
             met = result.mean_return >= min_return
             gates.append(Gate(name, f"mean return {result.mean_return:.4g} of at least {min_return:g}", met))
-    works, required = _works(names, (first, second), gates, trained_in.program.agent.solved)
+    works, required = worlds_that_work(names, (first, second), gates, trained_in.program.agent.solved)
     return Transfer(
         run.path, names, between, first, second, comparison, robustness, tuple(gates), works, required
     )
 
 
-def _works(
+def worlds_that_work(
     names: tuple[str, str],
     results: tuple[EvaluationResult, EvaluationResult],
     gates: Sequence[Gate],

@@ -165,7 +165,7 @@ def compare_worlds(
     likely = sorted(
         (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
     )  # stable
-    return replace(result, causes=tuple(likely), tried=(_MEASURED, *_tried(kinds)))
+    return replace(result, causes=tuple(likely), tried=(_MEASURED, *tried_amounts(kinds)))
 
 
 def _either(texts: Sequence[str]) -> str:
@@ -173,7 +173,7 @@ def _either(texts: Sequence[str]) -> str:
     return " or ".join([*texts[:_MAX_JOINED], *([f"{more} more"] if more > 0 else [])])
 
 
-def _simulated(comparison: ValueComparison, kind: _Kind, amount: float) -> list[Array] | None:
+def _simulated(comparison: ValueComparison, kind: Kind, amount: float) -> list[Array] | None:
     """Return the values with a change; None if the change does not fit this scenario."""
     try:
         values = kind.simulate(amount, comparison.recorded)
@@ -183,7 +183,7 @@ def _simulated(comparison: ValueComparison, kind: _Kind, amount: float) -> list[
 
 
 def _simulated_causes(
-    comparison: ValueComparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
+    comparison: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
 ) -> list[Effect]:
     """Return the changes that explain most of a few short episodes, with the share that they explain of
     all."""
@@ -218,9 +218,9 @@ class _Scores:
 
     def __init__(self, probe: ValueComparison) -> None:
         self._probe = probe
-        self._scores: dict[tuple[_Kind, float], float] = {}
+        self._scores: dict[tuple[Kind, float], float] = {}
 
-    def of(self, kind: _Kind, amount: float) -> float:
+    def of(self, kind: Kind, amount: float) -> float:
         """Return the explained share, at least -1; -1 for a change that does not fit the scenario."""
         if (kind, amount) not in self._scores:
             values = _simulated(self._probe, kind, amount)
@@ -228,7 +228,7 @@ class _Scores:
             self._scores[kind, amount] = score
         return self._scores[kind, amount]
 
-    def best_amount(self, kind: _Kind) -> float:
+    def best_amount(self, kind: Kind) -> float:
         """Return the amount of a kind that explains most, among those with a score."""
         return max(
             (amount for scored_kind, amount in self._scores if scored_kind is kind),
@@ -238,7 +238,7 @@ class _Scores:
 
 
 def _groups(
-    probe: ValueComparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
+    probe: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
 ) -> list[_Group]:
     """Return the kinds of changes with an effect like the observed one; those with the same effect are one
     group."""
@@ -266,7 +266,7 @@ def _groups(
     return groups
 
 
-def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
+def _search(kind: Kind, amount: float, score: Callable[[Kind, float], float]) -> None:
     """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one
     digit up and down.
 
@@ -301,12 +301,12 @@ class _Group:
     """Kinds whose changes have the same effect, and the likeness of this effect to the difference, regardless
     of its amount."""
 
-    kinds: list[_Kind]
+    kinds: list[Kind]
     effects: list[list[Array]]
     likeness: float
 
     @property
-    def first(self) -> _Kind:
+    def first(self) -> Kind:
         return self.kinds[0]
 
 
@@ -321,11 +321,11 @@ _PROBED_MASSES = (0.5, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Kind:
+class Kind:
     """A kind of change of the first world.
 
     Attributes:
-        family: The kind in words without names.
+        family: The changed property in words, without names.
         name: Its name, which an amount follows.
         simulate: Simulates episodes with an amount of it.
         amounts: The amounts that are tried, sorted.
@@ -344,9 +344,9 @@ class _Kind:
         return f"{self.name} {self.form.format(amount)}".rstrip()
 
 
-def _tried(kinds: Iterable[_Kind]) -> Iterator[str]:
+def tried_amounts(kinds: Iterable[Kind]) -> Iterator[str]:
     """Yield each family once, with the smallest and the largest amount of its kinds in words."""
-    families: dict[tuple[str, str], list[_Kind]] = {}
+    families: dict[tuple[str, str], list[Kind]] = {}
     for kind in kinds:
         families.setdefault((kind.family, kind.form), []).append(kind)
     for (family, form), members in families.items():
@@ -357,7 +357,7 @@ def _tried(kinds: Iterable[_Kind]) -> Iterator[str]:
 
 def _kinds(
     world: World, unchanged: RecordingWrapper, document: Document, permissions: Permissions
-) -> Iterator[_Kind]:
+) -> Iterator[Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 
     def with_actions(
@@ -371,31 +371,31 @@ def _kinds(
         )
 
     for family, name, act in changed_actions(world.program):
-        yield _Kind(family, name, with_actions(partial(always, act)))
+        yield Kind(family, name, with_actions(partial(always, act)))
     for name, scaled in action_gains(world.program):
-        yield _Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
+        yield Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
     root, program = document.root, world.program
     assert isinstance(root, MappingNode)
     times = doubled_times(program.world.timestep)
     for plan in (
-        *(plan for plan in plans(root, program) if plan.kind != MASS),
+        *(plan for plan in plans(root, program) if plan.family != MASS),
         *masses(root, program, _MAX_LINKS),
         *friction_plans(root, program),
         *latency_plans(root, program),
         *command_plans(root, program),
     ):
         if plan.form == DELAY:
-            yield _Kind(
-                plan.kind, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
+            yield Kind(
+                plan.family, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
             )
         elif plan.form == FACTOR:
             amounts, probes = (
-                (_MASS_FACTORS, _PROBED_MASSES) if plan.kind == MASS else (_FACTORS, _PROBED_FACTORS)
+                (_MASS_FACTORS, _PROBED_MASSES) if plan.family == MASS else (_FACTORS, _PROBED_FACTORS)
             )
-            yield _Kind(plan.kind, plan.name, with_plan(plan), amounts, probes, FACTOR)
+            yield Kind(plan.family, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in torque_limits(program):
         limits, first = (
             tuple(factor * largest for factor in factors if factor < 1.0)
             for factors in (_FACTORS, _PROBED_FACTORS)
         )
-        yield _Kind(plan.kind, plan.name, with_plan(plan), limits, first, plan.form)
+        yield Kind(plan.family, plan.name, with_plan(plan), limits, first, plan.form)

@@ -436,14 +436,14 @@ class Plan(NamedTuple):
     """A condition that can be changed by any amount.
 
     Attributes:
-        kind: The changed property, such as `friction`; `subject` is its owner, and may be empty.
+        family: The changed property, such as `friction`; `subject` is its owner, and may be empty.
         change: The change of the scenario by an amount.
         sides: The amounts of a robustness evaluation by side, from the smallest change on; a condition with
             one side has the side "".
         form: The format of an amount: `FACTOR`, `DELAY` in ms, or that of a share.
     """
 
-    kind: str
+    family: str
     change: Callable[[float], Change]
     sides: dict[str, tuple[float, ...]] = FACTORS
     form: str = FACTOR
@@ -451,7 +451,7 @@ class Plan(NamedTuple):
 
     @property
     def name(self) -> str:
-        return f"{self.kind} of {self.subject}" if self.subject else self.kind
+        return f"{self.family} of {self.subject}" if self.subject else self.family
 
     def level(self, amount: float) -> tuple[str, Change]:
         """Return the label of an amount, and the change by it."""

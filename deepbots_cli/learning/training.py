@@ -221,7 +221,7 @@ def checked_settings(
     callbacks = options.get("callbacks", ())
     loggers = options.get("loggers", ())
     keep_checkpoints = options.get("keep_checkpoints", 0)
-    training = _training_of(program, options.get("total_timesteps"), callbacks)
+    training = training_of(program, options.get("total_timesteps"), callbacks)
     for seed in seeds:
         if not 0 <= seed < 2**63:
             raise UsageError(f"the seed must be a whole number from 0 to {2**63 - 1}, not {seed}")
@@ -319,7 +319,7 @@ def resume(
         except UsageError as error:
             error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
             raise
-        training = _training_of(
+        training = training_of(
             resumed.program, record.total_timesteps if total_timesteps is None else total_timesteps, callbacks
         )
         last = resumed.model("last")
@@ -369,7 +369,13 @@ def _stopped_as_solved(record: RunRecord) -> bool:
     return record.status == "finished" and record.stop_when_solved and is_solved
 
 
-def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
+def training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
+    """Return the section `train` of a scenario, with the number of timesteps and the callbacks of a call.
+
+    Raises:
+        MissingExtraError: TensorBoard is missing.
+        UsageError: The scenario has no such section, or cannot be trained with these.
+    """
     # The log would fail only after the run was half created.
     if find_spec("tensorboard") is None:
         raise MissingExtraError("train", "training")

@@ -377,14 +377,14 @@ def _finding(context: RuleContext, success: Expression, best: Earned) -> Finding
         " in half an episode"
     )
     headline += f"; going on to `{success.name}` earns {best.finishing:.3g}"
-    remedy = (
+    help = (
         "pay at the end of the episode, as in `10 when success`, or pay progress, as in `-10 *"
         " delta(distance) / m`"
     )
-    remedy = remedy.replace("success", success.name)
+    help = help.replace("success", success.name)
     labels = (Label(success.span, "never comes true in the cycle"),)
     return Finding(
-        "DB716", term.span, headline, remedy, notes=(_description(context, best.cycle),), labels=labels
+        "DB716", term.span, headline, help, notes=(_description(context, best.cycle),), labels=labels
     )
 
 

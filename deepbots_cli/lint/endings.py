@@ -161,7 +161,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         if _with_return(analysis, 0, last).of(node) == NEVER:
             headline = f"`{ending.name}` cannot become true before {limit}"
             label = "the truncation"
-            remedy = "raise the limit under `truncation`, or remove the ending"
+            help = "raise the limit under `truncation`, or remove the ending"
         elif (
             not _leaves(analysis, node) <= _CLOCK_NAMES
             and last > 1
@@ -169,14 +169,14 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         ):
             headline = f"`{ending.name}` ends every episode before {limit}"
             label = "never reached"
-            remedy = (
+            help = (
                 "remove this ending: `truncation` already ends the episode; describe a good result under"
                 " `solved`"
             )
         else:
             continue
         also = (Label(context.values.key_span(("truncation",)), label),)
-        yield Finding("DB804", ending.span, headline, remedy, labels=also)
+        yield Finding("DB804", ending.span, headline, help, labels=also)
 
 
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
@@ -226,13 +226,13 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
     for late, first in shadowed.items():
         if all(late.name in names for names in later):
             headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
-            remedy = (
+            help = (
                 f"change the limit of `{late.name}` so that it is reached before `{first.name}`"
                 if (late.name in failures) != (first.name in failures)
                 else "remove one of the two"
             )
             yield Finding(
-                "DB804", late.span, headline, remedy, labels=(Label(first.span, "ends the episode first"),)
+                "DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),)
             )
 
 
@@ -283,7 +283,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
         ):
             sides = [side for entry in comparisons(analysis, ending) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, interval, words in sides if interval.is_finite)
-            remedy = _help_for_early(
+            help = _help_for_early(
                 context.program,
                 ending,
                 "change the initial state under `reset`, widen the limit, or reverse the comparison",
@@ -292,7 +292,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
                 "DB806",
                 ending.span,
                 f"`{ending.name}` is already true when an episode begins",
-                remedy,
+                help,
                 notes=notes,
             )
 
@@ -311,10 +311,10 @@ def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
             notes = (
                 f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",
             )
-            remedy = _help_for_early(
+            help = _help_for_early(
                 simulation.program, ending, "change the initial state under `reset`, or widen the limit"
             )
-            yield Finding("DB806", ending.span, headline, remedy, notes=notes)
+            yield Finding("DB806", ending.span, headline, help, notes=notes)
 
 
 def _help_for_early(program: Program, ending: Expression, help_for_failure: str) -> str:
@@ -332,11 +332,11 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     stop = simulation.report.stop
     failed = simulation.failed
     if failed is not None and failed.section == "other":
-        remedy = (
+        help = (
             "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"
             " 1 cm)` for a length `d`"
         )
-        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", remedy, notes=failed.notes)
+        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help, notes=failed.notes)
     elif failed is None and stop is not None and stop.kind == "value":
         span = simulation.values.key_span(
             ("reset",) if simulation.report.where.activity == "reset" else ("robots",)
@@ -438,13 +438,13 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
             upper = (threshold for threshold in thresholds(entry, analysis.ranges) if not threshold.above)
             reason = next(filter(None, (_unreachable(analysis, threshold) for threshold in upper)), None)
             if reason is not None:
-                words, remedy = reason
+                words, help = reason
                 also = (
                     ()
                     if entry.value is ending
                     else (Label(entry.value.span, f"`{ending.name}` depends on it"),)
                 )
-                yield Finding("DB807", ending.span, f"`{ending.name}` {words}", remedy, labels=also)
+                yield Finding("DB807", ending.span, f"`{ending.name}` {words}", help, labels=also)
                 break
 
 
@@ -585,13 +585,13 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
             outcome = _only_outcome(analysis, test, expected)
             if outcome is not None:
                 headline = f"the test `{test.name}` cannot pass: `{expected.key}` is never met"
-                remedy = f"change the condition, which is true in none of the {test.steps} steps of the test"
+                help = f"change the condition, which is true in none of the {test.steps} steps of the test"
                 if expected.key == "eventually":
-                    remedy += ", or let the test run longer"
+                    help += ", or let the test run longer"
                 if outcome:
                     headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it is always met"
-                    remedy = "write an expectation that a mistake in the scenario would violate"
-                yield Finding("DB813", expected.span, headline, remedy)
+                    help = "write an expectation that a mistake in the scenario would violate"
+                yield Finding("DB813", expected.span, headline, help)
 
 
 def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:

@@ -80,14 +80,14 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
             )
         return
     headline = f"continuing an episode costs at least {total_cost}, but `{ending.name}` {price}"
-    remedy = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
+    help = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
         headline = (
             f"an episode that misses the goal costs at least {total_cost}, but one that ends with"
             f" `{ending.name}` {price} or less"
         )
-        remedy = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
-    yield Finding("DB705", dearest.span, headline, remedy, labels=also)
+        help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
+    yield Finding("DB705", dearest.span, headline, help, labels=also)
 
 
 def _price(cost: float) -> str:

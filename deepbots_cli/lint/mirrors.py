@@ -305,7 +305,7 @@ def _wrong_signs(
     if not wrong:
         return
     first = wrong[0]
-    remedies = [
+    changes = [
         f"{verb} `flip`: {_listed(names)}"
         for verb, sign in (("list under", 1), ("leave out of", -1))
         if (names := [entry.name for entry in wrong if entry.sign == sign])
@@ -315,7 +315,7 @@ def _wrong_signs(
         "DB618",
         context.values.key_span(("train", "symmetry", "flip")),
         f"the sign of the mirror image of `{first.name}` contradicts the axes of the joints{_more(wrong)}",
-        "; ".join(remedies),
+        "; ".join(changes),
         notes=(f"with all joints at 0, {axes}, and the mirror plane is {plane}",),
     )
 

@@ -21,7 +21,7 @@ from deepbots_cli.expressions.types import (
     Known,
     Operation,
     Reference,
-    Typed,
+    TypedNode,
     children,
     referenced_names,
     walk,
@@ -118,7 +118,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
-        for key_path, problem, remedy in unused:
+        for key_path, problem, help in unused:
             path = ("robots", robot.name, *key_path)
             span = context.values.key_span(path)
             # An included robot file may offer more than the task needs.
@@ -127,7 +127,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
                     "DB205",
                     span,
                     f"`{path[-1]}` is {problem}",
-                    remedy,
+                    help,
                     fix=removal_fix(context.values.root, path),
                 )
 
@@ -195,8 +195,8 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
                 )
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
-                remedy = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
-                yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", remedy)
+                help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
+                yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", help)
 
 
 def _written(program: Program) -> Iterator[Expression]:
@@ -205,7 +205,7 @@ def _written(program: Program) -> Iterator[Expression]:
     return (value for value in values if value.foreign is None)
 
 
-def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, constant: Typed) -> bool:
+def _equal_by_chance(analysis: Analysis, value: Expression, measure: TypedNode, constant: TypedNode) -> bool:
     is_settled = constant.type.known is not Known.STEP
     return is_settled and all(
         _is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner)
@@ -273,7 +273,7 @@ class _AngleWrapping:
         self._robot = robot
         self._known = wraps_by_name
 
-    def jumps(self, node: Typed) -> Iterator[Typed]:
+    def jumps(self, node: TypedNode) -> Iterator[TypedNode]:
         """Yield the parts of an expression that jump."""
         match node:
             case Invocation(function=function) if function in _PERIODIC_FUNCTIONS:
@@ -287,14 +287,14 @@ class _AngleWrapping:
         for part in children(node):
             yield from self.jumps(part)
 
-    def _differ(self, heading: Typed, second: Typed) -> bool:
+    def _differ(self, heading: TypedNode, second: TypedNode) -> bool:
         """Return whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
         interval = second.type.interval
         return self._wraps(heading) and (
             self._wraps(second) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)
         )
 
-    def _wraps(self, node: Typed) -> bool:
+    def _wraps(self, node: TypedNode) -> bool:
         if node.type.dimension != ANGLE or node.type.known is not Known.STEP:
             return False
         match node:

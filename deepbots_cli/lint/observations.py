@@ -129,9 +129,9 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
                 f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight"
                 " replay replaces only `desired`"
             )
-            remedy = "remove it from the observation: the policy already sees `achieved` and `desired`"
+            help = "remove it from the observation: the policy already sees `achieved` and `desired`"
             also = (Label(program.agent.goal.desired.span, f"the goal depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, remedy, labels=also)
+            yield Finding("DB614", entry.value.span, headline, help, labels=also)
 
 
 class Linear(NamedTuple):
@@ -169,7 +169,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
             headline = (
                 f"`{number.name}` has noise, and the policy sees its exact value in `{exact_number.name}`"
             )
-            remedy = (
+            help = (
                 "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this"
                 " name in both places"
             )
@@ -177,7 +177,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
                 "DB616",
                 noises[0].std.span,
                 headline,
-                remedy,
+                help,
                 labels=(Label(exact_number.entry.value.span, "exact value"),),
             )
 
@@ -322,11 +322,11 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
                 " in the observation"
             )
             is_known = interval.is_finite and not interval.is_single
-            remedy = "write the range of the value" + (
+            help = "write the range of the value" + (
                 f": `{range_text(interval, number.dimension)}`" if is_known else ""
             )
             fix = replace_range(context, number, interval, number.dimension) if is_known else None
-            yield Finding("DB602", context.range_span(number.entry), headline, remedy, fix=fix)
+            yield Finding("DB602", context.range_span(number.entry), headline, help, fix=fix)
 
 
 # Measured in a simulation
@@ -351,7 +351,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
                 )
     failed = simulation.failed
     if failed is not None and failed.section == "observation":
-        remedy = (
+        help = (
             "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"
             " 1 cm)` for a length `d`"
         )
@@ -359,7 +359,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
             "DB607",
             failed.span,
             f"`{failed.name}` in the observation has no value",
-            remedy,
+            help,
             notes=failed.notes,
         )
 
@@ -385,21 +385,21 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         verb = "never changes" if len(names) == 1 else "never change"
         value = with_unit(_number_in_units(simulation, numbers[0]), numbers[0].dimension)
         headline = f"`{name}` {verb}" + (f": it is {value} in every step" if len(numbers) == 1 else "")
-        remedy = (
+        help = (
             "remove it" if is_whole else "observe only the other components"
         ) + ", or add a script under `scripts` that changes it"
-        yield Finding("DB608", entry.value.span, headline, remedy, notes=(simulation.summary,))
+        yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for position, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
         if position in simulation.report.summary.constant_numbers:
-            remedy = (
+            help = (
                 "check the place and the view of its camera, or add a script under `scripts` that changes it"
             )
             yield Finding(
                 "DB608",
                 entry.value.span,
                 f"the picture `{entry.value.name}` never changes",
-                remedy,
+                help,
                 notes=(simulation.summary,),
             )
 
@@ -505,7 +505,7 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
     missing = [name for name in deployment.unmeasured if name not in supplied]
     if missing:
         needed = f"{', '.join(f'`{name}`' for name in missing)}, which no robot measures"
-        remedy = (
+        help = (
             f"write what supplies it, as in `deploy: {{supplied_by: {{{missing[0]}: motion capture}}}}`,"
             " or observe a sensor instead"
         )
@@ -513,22 +513,22 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             "DB617",
             context.values.key_span(("deploy",)),
             f"the policy needs {needed}, and `deploy` names no supplier",
-            remedy,
+            help,
         )
     readings = [*deployment.unmeasured, *deployment.goals]
     for name, key in supplied.items():
         if name not in readings:
             suggestion = nearest_word(name, readings)
             if suggestion:
-                remedy = f"did you mean `{suggestion}`?"
+                help = f"did you mean `{suggestion}`?"
             elif not readings:
-                remedy = "remove it"
+                help = "remove it"
             else:
-                remedy = f"the policy needs {', '.join(readings)}"
+                help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
             replacement = None if suggestion in supplied else suggestion
             fix = Fix.replacing(span, key, replacement, safe=False) if replacement else None
-            yield Finding("DB617", span, f"the policy does not need `{name}`", remedy, fix=fix)
+            yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
 
 
 STATIC_RULES = (

@@ -303,13 +303,13 @@ def _passing_over(
         with_unit(length, LENGTH)
         for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top)
     )
-    remedy = f"lower the `pose` of the sensor by more than {lower}"
+    help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
         subject = "the walls of the arena"
         span = values.span_of_first(("world", "arena"), "wall_height")
-        remedy = (
+        help = (
             f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}`"
-            f" for the arena, or {remedy}"
+            f" for the arena, or {help}"
         )
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
@@ -325,7 +325,7 @@ def _passing_over(
         "DB615",
         values.key_span(("robots", robot, "sensors", sensor)),
         headline,
-        remedy,
+        help,
         notes=notes,
         labels=also,
     )
@@ -336,9 +336,9 @@ def _buried(
 ) -> Finding:
     lower = with_unit(float(f"{depth:.3g}"), LENGTH)
     headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
-    remedy = f"raise the `pose` of the sensor by more than {lower}"
+    help = f"raise the `pose` of the sensor by more than {lower}"
     return Finding(
-        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, remedy, notes=notes
+        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes
     )
 
 

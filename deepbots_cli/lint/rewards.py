@@ -17,7 +17,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
-from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
@@ -38,7 +38,7 @@ class Singularity(NamedTuple):
     an exponential."""
 
     value: Expression
-    node: Typed
+    node: TypedNode
     is_divisor: bool
 
 
@@ -67,11 +67,11 @@ def _unbounded(context: RuleContext, term: Expression, singularity: Singularity)
         # In `(a) * (b)`, the first parenthesis closes before the end.
         divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
         lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
-        remedy = (
+        help = (
             f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10"
             " cm)` for a length `d`"
         )
-        return Finding("DB701", span, headline, remedy, labels=also)
+        return Finding("DB701", span, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", span, headline, "bound the argument, as in `min(x, 3)`", labels=also)
 
@@ -92,7 +92,7 @@ class _PoleSearch:
         }
         """The quantities that end the episode before they come near zero."""
 
-    def pole(self, value: Expression, node: Typed) -> Singularity | None:
+    def pole(self, value: Expression, node: TypedNode) -> Singularity | None:
         """Return the first part that is infinite because of a pole or an exponential."""
         if node.type.boolean or all(interval.is_finite for interval in self._known(value, node)):
             return None
@@ -121,10 +121,10 @@ class _PoleSearch:
                 )
         return next((pole for part in children(node) if (pole := self.pole(value, part)) is not None), None)
 
-    def _known(self, value: Expression, node: Typed) -> list[Interval]:
+    def _known(self, value: Expression, node: TypedNode) -> list[Interval]:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
 
-    def _may_be_zero(self, value: Expression, node: Typed) -> bool:
+    def _may_be_zero(self, value: Expression, node: TypedNode) -> bool:
         """Return whether a divisor may be zero; one whose type has two finite bounds is DB405.
 
         The ranges known here are narrower than that of the type: `step` ends at the time limit.
@@ -286,10 +286,10 @@ def _always_zero(analysis: Analysis) -> set[str]:
     return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
 
 
-def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
+def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     """Return whether an expression is 0, or has a factor 0, as a number or as a parameter."""
 
-    def is_off(part: Typed) -> bool:
+    def is_off(part: TypedNode) -> bool:
         return _is_turned_off(part, analysis)
 
     match node:
@@ -327,11 +327,11 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
-            remedy = "correct the term, or add a script under `scripts` in which it is not zero"
-            yield Finding("DB704", term.span, headline, remedy, notes=(simulation.summary,))
+            help = "correct the term, or add a script under `scripts` in which it is not zero"
+            yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
 
 
-def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
+def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
     """Return whether a value depends on a condition, through any names."""
     if node.type.boolean:
         return True
@@ -349,11 +349,11 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """Report a term that is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        remedy = (
+        help = (
             "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow,"
             " `exp(min(n, 3))` for a number"
         )
-        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", remedy, notes=failed.notes)
+        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
 
 
 # Returns
@@ -368,16 +368,16 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    remedy = (
+    help = (
         "reward the goal, as in `1 when goal_reached`"
         if context.program.agent.goal
         else "reward the intended behavior"
     )
     if worth > 0.0:
-        remedy += ", or add a failure that ends a bad episode early"
+        help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
-        remedy += ", or add a success that ends a good episode early"
-    yield Finding("DB711", context.program.agent.reward[0].span, headline, remedy)
+        help += ", or add a success that ends a good episode early"
+    yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
 @rule("DB810")

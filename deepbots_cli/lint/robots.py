@@ -97,10 +97,8 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 changed = (
                     " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
                 )
-                remedy = (
-                    f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
-                )
-                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", remedy)
+                help = f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
+                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
 
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
@@ -211,7 +209,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                     f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and"
                     f" `{sunk[0].name}` sinks by about {by}"
                 )
-                remedy = "hold the joint with a `position_motor`, or shorten the delay of the first command"
+                help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (
                     (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
@@ -220,7 +218,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                     "DB314",
                     values.key_span(("robots", robot.name, "actuators", motor.name)),
                     headline,
-                    remedy,
+                    help,
                     labels=also,
                 )
 
@@ -369,12 +367,12 @@ def _shaking(
         if kind is not None and kind.supports("armature")
         else ""
     )
-    remedy = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
+    help = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
     return Finding(
         "DB325",
         context.values.key_span(("robots", robot.name, "actuators", motor.name)),
         headline,
-        remedy,
+        help,
     )
 
 
@@ -426,8 +424,8 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
         else "send positions within the reach of the arm"
     )
     headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
-    remedy = f"{change}; `deepbots inspect` prints the pose of the link at the start of an episode"
-    return Finding("DB315", span, headline, remedy, notes=tuple(notes))
+    help = f"{change}; `deepbots inspect` prints the pose of the link at the start of an episode"
+    return Finding("DB315", span, headline, help, notes=tuple(notes))
 
 
 def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
@@ -437,14 +435,14 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    remedy = (
+    help = (
         f"write `rpy: {start} deg`, which is near the initial orientation, or start the arm in another pose"
     )
     notes = (
         simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
         "the joints may move far before the link reaches the pose",
     )
-    return Finding("DB315", span, headline, remedy, notes=notes)
+    return Finding("DB315", span, headline, help, notes=notes)
 
 
 @rule("DB322")
@@ -467,7 +465,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
             headline = (
                 f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
             )
-            remedy = (
+            help = (
                 "let the driven wheels carry the robot: raise its skids and casters, or reduce their"
                 " friction under `links`"
             )
@@ -475,7 +473,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
                 "DB322",
                 simulation.values.key_span(("robots", robot)),
                 headline,
-                remedy,
+                help,
                 notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
             )
 
@@ -492,12 +490,12 @@ def topples(simulation: Simulation) -> Iterator[Finding]:
             f"`{name}` topples: its base is free, and tilts by {degrees(tilt):.0f} deg within"
             f" {TOPPLING_S:g} s of doing nothing"
         )
-        remedy = (
+        help = (
             f"an arm needs `base: fixed` under `{name}`, which bolts it to the world; "
             f"for a robot that has to balance, end the episode with `tilt({name}) > 45 deg`"
         )
         span = simulation.values.span_of_first(("robots", name), "base", "urdf")
-        yield Finding("DB324", span, headline, remedy, notes=(simulation.summary,))
+        yield Finding("DB324", span, headline, help, notes=(simulation.summary,))
 
 
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
@@ -568,12 +566,12 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
                 f"`{actuator.name}` has no limit of {quantity}:"
                 f" the robot file states no effort for {joint_names}"
             )
-            remedy = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
+            help = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
             span = context.values.span_of_first(
                 ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
             )
-            yield Finding("DB319", span, headline, remedy, notes=notes)
+            yield Finding("DB319", span, headline, help, notes=notes)
 
 
 @rule("DB317")
@@ -602,12 +600,12 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                     f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
                     f" {(high - low) / (2 * pi):.3g} turns apart"
                 )
-                remedy = (
+                help = (
                     f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
                     " in the robot file"
                 )
-                remedy += f", or `range: {low:g} .. {high:g} deg` under `joints`"
-                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, remedy)
+                help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
+                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
 
 
 STATIC_RULES = (

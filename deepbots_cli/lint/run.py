@@ -100,11 +100,11 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
 
 def _about_shared_ending(finding: Finding) -> Finding:
     """Return a finding about the sign of a reward, whose ending may not be that of all agents."""
-    remedy = (
+    help = (
         "`termination` is the same for all agents; if an ending is a success of one of them, write it under"
         f" `endings`, as in `caught: {{when: ..., success: NAME}}`; otherwise {finding.help}"
     )
-    return replace(finding, help=remedy, fix=None)
+    return replace(finding, help=help, fix=None)
 
 
 def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
-from deepbots_cli.expressions.types import Typed, walk
+from deepbots_cli.expressions.types import TypedNode, walk
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
@@ -141,9 +141,9 @@ def _unseen(
     number = view.number
     name = view.number.name
     limit = view.threshold.limit
-    remedy = f"widen the range of `{name}`, or the bounds of a `clamp` in its value"
+    help = f"widen the range of `{name}`, or the bounds of a `clamp` in its value"
     fix = None
-    remedy += f", so that it still changes at the limit of `{ending.name}`"
+    help += f", so that it still changes at the limit of `{ending.name}`"
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
         headline = (
@@ -154,7 +154,7 @@ def _unseen(
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         opposite = -beyond if number.low == -number.high else beyond
         wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
-        remedy = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
+        help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
         part = _part_of(comparison, analysis, view.threshold.quantity)
@@ -176,10 +176,10 @@ def _unseen(
         limit_span = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
         label = label if comparison.value.name == ending.name else f"the limit of `{ending.name}`"
     also = (Label(limit_span, label),)
-    return Finding("DB603", context.range_span(number.entry), headline, remedy, labels=also, fix=fix)
+    return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
 
 
-def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
+def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> TypedNode | None:
     """Return the part of a comparison that is written for the quantity; None where nothing is."""
     identity = analysis.identity(quantity)
     for part in walk(comparison.node):
@@ -279,9 +279,9 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
             f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
             f" {with_unit(reading, ACCELERATION)}"
         )
-        remedy = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
+        help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
-        yield Finding("DB611", context.range_span(number.entry), headline, remedy, fix=fix)
+        yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
 
 
 def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:

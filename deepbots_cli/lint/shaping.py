@@ -67,8 +67,8 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
     opposite = negated_text(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, opposite, safe=False)
-    remedy = f"reverse the sign: `{opposite}`" if len(opposite) <= _MAX_SHOWN else "reverse the sign"
-    return Finding("DB703", term.span, headline, remedy, labels=also, fix=fix)
+    help = f"reverse the sign: `{opposite}`" if len(opposite) <= _MAX_SHOWN else "reverse the sign"
+    return Finding("DB703", term.span, headline, help, labels=also, fix=fix)
 
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression) -> Iterator[Finding]:
@@ -220,7 +220,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         hidden = sorted((analysis.drawn_dependencies(node) - observed_names) & (drawn_names | bodies))
         if hidden:
             subject = f"the {'drawn parameter' if hidden[0] in drawn_names else 'body'} `{hidden[0]}`"
-            remedy = (
+            help = (
                 f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under"
                 " `observation`"
             )
@@ -232,7 +232,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
             ]
             headline = f"`{term.name}` depends on {subject}, which the policy does not observe"
             labels = [Label(value.span, f"depends on `{hidden[0]}`") for value in between]
-            yield Finding("DB706", term.span, headline, remedy, labels=tuple(labels))
+            yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 
 
 @rule("DB710")

@@ -78,11 +78,11 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
             f"`{body.name}` falls without end: its base is free, and no link of its robot file has a"
             " <collision>"
         )
-        remedy = (
+        help = (
             "write `base: fixed` to bolt it to the world, or give the links that touch the ground a"
             " <collision> in the robot file"
         )
-        yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, remedy)
+        yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, help)
 
 
 @rule("DB316")
@@ -95,7 +95,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         return
     if not kind.is_installed and any(engine.is_installed for engine in ENGINES.built_in.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
-        yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.remedy)
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.help)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
         yield Finding(
             "DB316",
@@ -114,7 +114,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         if not kind.supports(feature):
             yield Finding("DB316", span, *kind.limitation(feature))
     if kind.implausible_inertia is not None:
-        reason, remedy = kind.implausible_inertia
+        reason, help = kind.implausible_inertia
         for robot in world.robots:
             for link in robot.model.links:
                 if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
@@ -122,7 +122,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
                         "DB316",
                         context.values.key_span(("robots", robot.name)),
                         f"link `{link.name}` {reason}",
-                        remedy,
+                        help,
                     )
 
 
@@ -172,11 +172,11 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
             headline = (
                 f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
             )
-            remedy = (
+            help = (
                 'write the lengths of the robot file in meters, and `scale="0.001 0.001 0.001"` at a mesh'
                 " in millimeters"
             )
-            yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, remedy)
+            yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, help)
     met: set[NodePath] = set()
     for body in world.objects:
         for path, kind in _forms(body):
@@ -272,10 +272,10 @@ def _odd_mass(
         headline = (
             f"`{path[-1]}` has a density of {density_text} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
         )
-        remedy = f"check the units of its mass and size ({water})" + (
+        help = f"check the units of its mass and size ({water})" + (
             ", or write `fixed: true`" if density > _MAX_DENSITY else ""
         )
-        return Finding("DB507", values.span_of_first(path, "mass"), headline, remedy)
+        return Finding("DB507", values.span_of_first(path, "mass"), headline, help)
     carried = sum(robot.model.mass for robot, _ in robots)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
@@ -321,14 +321,14 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
     """Report that the engine crashes, hangs, or computes impossible motion."""
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
-        headline, remedy = _KINDS[halt.kind]
+        headline, help = _KINDS[halt.kind]
         body = None
         notes = [simulation.when()]
         if simulation.report.fastest:
             body, speed = simulation.report.fastest.body, simulation.report.fastest.speed
             notes.append(f"the fastest body before was `{body}`, at {speed:.3g} m/s")
         yield Finding(
-            "DB309", simulation.body_span(body), headline.format(halt.description), remedy, notes=tuple(notes)
+            "DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes)
         )
     elif stop is not None:
         yield from _stopped(simulation, stop)
@@ -408,11 +408,11 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         section = next(
             (key for key in ("reset", "evaluation", "train") if context.values.is_present((key,))), "train"
         )
-        remedy = (
+        help = (
             f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5"
             f" cm)}}` under `reset.place`"
         )
-        yield Finding("DB809", context.values.key_span((section,)), headline, remedy)
+        yield Finding("DB809", context.values.key_span((section,)), headline, help)
 
 
 def _varies(analysis: Analysis) -> bool:
@@ -480,7 +480,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
             f"`require` depends on `{sources[0]}`, which deepbots does not draw again if a start does"
             " not meet `require`"
         )
-        remedy = (
+        help = (
             f"draw `{sources[0]}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6"
             " .. 20 cm)` (two intervals)"
         )
@@ -488,7 +488,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
             "DB812",
             require.span,
             headline,
-            f"{remedy}, or replace `{sources[0]}` with a position that is drawn under `reset.place`",
+            f"{help}, or replace `{sources[0]}` with a position that is drawn under `reset.place`",
         )
 
 
@@ -533,7 +533,7 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     notes = (f"{met}, in the reset with seed {overlap.seed}; {simulation.plan.resets} seeds were simulated",)
     if other_part[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
-        remedy = f"place it {depth} higher, or remove `z` to place it on the ground"
+        help = f"place it {depth} higher, or remove `z` to place it on the ground"
         also = (
             (Label(simulation.body_span(other_part[0]), "the ground"),)
             if simulation.program.world.terrain
@@ -543,14 +543,14 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
         headline = (
             f"links `{body_part[1]}` and `{other_part[1]}` of `{first}` overlap by {depth} at the start"
         )
-        remedy = "make their <collision> shapes in the robot file smaller, or remove `self_collision`"
+        help = "make their <collision> shapes in the robot file smaller, or remove `self_collision`"
         also = ()
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
-        remedy = "place them farther apart, or use a `region`, where deepbots finds free positions"
+        help = "place them farther apart, or use a `region`, where deepbots finds free positions"
         second_span = simulation.placement(other_part[0]) or simulation.body_span(other_part[0])
         also = (Label(second_span, f"`{second}` begins here"),)
-    return Finding("DB310", span, headline, remedy, notes=notes, labels=also)
+    return Finding("DB310", span, headline, help, notes=notes, labels=also)
 
 
 def _order(simulation: Simulation, name: str) -> int:

@@ -26,20 +26,13 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.lsp.choices import Choice, unique
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.expression_completion import expression_choices, is_expression, word_before
-from deepbots_cli.lsp.hover import describe_shape, summary
+from deepbots_cli.lsp.hover import describe_key, describe_shape, summary
 from deepbots_cli.lsp.lookup import section_of, shapes_at
 from deepbots_cli.lsp.workspace import CursorView
 from deepbots_cli.lsp.written_names import names_in_text
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
-from deepbots_cli.scenario.base import (
-    Kinds,
-    MappingOf,
-    Section,
-    example_of,
-    hover_text,
-    section_description,
-    section_fields,
-)
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, section_fields
+from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
 from deepbots_cli.scenario.fields.quantities import Quantity, Range
@@ -116,7 +109,7 @@ def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
 
 def _section_keys(section: type[Section]) -> Iterator[Choice]:
     for key in section_fields(section):
-        yield Choice(key, CompletionItemKind.Property, summary(section, key), hover_text(section, key))
+        yield Choice(key, CompletionItemKind.Property, summary(section, key), describe_key(section, key))
 
 
 def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
@@ -126,7 +119,7 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
     for key, model in shape.models_by_key.items():
-        yield Choice(key, CompletionItemKind.Property, summary(model, key), hover_text(model, key))
+        yield Choice(key, CompletionItemKind.Property, summary(model, key), describe_key(model, key))
 
 
 # Values

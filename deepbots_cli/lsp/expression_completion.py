@@ -15,7 +15,7 @@ from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
-from deepbots_cli.expressions.types import Context, Kind, Scope, Type
+from deepbots_cli.expressions.types import Context, Kind, Scope, ValueType
 from deepbots_cli.lsp.choices import Choice
 from deepbots_cli.lsp.hover import describe_function, describe_symbol
 from deepbots_cli.lsp.lookup import ignore_finding
@@ -270,7 +270,7 @@ def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
     return _component_choices(typed.type if typed else None, "")
 
 
-def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
+def _component_choices(vector: ValueType | None, before: str) -> Iterator[Choice]:
     """Yield each component of a vector, and `xy` for a vector in space."""
     components = (vector and vector.components) or ()
     for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):

@@ -14,7 +14,7 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Symbol, Type, shortened_list
+from deepbots_cli.expressions.types import Symbol, ValueType, shortened_list
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.lookup import (
     ExpressionNode,
@@ -31,11 +31,12 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    hover_text,
+    example_text,
     noun_of,
-    section_description,
     section_fields,
+    unit_of,
 )
+from deepbots_cli.scenario.documentation import default_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import Pattern, Reference
 from deepbots_cli.words import counted
@@ -143,7 +144,7 @@ def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
         return f"**{target.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
     part = section_of(target.path, view.data)
     if part is not None:
-        return hover_text(part, str(target.path[-1]))
+        return describe_key(part, str(target.path[-1]))
     for shape in shapes_at(target.path[:-1], view.data):
         if isinstance(shape, MappingOf):
             text = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
@@ -216,7 +217,7 @@ def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
         (),
     )
     part = section_of(steps, view.data)
-    return hover_text(part, str(steps[-1])) if part is not None else None
+    return describe_key(part, str(steps[-1])) if part is not None else None
 
 
 def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> str | None:
@@ -235,6 +236,26 @@ def summary(part: type[Section], key: str) -> str:
     return noun if len(noun) <= _LONGEST_NOUN else f"{noun[:_LONGEST_NOUN]}…"
 
 
+def describe_key(section: type[Section], key: str) -> str:
+    """Return a key in Markdown: its type, sentence, unit, default and example."""
+    shape = section_fields(section)[key]
+    unit = unit_of(shape)
+    if unit == "1":
+        shown = "none, a plain number"
+    elif unit.startswith("of the "):
+        shown = unit
+    else:
+        shown = f"`{unit.replace(' or ', '` or `')}`"
+    facts = [f"**Unit:** {shown}"] if unit else []
+    if section.model_fields[key].is_required():
+        facts.append("**Required**")
+    elif default := default_of(section, key):
+        facts.append(f"**Default:** `{default}`")
+    example = example_text(section, key)
+    blocks = [f"**{key}**: {noun_of(shape)}", key_description(section, key), " · ".join(facts)]
+    return "\n\n".join([*filter(None, blocks), *([f"```yaml\n{key}: {example}\n```"] if example else [])])
+
+
 def describe_shape(shape: Shape) -> str:
     """Return the noun of a shape, with an example if it has one."""
     example = getattr(shape, "example", None)
@@ -246,7 +267,7 @@ def describe_function(function: Function) -> str:
     return "\n".join(lines + (["", f"For example `{function.example}`."] if function.example else []))
 
 
-def describe_type(value_type: Type) -> str:
+def describe_type(value_type: ValueType) -> str:
     """Return the dimension, components and interval of a type, and when it is known: `a length (m), from 0 to
     2.7 m, fixed`."""
     if value_type.picture is not None:

@@ -21,7 +21,7 @@ from deepbots_cli.document.nodes import NodePath, follow_dotted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.functions import FUNCTIONS, Form
-from deepbots_cli.expressions.types import Kind, Type, walk
+from deepbots_cli.expressions.types import Kind, ValueType, walk
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
@@ -164,7 +164,7 @@ class ExpressionNode(NamedTuple):
         return self.reading.scope.robot if isinstance(self.reading.scope, RobotScope) else None
 
     @property
-    def type(self) -> Type | None:
+    def type(self) -> ValueType | None:
         """The type of the node's value."""
         for tree in self.reading.trees:
             for node in walk(tree):

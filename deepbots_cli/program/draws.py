@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypedDict
 from deepbots_cli.expressions.dimensions import NUMBER, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar, is_drawn, names_in, walk
-from deepbots_cli.expressions.types import Invocation, Typed, unit_of_text
+from deepbots_cli.expressions.types import Invocation, TypedNode, unit_of_text
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.program.resets import (
     Cells,
@@ -220,7 +220,7 @@ class EpisodeDraws:
         return {name: _units(value.typed) for name, value in self.program.reset.expressions}
 
 
-def _units(value: Typed) -> _Units:
+def _units(value: TypedNode) -> _Units:
     return _Units(si=str(value.type.dimension), unit=unit_of_text(value))
 
 

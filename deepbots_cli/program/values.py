@@ -10,7 +10,7 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.expressions.types import Components, Redraw, Typed
+from deepbots_cli.expressions.types import Components, Redraw, TypedNode
 
 
 class NamedScalars(NamedTuple):
@@ -57,7 +57,7 @@ class Expression:
     name: str
     span: Span
     text: str
-    typed: Typed
+    typed: TypedNode
     owner: str
     per_component: Components | None = None
     redraw: Redraw | None = None

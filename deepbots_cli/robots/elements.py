@@ -91,7 +91,7 @@ class Element:
         headline: str,
         *,
         attribute: str | None = None,
-        remedy: str | None = None,
+        help: str | None = None,
         labels: tuple[Label, ...] = (),
         code: str = "DB301",
     ) -> None:
@@ -99,20 +99,20 @@ class Element:
         are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, remedy, labels=labels)
+            self.report.findings.add(code, self.value_span(attribute), headline, help, labels=labels)
 
     def warn(
         self,
         headline: str,
         *,
         attribute: str | None = None,
-        remedy: str | None = None,
+        help: str | None = None,
         notes: tuple[str, ...] = (),
         code: str = "DB311",
     ) -> None:
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, remedy, notes=notes)
+            self.report.findings.add(code, self.value_span(attribute), headline, help, notes=notes)
 
     def find_all(self, tag: str) -> list[Element]:
         return [child for child in self.children if child.tag == tag]
@@ -121,14 +121,14 @@ class Element:
         """Return the first child called `tag`; further ones are reported and not read."""
         first = self.find_all(tag)
         for extra in first[1:]:
-            extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", remedy="remove it")
+            extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", help="remove it")
         return first[0] if first else None
 
     def require_one(self, tag: str) -> Element | None:
         """Return the first child called `tag`; reports an error if there is none."""
         child = self.find_one(tag)
         if child is None:
-            self.error(f"<{self.tag}> without <{tag}>", remedy=f"add <{tag} .../> inside it")
+            self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")
         return child
 
     def text(self, name: str) -> str | None:
@@ -136,7 +136,7 @@ class Element:
         value = self.attributes.get(name)
         if value is None:
             self.error(
-                f"<{self.tag}> without the attribute '{name}'", remedy=f'write <{self.tag} {name}="..."/>'
+                f"<{self.tag}> without the attribute '{name}'", help=f'write <{self.tag} {name}="..."/>'
             )
         elif not value.strip():
             self.error(f"the attribute '{name}' is empty", attribute=name)
@@ -179,8 +179,8 @@ class Element:
             words = self._as_pybullet_reads(words, name, size)
         wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
         if wrong is not None:
-            remedy = "separate numbers by spaces, without commas" if "," in wrong else None
-            self.error(f"{quoted(wrong)} is not a finite number", attribute=name, remedy=remedy)
+            help = "separate numbers by spaces, without commas" if "," in wrong else None
+            self.error(f"{quoted(wrong)} is not a finite number", attribute=name, help=help)
             return stand_in
         if len(words) != size:
             expected = "one number" if size == 1 else f"{size} numbers"
@@ -205,10 +205,10 @@ class Element:
         odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
         if odd is not None:
             headline = f"{quoted(odd)} is not a number; deepbots reads {odd.rstrip(',.')}, as PyBullet does"
-            self.warn(headline, attribute=name, remedy=f'write {name}="{" ".join(plain)}"')
+            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
         if size == 3 and len(plain) == 4:
             headline = f"'{name}' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does"
-            self.warn(headline, attribute=name, remedy=f'write {name}="{" ".join(plain[:3])}"')
+            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
             return plain[:3]
         return plain
 
@@ -222,7 +222,7 @@ class Element:
         self.warn(
             "a xacro substitution is not expanded",
             attribute=name,
-            remedy=f"expand it with xacro; until then deepbots uses its default, {match[1]}",
+            help=f"expand it with xacro; until then deepbots uses its default, {match[1]}",
         )
         return match[1]
 
@@ -230,8 +230,8 @@ class Element:
 class _RefusedError(Exception):
     """The exception that leaves the parser from inside a handler."""
 
-    def __init__(self, code: str, headline: str, remedy: str | None = None) -> None:
-        self.code, self.headline, self.help = code, headline, remedy
+    def __init__(self, code: str, headline: str, help: str | None = None) -> None:
+        self.code, self.headline, self.help = code, headline, help
 
 
 class _Builder:
@@ -346,7 +346,7 @@ def _parsed(builder: _Builder) -> Element | None:
         if builder.open and error.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]:
             headline = "the file ends inside an element"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
-        remedy = "move <?xml ...?> to the start of the file" if misplaced else None
-        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), headline, remedy, labels=also)
+        help = "move <?xml ...?> to the start of the file" if misplaced else None
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), headline, help, labels=also)
         return None
     return builder.root

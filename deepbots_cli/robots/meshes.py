@@ -74,7 +74,7 @@ class CheckedMesh(NamedTuple):
 
 @dataclass(frozen=True)
 class UnusableMesh:
-    """The reason why a file is not read, as a headline and a remedy."""
+    """The reason why a file is not read, as a headline and the sentence that helps."""
 
     headline: str
     help: str | None = None
@@ -186,8 +186,8 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
             return path
         within = [*roots, *map(os.path.realpath, package_folders(reference))]
         if not any(path.is_relative_to(root) for root in within):
-            remedy = "move it into the folder of the robot file, or allow its folder with --allow-path"
-            return UnusableMesh("the mesh lies outside the folder of the robot", remedy)
+            help = "move it into the folder of the robot file, or allow its folder with --allow-path"
+            return UnusableMesh("the mesh lies outside the folder of the robot", help)
         return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
 
     return resolve

@@ -168,7 +168,7 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if root.tag != "robot":
         root.error(
             f"the outermost element is <{root.tag[:40]}>, not <robot>",
-            remedy="only URDF is read; convert the file first",
+            help="only URDF is read; convert the file first",
         )
         return None
     _check_words(root)
@@ -176,7 +176,7 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if macro is not None:  # the plain elements of a program that writes URDF would give another robot
         macro.error(
             "a xacro macro that has not been expanded",
-            remedy="expand the file first: xacro robot.urdf.xacro > robot.urdf",
+            help="expand the file first: xacro robot.urdf.xacro > robot.urdf",
         )
     links, joints = _named(root, "link"), _named(root, "joint")
     if not root.find_all("link"):
@@ -246,7 +246,7 @@ def _check_words(root: Element) -> None:
             element.warn(
                 f"deepbots ignores the {noun} {quoted(word)}",
                 attribute=attribute,
-                remedy=f"did you mean {match!r}?",
+                help=f"did you mean {match!r}?",
             )
 
 
@@ -271,7 +271,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
             element.error(
                 f"a second {tag} called {quoted(name)}",
                 attribute="name",
-                remedy="rename one of the two",
+                help="rename one of the two",
                 labels=also,
             )
     return by_name
@@ -318,7 +318,7 @@ def _color(material: Element) -> Color | None:
         element.warn(
             "color values outside 0 to 1 are clipped",
             attribute="rgba",
-            remedy="if the values are from 0 to 255, divide them by 255",
+            help="if the values are from 0 to 255, divide them by 255",
         )
     red, green, blue, alpha = (min(max(channel, 0.0), 1.0) for channel in color)
     return red, green, blue, alpha
@@ -332,11 +332,11 @@ def _pose(element: Element) -> Pose:
     largest = max(rpy, key=abs)
     if abs(largest) > _FULL_TURN:
         in_rad = " ".join(f"{round(math.radians(angle), 4):g}" for angle in rpy)
-        remedy = (
+        help = (
             f"URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write"
             f' rpy="{in_rad}"'
         )
-        origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", remedy=remedy, code="DB504")
+        origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
@@ -387,12 +387,12 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
         return None
     shapes = [child for child in element.children if child.tag in _SHAPES]
     if not shapes:
-        element.error("<geometry> contains no known shape", remedy=f"use one of {', '.join(_SHAPES)}")
+        element.error("<geometry> contains no known shape", help=f"use one of {', '.join(_SHAPES)}")
         return None
     for extra in shapes[1:]:
         extra.warn(
             "deepbots ignores a second shape in the same <geometry>",
-            remedy="put it into its own <visual> or <collision>",
+            help="put it into its own <visual> or <collision>",
         )
     shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
     return Geometry(shape, _pose(holder), color) if shape else None
@@ -417,7 +417,7 @@ def _solid(element: Element, holder: str) -> Shape | None:
     if wrong is None:
         return shape
     if holder == "visual" and measures[wrong] == 0:
-        element.warn("a visual without size draws nothing", attribute=wrong, remedy="remove the <visual>")
+        element.warn("a visual without size draws nothing", attribute=wrong, help="remove the <visual>")
     else:
         element.error(f"'{wrong}' must be above 0", attribute=wrong)
     return None
@@ -432,14 +432,14 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         return None
     loaded = meshes.load(filename, scale)
     if isinstance(loaded, UnusableMesh):
-        element.error(loaded.headline, attribute="filename", remedy=loaded.help)
+        element.error(loaded.headline, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
         headline = (
             "the mesh is not in the folder of the robot file; deepbots reads the one in a parent"
             " folder, as PyBullet does"
         )
-        element.warn(headline, attribute="filename", remedy=f'write filename="{loaded.reference}"')
+        element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
     return Mesh(str(loaded.path), loaded.digest, scale)
 
 
@@ -485,8 +485,8 @@ def _joint_type(element: Element) -> JointType | None:
         else next((joint_type for joint_type in _JOINT_TYPES if joint_type == word), None)
     )
     if word is not None and kind is None:
-        remedy = known_names_help(word, _JOINT_TYPES, "joint types")
-        element.error(f"unknown joint type {quoted(word)}", attribute="type", remedy=remedy)
+        help = known_names_help(word, _JOINT_TYPES, "joint types")
+        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
     return kind
 
 
@@ -501,7 +501,7 @@ def _axis(joint: Element, kind: JointType) -> Vector:
         element.error(
             "the axis has no length",
             attribute="xyz",
-            remedy="write the direction the joint turns about or slides along",
+            help="write the direction the joint turns about or slides along",
         )
         return (1.0, 0.0, 0.0)
     # A unit axis keeps its digits: dividing again by a rounded length could change what `to_urdf` wrote.
@@ -518,7 +518,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
         if kind in ("revolute", "prismatic"):
             joint.warn(
                 f"joint {quoted(name)} has no limits",
-                remedy='add <limit lower="..." upper="..." .../>',
+                help='add <limit lower="..." upper="..." .../>',
                 code="DB307",
             )
         return Limit()
@@ -529,7 +529,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
             element.warn(
-                f"joint {quoted(name)} has no limits", remedy='add lower="..." and upper="..."', code="DB307"
+                f"joint {quoted(name)} has no limits", help='add lower="..." and upper="..."', code="DB307"
             )
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
@@ -539,7 +539,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
             )
             element.warn(
                 headline,
-                remedy="swap the two limits, or change the type of the joint to continuous",
+                help="swap the two limits, or change the type of the joint to continuous",
                 code="DB307",
             )
     elif (
@@ -549,11 +549,11 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
             f"joint {quoted(name)} is continuous, so its limits from {lower:.4g} to {upper:.4g} rad"
             " have no effect"
         )
-        remedy = 'write type="revolute" to limit the joint, or remove lower and upper'
+        help = 'write type="revolute" to limit the joint, or remove lower and upper'
         element.warn(
             headline,
             attribute="lower" if "lower" in element.attributes else "upper",
-            remedy=remedy,
+            help=help,
             code="DB307",
         )
     return Limit(None, None, velocity, effort)
@@ -596,15 +596,15 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
                 f"ball joint {quoted(joint.name)} needs the name {quoted(clash)} for one of its three"
                 " hinges, but the name is already used"
             )
-            element.error(headline, attribute="name", remedy="rename one of the two")
+            element.error(headline, attribute="name", help="rename one of the two")
             continue
         limited = " deepbots ignores its lower and upper limits." if element.find_all("limit") else ""
         headline = (
             f"deepbots models ball joint {quoted(joint.name)} as three hinges at the same point:"
             f" {', '.join(names)}"
         )
-        remedy = f"avoid angles near -90 and 90 deg about y, where the axes x and z coincide.{limited}"
-        element.warn(headline, attribute="type", remedy=remedy)
+        help = f"avoid angles near -90 and 90 deg about y, where the axes x and z coincide.{limited}"
+        element.warn(headline, attribute="type", help=help)
         between = names[:2]
         links += [Link(name) for name in between]
         joints += [
@@ -637,7 +637,7 @@ def _check_references(
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
                 element.find_all(tag)[0].error(
-                    headline, attribute="link", remedy=known_names_help(link, links, "links")
+                    headline, attribute="link", help=known_names_help(link, links, "links")
                 )
         if joint.mimic:
             _check_mimic(joint, joint.mimic, joints, element.find_all("mimic")[0])
@@ -652,19 +652,19 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
     leader = joints.get(mimic.joint)
     if leader is None:
         headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
-        element.error(headline, attribute="joint", remedy=known_names_help(mimic.joint, joints, "joints"))
+        element.error(headline, attribute="joint", help=known_names_help(mimic.joint, joints, "joints"))
     elif not joint.moves:
         element.warn(
-            f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", remedy="remove the <mimic>"
+            f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", help="remove the <mimic>"
         )
     elif not leader.moves:
         headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
-        remedy = known_names_help(
+        help = known_names_help(
             mimic.joint,
             [name for name, other in joints.items() if other.moves and other is not joint],
             "joints that move",
         )
-        element.error(headline, attribute="joint", remedy=remedy)
+        element.error(headline, attribute="joint", help=help)
 
 
 def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) -> None:
@@ -687,7 +687,7 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
         low, high = min(low, limit.lower), max(high, limit.upper)
         element.warn(
             headline,
-            remedy=(
+            help=(
                 f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}'
             ),
         )
@@ -713,14 +713,14 @@ def _root_link(
     for cycle in _cycles(parent):
         errors += 1
         headline = "these links form a closed loop: " + ", ".join(map(quoted, cycle[:5]))
-        elements[joint_above[cycle[0]]].error(headline, remedy="remove the joint that closes the loop")
+        elements[joint_above[cycle[0]]].error(headline, help="remove the joint that closes the loop")
     roots = [name for name in links if name not in parent]
     for name in roots[1:]:
         errors += 1
         also = (Label(links[roots[0]].value_span("name"), "the other root"),)
         headline = f"link {quoted(name)} is a second root: no joint has it as its child"
         links[name].error(
-            headline, attribute="name", remedy="join it to another link, or remove it", labels=also
+            headline, attribute="name", help="join it to another link, or remove it", labels=also
         )
     return roots[0] if roots and not errors else None
 
@@ -751,25 +751,25 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     """
     moving = {joint.child for joint in model.joints if joint.type != "fixed"}
 
-    def warn(code: str, links: list[Link], lack: str, remedy: str) -> None:
+    def warn(code: str, links: list[Link], lack: str, help: str) -> None:
         for link in links:
             if link.name in moving:
                 elements[link.name].warn(
                     f"link {quoted(link.name)} moves but has {lack}",
                     attribute="name",
-                    remedy=remedy,
+                    help=help,
                     code=code,
                 )
         still = [link.name for link in links if link.name not in moving]
         if len(still) == 1:
             elements[still[0]].warn(
-                f"link {quoted(still[0])} has {lack}", attribute="name", remedy=remedy, code=code
+                f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code
             )
         elif still:
             listed = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
             headline = f"{len(still)} links on fixed joints or at the root have {lack}"
             elements[still[0]].warn(
-                headline, attribute="name", remedy=remedy, notes=(f"they are: {listed}",), code=code
+                headline, attribute="name", help=help, notes=(f"they are: {listed}",), code=code
             )
 
     missing = [
@@ -787,8 +787,8 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     warn("DB306", massless, "mass 0", "add a mass; an engine may treat such a link as immovable")
     for link in model.links:
         if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
-            remedy = "each principal moment must be above 0 and at most the sum of the other two"
+            help = "each principal moment must be above 0 and at most the sum of the other two"
             at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
             at.warn(
-                f"no rigid body can have the inertia of link {quoted(link.name)}", remedy=remedy, code="DB306"
+                f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306"
             )

@@ -40,7 +40,8 @@ _BARRED_COST = 50.0  # times; the price of a line through a barred place
 _WIDE_AREA_M = 20.0  # m; wider areas have lengths in a longer unit, below `UNREACHABLE_LENGTH`
 _OBSTACLE_OFFSET_M = 1e6  # m; lowers lengths beyond an obstacle, so that no length before it is smaller
 _MAX_ROUNDS = 200
-_MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))  # rows and columns
+MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))
+"""Rows and columns of the moves between nodes; the way back of each is a move, too."""
 _FieldInputs = tuple[Area, float, list[Patch], Spot, float]
 """The arguments of a field: the area, the disc that moves, the solids, the goal and its radius."""
 
@@ -330,7 +331,7 @@ class DistanceField:
             length = self._found[row, column]
             nodes = [
                 (row + sign * up, column + sign * aside, hypot(up, aside))
-                for up, aside in _MOVES
+                for up, aside in MOVES
                 for sign in (1, -1)
             ]
             misfit, row, column = min(
@@ -366,7 +367,7 @@ class _GridLines:
         self.length = -(-blocked.size // self.stride)
         self.padding = self.length * self.stride - blocked.size
         broken = blocked.copy()
-        for row, column in _passed_cells(rows, columns):
+        for row, column in passed_cells(rows, columns):
             broken |= np.roll(blocked, (row, column), (0, 1))  # any blocked cell that a move touches bars it
         step = cell * LENGTH_SCALE * hypot(rows, columns)
         walls = np.cumsum(self.view(broken.ravel().astype(np.float64), 1.0), axis=0)
@@ -393,7 +394,7 @@ class _GridLines:
         return np.minimum(np.minimum(lines, ahead), behind[::-1]).ravel()[: lengths.size]
 
 
-def _passed_cells(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
+def passed_cells(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
     """Return the cells that a move passes before it ends, as seen from its end: they are shifted onto it."""
     side = 1 if columns > 0 else -1
     if abs(rows) + abs(columns) == 1:
@@ -417,7 +418,7 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
         starts: Lengths at which ways may end, UNREACHABLE_LENGTH elsewhere, of the same shape.
         cell: The distance of neighboring nodes, m.
     """
-    directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in _MOVES]
+    directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in MOVES]
     lengths = starts.ravel().copy()
     barred = blocked.ravel()
     lengths[barred] = UNREACHABLE_LENGTH

@@ -11,24 +11,15 @@ reads an annotation:
     Kinds         a union of sections that is discriminated by the word under one key
 
 The compiler, the language server, the JSON Schema and the reference pages use these shapes.
-
-The documentation of a key is its sentence, unit, default and example. The sentence is the docstring below the
-field. It is read from the source on demand: `use_attribute_docstrings` of pydantic reads all sources on
-import, which takes 0.1 s. `examples.yaml` contains the examples, by model.
 """
 
 from __future__ import annotations
 
-import ast
-import inspect
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import pairwise
-from pathlib import Path as FilePath
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -42,10 +33,8 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.document.parse import parse
+from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields.base import FieldType, error, error_at, mismatch, with_article
 from deepbots_cli.scenario.fields.numbers import Number, WholeNumber
 from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Quantity, Range
@@ -363,6 +352,19 @@ def noun_of(shape: Shape) -> str:
             return "a mapping"
 
 
+def unit_of(shape: Shape) -> str:
+    """Return the SI unit of a value, `1` for a plain number; empty for other values."""
+    match shape:
+        case Quantity(measure=measure) | Range(measure=measure) | Column(measure=measure):
+            return MEASURES[measure][2]
+        case MappingOf(value=inner) | ListOf(item=inner):
+            return unit_of(inner)
+        case Forms(options=options):
+            return next((unit for unit in map(unit_of, options) if unit), "")
+        case _:
+            return ""
+
+
 @cache
 def section_fields(section: type[Section]) -> Mapping[str, Shape]:
     """Return the keys of a section, in order, each with its shape."""
@@ -411,249 +413,9 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     raise TypeError(f"no shape for {annotation!r}")
 
 
-# Walking
-
-
-def set_paths(value: object, path: NodePath = ()) -> None:
-    """Set the paths of `value` and of all sections below it."""
-    if isinstance(value, Section):
-        value._path = path
-        below: Iterable[tuple[str | int, object]] = value.__dict__.items()
-    elif isinstance(value, dict):
-        below = value.items()
-    elif isinstance(value, tuple):
-        below = enumerate(value)
-    else:
-        return
-    for step, item in below:
-        set_paths(item, (*path, step))
-
-
-def visit_values(section: Section, path: NodePath = ()) -> Iterator[tuple[NodePath, FieldType, object]]:
-    """Yield the path, the field type and the written value of every single value in a validated section.
-
-    A key that the user chose comes before the values of its entry, with the path of the entry, the field type
-    of keys, and the key as value. Defaults are not visited.
-    """
-    for name, shape in section_fields(type(section)).items():
-        if name in section.model_fields_set:
-            yield from _visit(shape, getattr(section, name), (*path, name))
-
-
-def _visit(shape: Shape, value: object, path: NodePath) -> Iterator[tuple[NodePath, FieldType, object]]:
-    if isinstance(value, Section):
-        yield from visit_values(value, path)
-        return
-    match shape, value:
-        case FieldType(), tuple():
-            for index, item in enumerate(value):
-                yield (*path, index), shape, item
-        case FieldType(), _:
-            yield path, shape, value
-        case ListOf(), tuple():
-            for index, item in enumerate(value):
-                yield from _visit(shape.item, item, (*path, index))
-        case MappingOf(), Mapping():
-            for key, item in value.items():
-                yield (*path, key), shape.key, key
-                yield from _visit(shape.value, item, (*path, key))
-        case Forms(), _:
-            form = shape.choose(value)
-            if form is not None:
-                yield from _visit(form, value, path)
-
-
-def chosen_shape(shape: Shape, data: object) -> Shape | None:
-    """Return the shape after choosing among forms and kinds by the data; None if there is no choice."""
-    match shape:
-        case Forms():
-            form = shape.choose(data)
-            return None if form is None else chosen_shape(form, data)
-        case Kinds():
-            return shape.find(data)
-        case _:
-            return shape
-
-
-def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True) -> Shape | None:
-    """Return the shape of the value at `path` in raw data; None if the path does not exist in the language.
-
-    Unless `choose`, the result may be a union of forms or kinds.
-    """
-    for step in path:
-        match chosen_shape(shape, data), data:
-            case (ListOf(item=item), list()) if isinstance(step, int) and 0 <= step < len(data):
-                shape = item
-                data = data[step]
-            case (MappingOf(value=value), dict()) if step in data:
-                shape = value
-                data = data[step]
-            case (type() as section, dict()) if (
-                step in data and (below := section_fields(section).get(str(step))) is not None
-            ):
-                shape = below
-                data = data[step]
-            case _:
-                return None
-    return chosen_shape(shape, data) if choose else shape
-
-
-def walk_sections(
-    shape: Shape, path: tuple[str, ...] = (), kind_key: str = ""
-) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
-    """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
-
-    In the path `*` is a name that the user chooses.
-    """
-    match shape:
-        case ListOf(item=inner):
-            yield from walk_sections(inner, path)
-        case MappingOf(value=inner):
-            yield from walk_sections(inner, (*path, "*"))
-        case Forms(options=options):
-            for option in options:
-                yield from walk_sections(option, path)
-        case Kinds():
-            yield path, shape, ""
-            for name, model in (*shape.models.items(), *shape.models_by_key.items()):
-                yield from walk_sections(model, path, shape.key if name in shape.models else "")
-        case type():
-            yield path, shape, kind_key
-            for name, below in section_fields(shape).items():
-                yield from walk_sections(below, (*path, name))
-
-
-# Documentation of keys
-
-EXAMPLES_FILE = FilePath(__file__).with_name("examples.yaml")
-
-
-def key_description(section: type[Section], key: str) -> str:
-    """Return the sentence about a key of a section."""
-    docstrings = (
-        _docstrings(model.__module__).get((model.__name__, key))
-        for model in section.__mro__
-        if issubclass(model, Section)
-    )
-    return next(filter(None, docstrings), "")
-
-
-@cache
-def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
-    """Return the docstrings below the fields of a module, by class and field, and of its classes, with an
-    empty field.
-
-    They are read from the source, which also has them under `python -OO`.
-    """
-    docstrings = {}
-    try:
-        tree = ast.parse(inspect.getsource(sys.modules[module]))
-    except OSError:  # a plug-in without source
-        return {}
-    for section in [node for node in tree.body if isinstance(node, ast.ClassDef)]:
-        docstrings[section.name, ""] = ast.get_docstring(section) or ""
-        for entry, below in pairwise(section.body):
-            match entry, below:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    docstrings[section.name, name] = " ".join(text.split())
-    return docstrings
-
-
-def section_description(section: type[Section]) -> str:
-    """Return the sentence that describes a section."""
-    text = inspect.cleandoc(section.__doc__ or "") or _docstrings(section.__module__).get(
-        (section.__name__, ""), ""
-    )
-    return " ".join(text.partition("\n\n")[0].split())
-
-
-def unit_of(shape: Shape) -> str:
-    """Return the SI unit of a value, `1` for a plain number; empty for other values."""
-    match shape:
-        case Quantity(measure=measure) | Range(measure=measure) | Column(measure=measure):
-            return MEASURES[measure][2]
-        case MappingOf(value=inner) | ListOf(item=inner):
-            return unit_of(inner)
-        case Forms(options=options):
-            return next((unit for unit in map(unit_of, options) if unit), "")
-        case _:
-            return ""
-
-
-def default_of(section: type[Section], key: str) -> str:
-    """Return the default as text; empty if there is none."""
-    info = section.model_fields[key]
-    value = info.default
-    if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return str(list(value))
-    return str(value)
-
-
-def hover_text(section: type[Section], key: str) -> str:
-    """Return a key in Markdown: its type, sentence, unit, default and example."""
-    shape = section_fields(section)[key]
-    unit = unit_of(shape)
-    if unit == "1":
-        shown = "none, a plain number"
-    elif unit.startswith("of the "):
-        shown = unit
-    else:
-        shown = f"`{unit.replace(' or ', '` or `')}`"
-    facts = [f"**Unit:** {shown}"] if unit else []
-    if section.model_fields[key].is_required():
-        facts.append("**Required**")
-    elif default := default_of(section, key):
-        facts.append(f"**Default:** `{default}`")
-    example = example_text(section, key)
-    blocks = [f"**{key}**: {noun_of(shape)}", key_description(section, key), " · ".join(facts)]
-    return "\n\n".join([*filter(None, blocks), *([f"```yaml\n{key}: {example}\n```"] if example else [])])
-
-
-class Example(NamedTuple):
-    """The example of a key: its value as text and as data, and its node."""
-
-    text: str
-    data: object
-    entry: nodes.Entry
-
-    @classmethod
-    def of(cls, entry: nodes.Entry) -> Example:
-        span = entry.value.span
-        return cls(span.source.text[span.start : span.end].strip(), nodes.to_data(entry.value), entry)
-
-
-def example_of(section: type[Section], key: str) -> Example | None:
-    """Return the example of a key of a section, or of the nearest base that has one."""
-    return next(
-        (example for model in section.__mro__ if (example := examples().get(model.__name__, {}).get(key))),
-        None,
-    )
-
-
 def example_text(section: type[Section], key: str) -> str:
     """Return the example of a key as text; of a word, the first one."""
     if example := example_of(section, key):
         return example.text
     shape = section_fields(section)[key]
     return shape.words[0] if isinstance(shape, Word) else ""
-
-
-@cache
-def examples() -> Mapping[str, Mapping[str, Example]]:
-    """Return the examples by the name of the model, and by key."""
-    findings = Findings()
-    root = parse(Source(EXAMPLES_FILE.name, EXAMPLES_FILE.read_text(encoding="utf-8")), findings)
-    if root is None or list(findings):
-        raise ValueError(f"{EXAMPLES_FILE} is broken: {[finding.headline for finding in findings]}")
-    return {
-        section.key.text: {entry.key.text: Example.of(entry) for entry in _entries(section.value)}
-        for section in _entries(root)
-    }
-
-
-def _entries(node: nodes.Node) -> tuple[nodes.Entry, ...]:
-    return tuple(node.entries.values()) if isinstance(node, nodes.MappingNode) else ()

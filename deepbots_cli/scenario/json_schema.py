@@ -37,15 +37,12 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    default_of,
-    example_of,
     example_text,
-    key_description,
     noun_of,
-    section_description,
     section_fields,
     unit_of,
 )
+from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import FilePath, Name, Pattern, Reference
 from deepbots_cli.scenario.fields.quantities import Expression, Range

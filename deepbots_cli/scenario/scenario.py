@@ -20,7 +20,7 @@ from deepbots_cli.scenario.agent import (
     Role,
     Script,
 )
-from deepbots_cli.scenario.base import FORMS, Many, Section, Size, visit_values
+from deepbots_cli.scenario.base import FORMS, Many, Section, Size
 from deepbots_cli.scenario.curriculum import Levels, Stage
 from deepbots_cli.scenario.episode import Disturbance, Reset, Termination, Truncation
 from deepbots_cli.scenario.evaluation import Evaluation, ScenarioTest, Tune
@@ -32,6 +32,7 @@ from deepbots_cli.scenario.fields.training import Solved
 from deepbots_cli.scenario.fields.words import PlainText, Text, Word
 from deepbots_cli.scenario.robots import Messages, Robot
 from deepbots_cli.scenario.training import AnyTraining
+from deepbots_cli.scenario.walk import visit_values
 from deepbots_cli.scenario.world import AnyObject, World
 
 # Deployment

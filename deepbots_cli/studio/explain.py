@@ -14,7 +14,7 @@ from pathlib import Path
 
 from nicegui import ui
 
-from deepbots_cli.cli.commands.explain import (
+from deepbots_cli.cli.explanations import (
     entry_names,
     explain_word,
     misspelled_word,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from nicegui import ui
 
-from deepbots_cli.cli.commands.inspect import CAPTIONS
+from deepbots_cli.cli.inspected import CAPTIONS
 from deepbots_cli.cli.tables import Row, cell_text
 from deepbots_cli.errors import DeepbotsError, ScenarioError
 from deepbots_cli.insight.inspection import Tables

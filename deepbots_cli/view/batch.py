@@ -46,7 +46,7 @@ class BatchPlayer(Player):
         self._readers: dict[int, FrameReader] = {}
         return self.batch.singles[0]
 
-    def _reader(self) -> FrameReader:
+    def make_reader(self) -> FrameReader:
         if self.world not in self._readers:
             self._readers[self.world] = FrameReader(self.env, self.opened.checked().units)
         return self._readers[self.world]
@@ -58,9 +58,9 @@ class BatchPlayer(Player):
             UsageError: The driver is a script, which reads values that only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
-            self.driver = self._run_driver(self.opened.run, self.batch)
+            self.driver = self.run_driver(self.opened.run, self.batch)
         elif name in (HAND, RANDOM, ZERO):
-            drivers = [self._make_driver(single, name) for single in self.batch.singles]
+            drivers = [self.make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(
                 lambda _: self.batch.rows.by_row(joined([driver.act(None) for driver in drivers]))
             )
@@ -80,7 +80,7 @@ class BatchPlayer(Player):
         self.world = world
         self.env = self.batch.singles[world]
         self.seed = self._seeds[world]
-        self.reader = self._reader()
+        self.reader = self.make_reader()
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]

@@ -261,7 +261,7 @@ class Player:
         self.program = self.env.scenario
         self.manual_values: Mapping[str, float] = {}
         """The commands of a person, in the format of `action_from_values`."""
-        self.driver = self._make_driver(self.env, HAND)
+        self.driver = self.make_driver(self.env, HAND)
         self.observation: Any = None
         self.action: Any = None
         """The result and the action of the last step of the environment."""
@@ -270,7 +270,7 @@ class Player:
         self._steps: Iterator[Step] = iter(())
         self._by_hand = False
         try:
-            self.reader = self._reader()
+            self.reader = self.make_reader()
             self.set_driver(driver or opened.drivers[0])
         except BaseException:
             self.close()
@@ -284,7 +284,8 @@ class Player:
             permissions=showing.permissions,
         )
 
-    def _reader(self) -> FrameReader:
+    def make_reader(self) -> FrameReader:
+        """Return the reader of the shown world."""
         return FrameReader(self.env, self.opened.checked().units)
 
     def set_driver(self, name: str) -> None:
@@ -294,18 +295,20 @@ class Player:
             UsageError: There is no such script, or no policy.
         """
         if name != POLICY:
-            self.driver = self._make_driver(self.env, name)
+            self.driver = self.make_driver(self.env, name)
         elif self.opened.run is None:
             raise UsageError("only a run has a policy")
         else:
-            self.driver = self._run_driver(self.opened.run)
+            self.driver = self.run_driver(self.opened.run)
         self.driver_name = name
 
-    def _run_driver(self, run: Run, batch: BatchSupervisor | None = None) -> RunDriver:
+    def run_driver(self, run: Run, batch: BatchSupervisor | None = None) -> RunDriver:
+        """Return the policy of a run as driver of the world, or of a batch."""
         showing = self.opened.shown
         return RunDriver(run, self.env, batch, model=showing.model, deterministic=showing.deterministic)
 
-    def _make_driver(self, env: Supervisor, name: str) -> Driver:
+    def make_driver(self, env: Supervisor, name: str) -> Driver:
+        """Return a driver without a policy; that of a person takes `manual_values`."""
         return (
             Driver(lambda _: action_from_values(env, self.manual_values))
             if name == HAND

@@ -59,8 +59,8 @@ class LogPlayer(ReplayPlayer):
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         Player.__init__(self, opened, ROBOT)
 
-    def _reader(self) -> FrameReader:
-        reader = super()._reader()
+    def make_reader(self) -> FrameReader:
+        reader = super().make_reader()
         info = self.log.info
         every = [step for episode in self.log.episodes for step in episode.steps]
         units = self.opened.checked().units

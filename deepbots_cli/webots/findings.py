@@ -41,11 +41,11 @@ class WorldFindings:
     def __init__(self) -> None:
         self._findings: dict[tuple[str, str], WorldFinding] = {}
 
-    def error(self, span: Span, headline: str, remedy: str = "") -> None:
-        self._add(WorldFinding("error", span, headline, remedy))
+    def error(self, span: Span, headline: str, help: str = "") -> None:
+        self._add(WorldFinding("error", span, headline, help))
 
-    def warning(self, span: Span, headline: str, remedy: str = "") -> None:
-        self._add(WorldFinding("warning", span, headline, remedy))
+    def warning(self, span: Span, headline: str, help: str = "") -> None:
+        self._add(WorldFinding("warning", span, headline, help))
 
     def append(self, finding: WorldFinding) -> None:
         self._add(finding)

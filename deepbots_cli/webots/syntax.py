@@ -52,8 +52,8 @@ _CONSTANTS: Mapping[str, bool | None] = {"TRUE": True, "FALSE": False, "NULL": N
 class WorldSyntaxError(DeepbotsError):
     """A text is not a world; has the finding."""
 
-    def __init__(self, span: Span, headline: str, remedy: str = "") -> None:
-        self.finding = WorldFinding("error", span, headline, remedy)
+    def __init__(self, span: Span, headline: str, help: str = "") -> None:
+        self.finding = WorldFinding("error", span, headline, help)
         super().__init__(str(self.finding))
 
 
@@ -192,10 +192,10 @@ class _Parser:
     def _span(self, token: _Token) -> Span:
         return Span(self.source, token.start, token.start + len(token.text))
 
-    def _error(self, location: int | _Token, headline: str, remedy: str = "") -> WorldSyntaxError:
+    def _error(self, location: int | _Token, headline: str, help: str = "") -> WorldSyntaxError:
         if isinstance(location, _Token):
-            return WorldSyntaxError(self._span(location), headline, remedy)
-        return WorldSyntaxError(Span(self.source, location, location), headline, remedy)
+            return WorldSyntaxError(self._span(location), headline, help)
+        return WorldSyntaxError(Span(self.source, location, location), headline, help)
 
     def _unexpected(self, expected: str) -> WorldSyntaxError:
         text = self.token.text

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.commands.explain import Topic, topics
+from deepbots_cli.cli.explanations import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads

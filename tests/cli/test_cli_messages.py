@@ -38,10 +38,10 @@ def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
 def test_a_height_of_the_ground_that_is_drawn_is_called_drawn(tmp_path):
     text = f"{CARTPOLE}parameters: {{rise: uniform(1 .. 2 cm)}}\n"
     text += "world: {terrain: {type: formula, heights: rise if x > 1 m else 0 m, size: 9 9 m}}\n"
-    ((code, headline, remedy),) = findings_of(tmp_path, text)
+    ((code, headline, help),) = findings_of(tmp_path, text)
     assert code == "DB407"
     assert headline == "`heights` must be fixed, but uses `rise`, which is drawn in every episode"
-    assert remedy.startswith("give it a fixed value")
+    assert help.startswith("give it a fixed value")
 
 
 def test_an_existing_value_under_augment_has_one_finding_that_shows_the_list(tmp_path):

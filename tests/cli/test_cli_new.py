@@ -14,8 +14,8 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli.command import help_text
-from deepbots_cli.cli.commands.new import Template
 from deepbots_cli.cli.new_files import write_new
+from deepbots_cli.cli.starters.templates import Template
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.scenario.json_schema import schema_text

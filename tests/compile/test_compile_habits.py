@@ -169,17 +169,17 @@ def test_a_share_may_be_written_in_percent(workshop, head, place):
 
 
 @pytest.mark.parametrize(
-    ("line", "remedy"),
+    ("line", "help"),
     [
         ("curriculum: [{name: one, until: success_rate >= 80 over 30 episodes}, {name: two}]", "80 %"),
         ("train: {gamma: 99}", "99 %"),
         ("solved: success_rate >= 80 over 100 episodes", "80 %"),
     ],
 )
-def test_a_share_in_hundredths_has_a_finding_with_the_percent_sign(workshop, head, line, remedy):
+def test_a_share_in_hundredths_has_a_finding_with_the_percent_sign(workshop, head, line, help):
     finding = next(iter(workshop.lint(f"{head}{SUCCESS}{line}\n")))
     assert finding.code == "DB105"
-    assert f"`{remedy}`" in finding.help
+    assert f"`{help}`" in finding.help
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
 
 
 @pytest.mark.parametrize(
-    ("override", "code", "place", "headline", "remedy"),
+    ("override", "code", "place", "headline", "help"),
     [
         ("set={lvl: 0 .. 5}", "DB201", "lvl", "there is no parameter `lvl`", "level"),
         (
@@ -44,12 +44,12 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
     ],
 )
 def test_a_mistake_is_found_where_it_is(
-    override: str, code: str, place: str, headline: str, remedy: str
+    override: str, code: str, place: str, headline: str, help: str
 ) -> None:
     findings = check(load(SCENARIO, overrides=[f"curriculum.{override}"])).findings.errors
     assert [(finding.code, finding.span.text) for finding in findings] == [(code, place)]
     assert headline in findings[0].headline
-    assert remedy in (findings[0].help or "")
+    assert help in (findings[0].help or "")
 
 
 def test_a_scenario_without_success_cannot_go_up_by_it() -> None:
@@ -71,7 +71,7 @@ def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameter", "headline", "remedy"),
+    ("parameter", "headline", "help"),
     [
         ("uniform(0 .. 3)", "`kind` is not drawn from single values", "integer(0 .. 5)"),
         ("integer(0 .. 3) every 1 s", "`kind` changes within an episode", "remove `every`"),
@@ -79,12 +79,12 @@ def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
         ("integer(0 .. 1_000_000_000)", "1000000001 values", "environments"),
     ],
 )
-def test_worlds_divide_single_values(parameter: str, headline: str, remedy: str) -> None:
+def test_worlds_divide_single_values(parameter: str, headline: str, help: str) -> None:
     overrides = [f"parameters.kind={parameter}", "curriculum.per_world=kind"]
     findings = check(load(SCENARIO, overrides=overrides)).findings.errors
     assert [(finding.code, finding.span.text) for finding in findings] == [("DB407", "kind")]
     assert headline in findings[0].headline
-    assert remedy in (findings[0].help or "")
+    assert help in (findings[0].help or "")
 
 
 def test_a_parameter_with_one_value_is_not_divided() -> None:

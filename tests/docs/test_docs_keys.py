@@ -29,8 +29,10 @@ from deepbots_cli.document.nodes import (
 )
 from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.base import Section, example_of, examples, section_fields, shape_at, walk_sections
+from deepbots_cli.scenario.base import Section, section_fields
+from deepbots_cli.scenario.documentation import example_of, examples
 from deepbots_cli.scenario.training import ALGORITHMS, Training
+from deepbots_cli.scenario.walk import shape_at, walk_sections
 from tests.few import every
 
 ROOT = FilePath(__file__).parents[2]

@@ -251,4 +251,4 @@ except ScenarioError as error:
 def test_on_windows_no_error_suggests_pybullet(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "platform", "win32")
     kind = ENGINES["pybullet"]
-    assert (kind.missing, kind.remedy) == ("PyBullet has no build for Windows", "use the engine `mujoco`")
+    assert (kind.missing, kind.help) == ("PyBullet has no build for Windows", "use the engine `mujoco`")

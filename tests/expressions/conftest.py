@@ -24,7 +24,7 @@ from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, State
 from deepbots_cli.expressions.targets import to_python
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject, Symbol, Type, Typed
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject, Symbol, TypedNode, ValueType
 from deepbots_cli.runtime import formulas
 
 
@@ -38,7 +38,7 @@ def symbol(
     value=None,
     refused=None,
 ):
-    return Symbol(name, Type(dimension, components, boolean, interval, known), value, refused)
+    return Symbol(name, ValueType(dimension, components, boolean, interval, known), value, refused)
 
 
 SYMBOLS = (
@@ -113,22 +113,22 @@ class Bench:
         self.text = ""
         self.scope = TableScope()
 
-    def report(self, code, start, end, headline, remedy=None, replacement=None, names=(), corrected=None):
+    def report(self, code, start, end, headline, help=None, replacement=None, names=(), corrected=None):
         assert 0 <= start <= end <= len(self.text)
         assert headline[0] == headline[0].lower() or headline[0] == "`"
         assert not headline.endswith(".")
-        self.findings.append(BenchFinding(code, self.text[start:end], headline, remedy))
+        self.findings.append(BenchFinding(code, self.text[start:end], headline, help))
 
     def read(self, text: str):
         self.text = text
         self.findings = []
         return parse(text, self.report)
 
-    def typed(self, text: str, context: Context = Context.SIGNAL) -> Typed | None:
+    def typed(self, text: str, context: Context = Context.SIGNAL) -> TypedNode | None:
         tree = self.read(text)
         return check(tree, replace(self.scope, context=context), self.report) if tree is not None else None
 
-    def clean(self, text: str, context: Context = Context.SIGNAL) -> Typed:
+    def clean(self, text: str, context: Context = Context.SIGNAL) -> TypedNode:
         """The typed tree of a text without fault."""
         value = self.typed(text, context)
         assert self.findings == [], text
@@ -153,11 +153,11 @@ class Bench:
         """The values of the printed Python for the values that it reads."""
         return evaluate(self.clean(text), read)
 
-    def values_of(self, value: Typed, read: dict[str, object]) -> list[float]:
+    def values_of(self, value: TypedNode, read: dict[str, object]) -> list[float]:
         return evaluate(value, read)
 
 
-def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
+def evaluate(value: TypedNode, read: dict[str, object]) -> list[float]:
     scalars = lower(value, "item")
     return [eval(to_python(scalar, leaf), {**vars(math), **vars(formulas), **read}) for scalar in scalars]
 

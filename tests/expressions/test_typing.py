@@ -70,10 +70,10 @@ def test_a_fault_is_one_finding_at_its_place(bench, mistake):
     assert all(part in finding.help for part in advice)
 
 
-@pytest.mark.parametrize(("text", "code", "piece", "remedy"), mistakes("habit"))
-def test_a_habit_of_another_language_has_a_finding_with_what_to_write(bench, text, code, piece, remedy):
+@pytest.mark.parametrize(("text", "code", "piece", "help"), mistakes("habit"))
+def test_a_habit_of_another_language_has_a_finding_with_what_to_write(bench, text, code, piece, help):
     finding = bench.only(text)
-    assert (finding.code, finding.piece, finding.help) == (code, piece, remedy)
+    assert (finding.code, finding.piece, finding.help) == (code, piece, help)
 
 
 def test_a_fault_below_satisfies_every_check_above(bench):

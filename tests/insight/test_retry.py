@@ -15,7 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.report import Report
-from deepbots_cli.insight.retry import _is_worse, next_attempt, resume_retries, train_with_retries
+from deepbots_cli.insight.retry import is_worse, next_attempt, resume_retries, train_with_retries
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.campaigns.group import Group, RetryAttempt, resume_group
 from deepbots_cli.learning.campaigns.listing import list_runs
@@ -128,9 +128,9 @@ def test_an_attempt_that_is_clearly_worse_is_left_for_the_best_one():
         )
         return RunVerdict(False, evaluation)
 
-    assert _is_worse(verdict(0.1, 0.2), verdict(0.3, 0.5))
-    assert not _is_worse(verdict(0.1, 0.35), verdict(0.3, 0.5))
-    assert _is_worse(RunVerdict(None, None), verdict(0.3, 0.5))
+    assert is_worse(verdict(0.1, 0.2), verdict(0.3, 0.5))
+    assert not is_worse(verdict(0.1, 0.35), verdict(0.3, 0.5))
+    assert is_worse(RunVerdict(None, None), verdict(0.3, 0.5))
 
 
 @pytest.mark.slow

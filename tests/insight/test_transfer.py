@@ -14,8 +14,8 @@ import yaml
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.insight.recorded_worlds import World
-from deepbots_cli.insight.transfer import Gate, Transfer, _names, _works, transfer
-from deepbots_cli.insight.world_comparison import WorldComparison, _Kind, _tried, compare_worlds
+from deepbots_cli.insight.transfer import Gate, Transfer, transfer, world_names, worlds_that_work
+from deepbots_cli.insight.world_comparison import Kind, WorldComparison, compare_worlds, tried_amounts
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.runs.run import Run
@@ -318,11 +318,11 @@ def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
 
 
 def test_each_family_of_changes_is_listed_once_with_the_amounts_of_all_its_kinds() -> None:
-    def kind(family: str, *amounts: float) -> _Kind:
-        return _Kind(family, family, lambda amount, recorded: [], amounts, form="{:g} N*m")
+    def kind(family: str, *amounts: float) -> Kind:
+        return Kind(family, family, lambda amount, recorded: [], amounts, form="{:g} N*m")
 
     kinds = [kind("limit", 1, 5), kind("push", 6, 7), kind("limit", 0.2, 3), kind("drag", 2, 4)]
-    assert [*_tried(kinds)] == [
+    assert [*tried_amounts(kinds)] == [
         "limit (0.2 N*m .. 5 N*m)",
         "push (6 N*m .. 7 N*m)",
         "drag (2 N*m .. 4 N*m)",
@@ -392,24 +392,24 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
         Gate("there", "success rate", False),
         Gate("there", "mean return", True),
     ]
-    assert _works(names, results, gates, None)[0] == (True, False)
-    assert _works(names, results, [], Solved(100, 195.0, None)) == (
+    assert worlds_that_work(names, results, gates, None)[0] == (True, False)
+    assert worlds_that_work(names, results, [], Solved(100, 195.0, None)) == (
         (True, False),
         "`solved` of the scenario (mean return >= 195 over 100 episodes)",
     )
-    assert _works(names, results, [], None) == ((None, None), "")
+    assert worlds_that_work(names, results, [], None) == ((None, None), "")
 
 
 def test_two_worlds_in_one_engine_do_not_read_as_a_change_of_the_engine() -> None:
     assert (
-        _names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1]
+        world_names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1]
         == "CartPole and CartPoleReal, both in mujoco"
     )
-    assert _names(("CartPole", "CartPole"), ("mujoco", "mujoco"), True) == (
+    assert world_names(("CartPole", "CartPole"), ("mujoco", "mujoco"), True) == (
         ("training", "other"),
         "training and other, both CartPole in mujoco",
     )
-    assert _names(("CartPole", "CartPole"), ("pybullet", "mujoco"), False) == (
+    assert world_names(("CartPole", "CartPole"), ("pybullet", "mujoco"), False) == (
         ("pybullet", "mujoco"),
         "CartPole in pybullet and in mujoco",
     )

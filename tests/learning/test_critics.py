@@ -9,7 +9,7 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api
 from deepbots_cli.learning import train
-from deepbots_cli.learning.sb3.critics import _discounted
+from deepbots_cli.learning.sb3.critics import discounted_returns
 from deepbots_cli.view.training_logs import scalars_of
 
 
@@ -18,12 +18,12 @@ def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_t
     none = np.zeros((6, 1), bool)
     ended, cut = none.copy(), none.copy()
     ended[2] = True
-    followed, unknown = _discounted(rewards, ended, none, 0.5)
+    followed, unknown = discounted_returns(rewards, ended, none, 0.5)
     assert followed[:3, 0].tolist() == [1.75, 1.5, 1.0]
     assert unknown[:3, 0].tolist() == [0.0, 0.0, 0.0]
     assert unknown[3:, 0].tolist() == [0.125, 0.25, 0.5]  # what follows has not come yet
     cut[2] = True
-    _, unknown = _discounted(rewards, ended, cut, 0.5)
+    _, unknown = discounted_returns(rewards, ended, cut, 0.5)
     assert unknown[:3, 0].tolist() == [0.125, 0.25, 0.5]
 
 

@@ -35,7 +35,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
-from deepbots_cli.learning.training import _training_of
+from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from tests.few import few
 from tests.learning.interruption import monitor_rows
@@ -460,7 +460,7 @@ def test_a_world_that_cannot_be_built_leaves_no_run_behind(tmp_path: Path) -> No
 def test_a_scenario_without_a_train_section_is_refused() -> None:
 
     with pytest.raises(UsageError, match="no `train` section"):
-        _training_of(stand_in.scenario().with_agent(training=None), None)
+        training_of(stand_in.scenario().with_agent(training=None), None)
 
 
 def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:

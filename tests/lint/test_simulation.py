@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands.new import Template, from_template
+from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import all_findings, simulate

@@ -180,15 +180,16 @@ def test_explain_explains_the_words_of_plugins(answers, word, text):
 
 def test_editors_are_offered_kinds_and_parameters(site):
     script = """
-from deepbots_cli.scenario.base import section_fields, shape_at
-from deepbots_cli.scenario.base import section_description, hover_text
+from deepbots_cli.lsp.hover import describe_key
+from deepbots_cli.scenario.documentation import section_description
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.walk import shape_at
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)
     kinds = shape_at(Scenario, data, path, choose=False)
     print(kind in kinds.names, section_description(kinds.models[kind]))
-    print(hover_text(shape_at(Scenario, data, path), key))
+    print(describe_key(shape_at(Scenario, data, path), key))
 """
     output = python(site, "-c", script).stdout
     assert output.startswith("True Counts the pulses")

@@ -38,7 +38,7 @@ def test_a_topic_of_no_agent_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_bundle_has_the_topics_of_its_scenario() -> None:
     pytest.importorskip("onnx")
-    from deepbots_cli.insight.export.bundle import _topics
+    from deepbots_cli.insight.export.bundle import ros_topics
 
     program = api.compile(
         "cartpole",
@@ -46,7 +46,7 @@ def test_a_bundle_has_the_topics_of_its_scenario() -> None:
     ).program
     topics = {
         name: Topic(topic.topic, topic.type, topic.part)
-        for name, topic in _topics(program, {"cart.pole_angle", "position(cart)"}).items()
+        for name, topic in ros_topics(program, {"cart.pole_angle", "position(cart)"}).items()
     }
     assert topics == {
         "cart.pole_angle": Topic("/pole", "sensor_msgs/JointState", "position"),

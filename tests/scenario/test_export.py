@@ -15,10 +15,11 @@ from deepbots_cli.document import load, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_sections
+from deepbots_cli.scenario.base import Section, section_fields, unit_of
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
+from deepbots_cli.scenario.walk import walk_sections
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS
 from tests.golden.cases import mistakes
 

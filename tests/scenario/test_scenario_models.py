@@ -9,10 +9,11 @@ import pytest
 from deepbots_cli.compiler.agents import divide, has_several_agents
 from deepbots_cli.document import Document, descend, load
 from deepbots_cli.scenario import Scenario, validate, visit_values
-from deepbots_cli.scenario.base import key_description, walk_sections
+from deepbots_cli.scenario.documentation import key_description
 from deepbots_cli.scenario.fields.names import Pattern, Reference
 from deepbots_cli.scenario.fields.quantities import Expression, Quantity, Range, count_literal
 from deepbots_cli.scenario.fields.training import read_schedule
+from deepbots_cli.scenario.walk import walk_sections
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))

@@ -15,19 +15,19 @@ FAULTS = mistakes("scenario")
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "code", "marked", "headline", "remedy"),
+    ("old", "new", "code", "marked", "headline", "help"),
     FAULTS,
     ids=[f"{f[2]}-{f[1].strip()[:40]}" for f in FAULTS],
 )
 def test_a_fault_is_reported_once_in_its_place(
-    check: Check, cartpole: str, old: str, new: str, code: str, marked: str, headline: str, remedy: str | None
+    check: Check, cartpole: str, old: str, new: str, code: str, marked: str, headline: str, help: str | None
 ) -> None:
     assert old in cartpole
     _, findings = check(cartpole.replace(old, new, 1))
     (finding,) = findings
     assert (finding.code, finding.span.text, finding.headline) == (code, marked, headline)
-    if remedy is not None:
-        assert remedy in (finding.help or "")
+    if help is not None:
+        assert help in (finding.help or "")
 
 
 def test_a_sound_scenario_has_no_findings(check: Check, cartpole: str) -> None:
@@ -152,15 +152,15 @@ def test_numbers_of_extreme_size_are_out_of_range(check: Check, cartpole: str) -
         assert [finding.code for finding in findings] == ["DB105"], number
 
 
-@pytest.mark.parametrize(("typed", "key", "remedy"), mistakes("unfinished"))
+@pytest.mark.parametrize(("typed", "key", "help"), mistakes("unfinished"))
 def test_a_key_without_a_value_has_a_finding_with_what_it_takes(
-    check: Check, typed: str, key: str, remedy: str
+    check: Check, typed: str, key: str, help: str
 ) -> None:
     (empty,) = (
         finding for finding in check(f"deepbots: 1\nname: Line\n{typed}")[1] if finding.code == "DB107"
     )
     assert empty.span.text == key
-    assert remedy in (empty.help or "")
+    assert help in (empty.help or "")
 
 
 def test_the_sections_that_a_new_file_lacks_are_one_finding_that_says_how_to_begin(check: Check) -> None:

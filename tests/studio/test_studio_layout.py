@@ -87,7 +87,9 @@ def test_a_curve_and_the_buttons_of_an_output_are_in_view_on_a_small_screen(fold
         for label in ("Try", "Train", "Stop", "Close"):
             place = _rectangle(page, button.format(label))
             assert work["top"] <= place["top"] < place["bottom"] <= 800, label
-        page.wait("document.querySelector('.studio-notice')?.innerText.includes('try: Random actions: 3 episodes')")
+        page.wait(
+            "document.querySelector('.studio-notice')?.innerText.includes('try: Random actions: 3 episodes')"
+        )
         notice = _rectangle(page, "document.querySelector('.studio-notice')")
         header = _rectangle(page, "document.querySelector('.studio-header')")
         assert header["top"] <= notice["top"] < notice["bottom"] <= header["bottom"]

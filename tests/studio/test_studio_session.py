@@ -191,9 +191,7 @@ def test_a_run_says_what_it_changed_against_the_one_before(folder):
             changes = running.session.run_changes
             first, second = (changes[folder / "runs" / name] for name in ("0", "1"))
             assert first.text == "first run"
-            expected = (
-                "reward.alive 1 -> 2; fall_angle 15 deg -> 12 deg; timesteps 512 -> 1_024; and 1 more"
-            )
+            expected = "reward.alive 1 -> 2; fall_angle 15 deg -> 12 deg; timesteps 512 -> 1_024; and 1 more"
             assert second.text == expected
             assert second.started >= first.started > 0
 

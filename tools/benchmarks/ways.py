@@ -33,9 +33,9 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
 
     index = np.arange(blocked.size).reshape(blocked.shape)
     edges: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
-    for rows, columns in paths._MOVES:
+    for rows, columns in paths.MOVES:
         barred = blocked | np.roll(blocked, (rows, columns), (0, 1))
-        for passed_cell in paths._passed_cells(rows, columns):
+        for passed_cell in paths.passed_cells(rows, columns):
             barred |= np.roll(blocked, passed_cell, (0, 1))
         ends = index[~barred]
         move_length = cell * paths.LENGTH_SCALE * math.hypot(rows, columns)

@@ -101,7 +101,7 @@ def checks() -> Iterator[Check]:
             yield (
                 _stepping(name)
                 if kind.is_installed
-                else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.remedy}")
+                else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.help}")
             )
     if complete["train"]:
         yield _threads()

@@ -14,11 +14,11 @@ from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
-from deepbots_cli.cli.sources import OpenedSource, is_robot, open_robot, open_source
+from deepbots_cli.cli.inspected import BRIEF_TABLES, CAPTIONS, root_of
+from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
-from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import MappingNode, Permissions, shipped
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.insight import inspection
@@ -26,34 +26,6 @@ from deepbots_cli.program import Program
 
 if TYPE_CHECKING:
     from deepbots_robot.topics import Topic
-
-CAPTIONS = {
-    "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
-    "critic": "what only the value function sees, in training",
-    "mirror_images": "the value of a number in the mirror image is `sign` times the value of `mirror_image`",
-    "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
-    "drawn": "values that each reset draws",
-    "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or"
-    " of the library",
-    "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the"
-    " first physics step is 1",
-}
-
-
-_BRIEF = (
-    "run",
-    "scenario",
-    "robots",
-    "message_fields",
-    "observation",
-    "critic",
-    "action",
-    "mirror_images",
-    "reward",
-    "endings",
-    "training",
-)
-"""The tables without `--full`."""
 
 
 def command(
@@ -89,7 +61,7 @@ def command(
         topics = _topics(program)
         terminal.show(topics, _ros_text(topics), as_json=as_json)
         return
-    root = _root(side, scenario)
+    root = root_of(side, scenario)
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
@@ -102,7 +74,7 @@ def command(
             **tables,
             **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions),
         }
-    selected_tables = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
+    selected_tables = {name: rows for name, rows in tables.items() if full or name in BRIEF_TABLES}
     terminal.show(
         tables,
         *_lines(selected_tables if as_json else inspection.in_written_units(selected_tables, program, root)),
@@ -113,26 +85,6 @@ def command(
             "--full also shows:"
             f" {', '.join(name.replace('_', ' ') for name in tables if name not in selected_tables)}"
         )
-
-
-def brief_tables(reference: str, permissions: Permissions, also: Sequence[str] = ()) -> inspection.Tables:
-    """Return the tables without `--full`, and those that `also` names, in the units of the file.
-
-    Raises:
-        UsageError: There is no such file or run.
-        ScenarioError: The scenario has errors.
-    """
-    side = open_source(reference, (), permissions)
-    root = _root(side, reference)
-    tables = inspection.scenario_tables(side.program, root, side.run, side.learner)
-    brief = {name: rows for name, rows in tables.items() if name in _BRIEF or name in also}
-    return inspection.in_written_units(brief, side.program, root)
-
-
-def _root(side: OpenedSource, reference: str) -> MappingNode:
-    if isinstance(side.root, MappingNode):
-        return side.root
-    return MappingNode(Span(Source(reference, ""), 0, 0), {})
 
 
 def _topics(program: Program) -> dict[str, Topic]:

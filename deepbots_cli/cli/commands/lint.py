@@ -19,6 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
+from deepbots_cli.cli.scenario_arguments import STDIN, scenario_names
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
@@ -29,7 +30,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.lint.settings import Settings, scenarios_in, settings
+from deepbots_cli.lint.settings import settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import counted
@@ -386,7 +387,6 @@ def _note_hidden(hidden: list[Finding]) -> None:
 # Scenarios
 
 
-STDIN = "-"
 _NAMELESS = "<stdin>"
 
 
@@ -483,23 +483,6 @@ class LintOptions:
             if name == STDIN
             else Source.open(name, self.permissions, SourceKind.SCENARIO).name
         )
-
-
-def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
-    """Return the scenarios that the arguments name, each once. Files in folders that the project excludes are
-    left out.
-
-    Raises:
-        UsageError: A scenario does not exist, or a folder has no scenario.
-    """
-    names: dict[str, None] = {}
-    for argument in arguments:
-        is_folder = argument != STDIN and Path(argument).is_dir()
-        names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
-    for name in names:
-        if name != STDIN:
-            Source.open(name, Permissions(), SourceKind.SCENARIO)
-    return list(names)
 
 
 def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[Finding]:

@@ -7,7 +7,6 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +18,8 @@ from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import OUTPUT, Force, Json, option
 from deepbots_cli.cli.new_files import Files, modeline, write_new
 from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import did_you_mean
@@ -60,16 +61,7 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
-_TEMPLATES = Path(starters.__file__).parent
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
-
-
-class Template(StrEnum):
-    cartpole = "cartpole"
-    wheeled = "wheeled"
-    arm = "arm"
-    pit = "pit"
-    duel = "duel"
 
 
 def command(
@@ -203,7 +195,7 @@ def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
     from deepbots_cli.webots.findings import WorldError
 
     try:
-        return from_webots(world, library, name, _title(name))
+        return from_webots(world, library, name, scenario_title(name))
     except WorldError as error:
         for finding in error.findings:
             terminal.note(str(finding))
@@ -253,17 +245,6 @@ def validated_name(name: str) -> str:
     return bare
 
 
-def from_template(template: str, name: str) -> Files:
-    """Return the scenario `NAME.yaml`, and the robot file beside it if the template has one."""
-    text = (_TEMPLATES / f"{template}.yaml").read_text(encoding="utf-8")
-    text = text.replace("name: Start\n", f"name: {_title(name)}\n").replace("start.urdf", f"{name}.urdf")
-    contents: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
-    robot = _TEMPLATES / f"{template}.urdf"
-    if robot.exists():
-        contents[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
-    return contents
-
-
 def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
     package://...
@@ -274,7 +255,7 @@ def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = P
         ScenarioError: The file is not a valid robot.
     """
     model = open_robot(robot, permissions.folders)[0].model
-    text = starters.scenario(model, _reference(robot, folder, permissions), _title(name))
+    text = starters.scenario(model, _reference(robot, folder, permissions), scenario_title(name))
     return {PurePosixPath(f"{name}.yaml"): text.encode()}
 
 
@@ -297,11 +278,6 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
             "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"
         )
     return path
-
-
-def _title(name: str) -> str:
-    """Return the name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
-    return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
 
 
 # Copies of shipped scenarios
@@ -356,7 +332,9 @@ def _renamed(content: bytes, name: str) -> bytes:
     """Return the scenario with another `name`, if it has one."""
     text = content.decode()
     node = node_at(parse(Source("", text), Findings()), "name")
-    return (text[: node.span.start] + _title(name) + text[node.span.end :]).encode() if node else content
+    return (
+        (text[: node.span.start] + scenario_title(name) + text[node.span.end :]).encode() if node else content
+    )
 
 
 def _target(file: Path) -> PurePosixPath:

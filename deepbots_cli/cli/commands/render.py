@@ -206,7 +206,7 @@ def command(
 ) -> None:
     """Make a picture, a video, an offline page or a recording."""
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
-    options: dict[str, Any] = {
+    values = {
         "--labels": labels,
         "--rays": rays,
         "--path": path,
@@ -220,7 +220,7 @@ def command(
         "--episodes": episodes,
         "--start": start,
     }
-    present = [name for name, value in options.items() if value]
+    present = [name for name, value in values.items() if value]
     kind = _checked_kind(file, present)
     from deepbots_cli.view import pictures
 
@@ -259,8 +259,9 @@ def command(
         model=selection.model,
         deterministic=selection.deterministic,
     )
+    drawing = _Drawing(shot, steps, labels, rays, path, seconds, speed or 1.0)
     with closing_player(source, driver) as world:
-        ends = _draw_episodes(world, kind, files, selection, shot, options)
+        ends = _draw_episodes(world, kind, files, selection, drawing)
         have_rivals = world.program.has_rivals
     rows = records.recorded_rows(zip(selection.numbers, ends, strict=True), have_rivals=have_rivals)
     _show_files(kind, files, rows, as_json=as_json)
@@ -351,26 +352,44 @@ class _Episodes:
         return _Episodes(numbers=numbers[:maximum], **evaluation.replay_options)
 
 
+@dataclass(frozen=True)
+class _Drawing:
+    """From where, how long and with which marks an episode is shown.
+
+    Attributes:
+        viewpoint: The camera.
+        steps: A picture is taken after this number of steps, and a recording has at most as many.
+        labels: A picture has the names of links and joints.
+        rays: A picture has the rays of sensors.
+        path: A picture has the paths of what moves.
+        seconds: Simulated seconds of a video; None for the whole episode.
+        speed: Simulated seconds per second of a video.
+    """
+
+    viewpoint: Viewpoint
+    steps: int | None
+    labels: bool
+    rays: bool
+    path: bool
+    seconds: float | None
+    speed: float
+
+
 def _draw_episodes(
-    world: Player,
-    kind: str,
-    files: Sequence[Path],
-    selection: _Episodes,
-    shot: Viewpoint,
-    options: Mapping[str, Any],
+    world: Player, kind: str, files: Sequence[Path], selection: _Episodes, drawing: _Drawing
 ) -> list[WorldFrame]:
-    """Make the files according to the options. Returns the last frames of the episodes."""
+    """Make the files. Returns the last frames of the episodes."""
     from deepbots_cli.view import pictures
 
-    steps = options["--steps"]
+    steps = drawing.steps
     if kind == RECORDING_SUFFIX:
         return _record(world, files[0], selection, steps)
     if kind == PICTURE:
-        last = None if options["--path"] and not steps else steps or 0
+        last = None if drawing.path and not steps else steps or 0
         trace = list(world.episode(selection.seed, selection.numbers[0], last))
-        path = trace if options["--path"] else ()
+        path = trace if drawing.path else ()
         image = pictures.render_picture(
-            world, shot, labels=options["--labels"], rays=options["--rays"], path=path
+            world, drawing.viewpoint, labels=drawing.labels, rays=drawing.rays, path=path
         )
         with atomic_write(files[0]) as draft:
             image.save(draft, "PNG")
@@ -379,12 +398,12 @@ def _draw_episodes(
         play = partial(
             pictures.write_clip,
             seed=selection.seed,
-            seconds=options["--seconds"],
-            speed=options["--speed"] or 1.0,
+            seconds=drawing.seconds,
+            speed=drawing.speed,
             on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
         )
         numbered = zip(selection.numbers, files, strict=True)
-        return [play(world, target, shot, episode=number) for number, target in numbered]
+        return [play(world, target, drawing.viewpoint, episode=number) for number, target in numbered]
 
 
 def _record(world: Player, file: Path, selection: _Episodes, steps: int | None) -> list[WorldFrame]:

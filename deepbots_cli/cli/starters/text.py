@@ -59,3 +59,8 @@ def aligned(line: str) -> str:
     """Return a line with its comment, which follows four spaces, in the column of comments."""
     text, mark, comment = line.partition("    # ")
     return f"{text:<{_COLUMN - 2}}  # {comment}" if mark else line.rstrip()
+
+
+def scenario_title(name: str) -> str:
+    """Return the name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
+    return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)

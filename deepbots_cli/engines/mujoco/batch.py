@@ -37,7 +37,7 @@ from deepbots_cli.engines.mujoco.batch_motors import (
     cells,
 )
 from deepbots_cli.engines.mujoco.batch_sensors import FORCE_SLOTS, Observer, Sensor, model_with_sensors
-from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
+from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
 from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
@@ -130,15 +130,15 @@ class BatchMember(EngineProxy):
             self._batch._pushes.append(Pushes(self._batch.count, frame))
         pushes = self._batch._pushes[self._pushers]
         index = self._index
-        pool = self._batch.single._pool(part[0])
+        pool = self._batch.single.pool(part[0])
         self._pushers += 1
-        link = _link(pool.current, part[1])
+        link = link_number(pool.current, part[1])
 
         def push(force: Triple, torque: Triple) -> None:
             at = (
                 link
                 if len(list(pool)) == 1
-                else _link(self._batch.attach(index)._pool(part[0]).current, part[1])
+                else link_number(self._batch.attach(index).pool(part[0]).current, part[1])
             )
             pushes.give(index, at, force, torque)
 
@@ -177,8 +177,8 @@ class MuJoCoBatch:
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
-        self._builder = ModelBuilder(world)
-        self.single = MuJoCoEngine(world, self._builder)
+        self.builder = ModelBuilder(world)
+        self.single = MuJoCoEngine(world, self.builder)
         self._world = self.single._world
         self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
@@ -231,7 +231,7 @@ class MuJoCoBatch:
         """Build the batch of MuJoCo, anew if sensors were added."""
         before, fields = self._batch, self.rows
         self._batch = Batch(
-            model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads
+            model_with_sensors(self.builder, self.nominal, self._sensors), self.count, self._threads
         )
         self.state = self._batch.state
         model = self._batch.model
@@ -474,7 +474,7 @@ class MuJoCoBatch:
         self._outputs[name].flags.writeable = True
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
-        numbers = list(self.single._joints(robot, joints))
+        numbers = list(self.single.joint_numbers(robot, joints))
         positions, velocities = (
             adr[numbers].tolist() for adr in (self.nominal.jnt_qposadr, self.nominal.jnt_dofadr)
         )
@@ -490,7 +490,7 @@ class MuJoCoBatch:
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
-        dofs = self.nominal.jnt_dofadr[list(self.single._joints(robot, joints))]
+        dofs = self.nominal.jnt_dofadr[list(self.single.joint_numbers(robot, joints))]
         for name in ("qfrc_actuator", "qacc"):
             self._output(name)
 
@@ -503,7 +503,7 @@ class MuJoCoBatch:
 
     def joint_wrench(self, part: Part) -> Callable[[], Column]:
         """See `Engine.joint_wrench`."""
-        link = _link(self.single._pool(part[0]).current, part[1])
+        link = link_number(self.single.pool(part[0]).current, part[1])
         force, torque = (
             self._sensor(Sensor((link, False), None, kind)) for kind in ("joint_force", "joint_torque")
         )
@@ -556,7 +556,7 @@ class MuJoCoBatch:
 
     def angular_momentum(self, robot: str) -> Callable[[], Column]:
         """See `Engine.angular_momentum`."""
-        body = self.single._pool(robot).current
+        body = self.single.pool(robot).current
         links = list(body.links.values())
 
         def read() -> Column:
@@ -619,7 +619,7 @@ class MuJoCoBatch:
 
     def contact_force_vector(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force_vector`."""
-        body = self.single._pool(one[0]).current
+        body = self.single.pool(one[0]).current
         links = self._links(one)
         if one[1] is None and body.self_collision:  # forces between its own links then cancel
             links = [(number, False) for number in body.links.values()]
@@ -645,7 +645,7 @@ class MuJoCoBatch:
     def clearance(self, one: Part, other: Part) -> Callable[[], Column]:
         """See `Engine.clearance`."""
         self.single.clearance(one, other)  # raises where there is none
-        pools = [self.single._pool(name) for name, _ in (one, other)]
+        pools = [self.single.pool(name) for name, _ in (one, other)]
         if any(len(list(pool)) > 1 for pool in pools):
             return self._read_each(lambda member: member.clearance(one, other))
         first_geoms, second_geoms = (
@@ -701,16 +701,16 @@ class MuJoCoBatch:
 
     def _links(self, part: Part) -> list[tuple[int, bool]]:
         """Return the links of a part in all its forms, and whether the links that they carry belong to it."""
-        pool = self.single._pool(part[0])
-        self.single._geoms(part)
+        pool = self.single.pool(part[0])
+        self.single.geoms_of(part)
         if part[1] is None and part[0] != GROUND:
             return [(body.root_id, True) for body in pool]
-        return [(_link(body, part[1]), False) for body in pool]
+        return [(link_number(body, part[1]), False) for body in pool]
 
     def form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
         """Return the form of a body and the number of the link; None if it has several forms."""
-        pool = self.single._pool(body)
-        return (pool.current, _link(pool.current, link)) if len(list(pool)) == 1 else None
+        pool = self.single.pool(body)
+        return (pool.current, link_number(pool.current, link)) if len(list(pool)) == 1 else None
 
     def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
         """Return a reader that reads the members in turn, for bodies with several forms."""
@@ -785,7 +785,7 @@ class MuJoCoBatch:
         stiffness, damping = gains or (None, None)
         curve = torque_curve(stall_torque, no_load_speed)
         worlds = slice(None) if world is None else slice(world, world + 1)
-        numbers = self.single._joints(robot, joints)
+        numbers = self.single.joint_numbers(robot, joints)
         key = kind, numbers, stiffness is None, curve is None
         if key not in self.motors:
             is_servo = kind == "position" and stiffness is None

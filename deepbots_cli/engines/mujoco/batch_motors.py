@@ -92,7 +92,7 @@ class BatchMotor:
         self._is_spring = False
         self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
         """The worlds whose joints it drives, and those whose members have commanded it since."""
-        self._actuators = motors.array_index([batch.single._motors.actuators[joint] for joint in joints])
+        self._actuators = motors.array_index([batch.single.motors.actuators[joint] for joint in joints])
         self._dofs = motors.array_index(self._model.jnt_dofadr[list(joints)].tolist())
         self._joint_index = motors.array_index(self.joints)
 

@@ -57,7 +57,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
     """Return a copy of the compiled model with sensors."""
     if not sensors:
         return copy(model)
-    spec = builder._spec.copy()
+    spec = builder.spec.copy()
     kinds = mj.mjtObj
     for index, sensor in enumerate(sensors):
         subjects = {}
@@ -111,7 +111,7 @@ class Observer:
         """Return an array of MuJoCo's data, with a row per world."""
         batch = self._batch
         if self._built != len(self._distances):
-            model = model_with_sensors(batch._builder, batch.nominal, self._distances)
+            model = model_with_sensors(batch.builder, batch.nominal, self._distances)
             off = mj.mjtDisableBit
             model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION
             self._views = Batch(model, batch.count, self._threads)

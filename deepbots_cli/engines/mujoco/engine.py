@@ -56,7 +56,7 @@ class MuJoCoEngine:
     def __init__(self, world: WorldModel, builder: ModelBuilder | None = None) -> None:
         built = builder or ModelBuilder(world)
         self._world = MujocoWorld(built.compile(), world, built.pools)
-        self._motors = motors.Motors(self._world)
+        self.motors = motors.Motors(self._world)
         self._contact_monitor: surfaces.ContactMonitor | None = None
         self._wrench_monitor: motors.WrenchMonitor | None = None
         self._substep_callbacks: list[Callable[[], object]] = []
@@ -72,7 +72,7 @@ class MuJoCoEngine:
 
     def reset(self) -> None:
         self._world.require_open().reset()
-        self._motors.restore({}, {})
+        self.motors.restore({}, {})
         if self._contact_monitor is not None:
             self._contact_monitor.reset()
         if self._wrench_monitor is not None:
@@ -87,7 +87,7 @@ class MuJoCoEngine:
         contact_monitor = self._contact_monitor
         advance = mj.mj_step if self._wrench_monitor is None else self._wrench_monitor.step
         callbacks = self._substep_callbacks
-        gain_updates = self._motors.gain_updates
+        gain_updates = self.motors.gain_updates
         if not (callbacks or gain_updates or world.has_pushes or self._wrench_monitor):
             if contact_monitor is None:
                 # One call for 8 substeps of a free body takes 12.6 us, 8 calls take 14.4 us.
@@ -149,7 +149,7 @@ class MuJoCoEngine:
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
         data = self._world.data
-        form = self._pool(body).activate()
+        form = self.pool(body).activate()
         self._world.show(form)
         rotation = x, y, z, w = frames.normalized(orientation)
         if form.mocap_index >= 0:
@@ -167,9 +167,9 @@ class MuJoCoEngine:
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         model = self._world.model
         data = self._world.data
-        (number,) = self._joints(robot, (joint,))
+        (number,) = self.joint_numbers(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
-        body = self._pool(robot).current
+        body = self.pool(robot).current
         # A follower that stays behind would be pulled to its leader in the next step, with a jolt.
         for follower, mimic in body.model.followers_of(joint).items():
             number = body.joints[follower]
@@ -178,7 +178,7 @@ class MuJoCoEngine:
         self._world.invalidate()
 
     def choose(self, body: str, variant: str) -> None:
-        self._pool(body).choose(variant)
+        self.pool(body).choose(variant)
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
         self._world.require_open().set_parameter(parameter, owner, values)
@@ -217,8 +217,8 @@ class MuJoCoEngine:
         return motor.spring_writer(stiffness, damping, torque_curve(stall_torque, no_load_speed))
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        return self._pool(part[0]).bind_current(
-            lambda form: motors.pusher(self._world, _link(form, part[1]), frame)
+        return self.pool(part[0]).bind_current(
+            lambda form: motors.pusher(self._world, link_number(form, part[1]), frame)
         )
 
     # Readers of motion
@@ -226,7 +226,7 @@ class MuJoCoEngine:
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         model = self._world.model
         data = self._world.data
-        numbers = list(self._joints(robot, joints))
+        numbers = list(self.joint_numbers(robot, joints))
         if not numbers:
             return lambda: ()
         if len(numbers) == 1:  # takes half the time of two slices
@@ -240,22 +240,22 @@ class MuJoCoEngine:
         return lambda: tuple(zip(positions(), velocities(), strict=True))
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
-        return self._motors.torques(self._joints(robot, joints))
+        return self.motors.torques(self.joint_numbers(robot, joints))
 
     def joint_wrench(self, part: Part) -> WrenchReader:
         if self._wrench_monitor is None:
             self._wrench_monitor = motors.WrenchMonitor(self._world)
-        return self._wrench_monitor.reader(_link(self._pool(part[0]).current, part[1]))
+        return self._wrench_monitor.reader(link_number(self.pool(part[0]).current, part[1]))
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self._pool(body).bind_current(lambda form: self._pose(form, _link(form, link)))
+        return self.pool(body).bind_current(lambda form: self._pose(form, link_number(form, link)))
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
+        return self.pool(body).bind_current(lambda form: self._velocity(form, link_number(form, link)))
 
     def angular_momentum(self, robot: str) -> VectorReader:
         world = self._world
-        body = self._pool(robot).current
+        body = self.pool(robot).current
         model = world.model
         data = world.data
         links = list(body.links.values())
@@ -343,36 +343,36 @@ class MuJoCoEngine:
         return read
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        return inverse_kinematics(self, self._pool(part[0]).current.model, part, joints)
+        return inverse_kinematics(self, self.pool(part[0]).current.model, part, joints)
 
     # Readers of surfaces
 
     def contact(
         self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
     ) -> ContactReader:
-        geoms = self._geoms(one)
+        geoms = self.geoms_of(one)
         if others is None:
             others = self.others(one[0], ground=ground)
-        met = [geom for part in others for geom in self._geoms(part)]
+        met = [geom for part in others for geom in self.geoms_of(part)]
         if self._contact_monitor is None:
             self._contact_monitor = surfaces.ContactMonitor(self._world)
         return self._contact_monitor.reader(geoms, met)
 
     def others(self, body: str, *, ground: bool) -> list[Part]:
         """Return the bodies that a body may touch: a robot with `self_collision` is one of its own."""
-        left_out = {body} if not self._pool(body).current.self_collision else set()
+        left_out = {body} if not self.pool(body).current.self_collision else set()
         left_out |= set() if ground else {GROUND}
         return [(name, None) for name in self._world.pools if name not in left_out]
 
     def contact_force(self, one: Part) -> ForceReader:
-        return surfaces.force(self._world, self._geoms(one))
+        return surfaces.force(self._world, self.geoms_of(one))
 
     def contact_force_vector(self, one: Part) -> VectorReader:
-        return surfaces.force_vector(self._world, self._geoms(one))
+        return surfaces.force_vector(self._world, self.geoms_of(one))
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        pool, other_pool = self._pool(one[0]), self._pool(other[0])
-        for geom in (*self._geoms(one), *self._geoms(other)):
+        pool, other_pool = self.pool(one[0]), self.pool(other[0])
+        for geom in (*self.geoms_of(one), *self.geoms_of(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
                 raise EngineError(
                     "MuJoCo cannot compute distances to terrain; measure them with a ray sensor, or use the"
@@ -388,18 +388,23 @@ class MuJoCoEngine:
         return lambda: read() if pool.present and other_pool.present else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
-        return self._pool(part[0]).bind_current(
+        return self.pool(part[0]).bind_current(
             lambda form: surfaces.rays(
-                self._world, form, _link(form, part[1]), tuple(rays), reach, upright=upright
+                self._world, form, link_number(form, part[1]), tuple(rays), reach, upright=upright
             )
         )
 
     def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        far = self._pool(other[0])
-        read = self._pool(part[0]).bind_current(
+        far = self.pool(other[0])
+        read = self.pool(part[0]).bind_current(
             lambda form: far.bind_current(
                 lambda far_form: surfaces.line_of_sight(
-                    self._world, form, _link(form, part[1]), far_form, _link(far_form, other[1]), point
+                    self._world,
+                    form,
+                    link_number(form, part[1]),
+                    far_form,
+                    link_number(far_form, other[1]),
+                    point,
                 )
             )
         )
@@ -434,23 +439,30 @@ class MuJoCoEngine:
 
     # Names
 
-    def _pool(self, name: str) -> Pool[Body]:
+    def pool(self, name: str) -> Pool[Body]:
+        """Return the forms of a body.
+
+        Raises:
+            EngineError: There is no such body.
+        """
         return named(self._world.require_open().pools, name, "the world has no body")
 
-    def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
-        body = self._pool(robot).current
+    def joint_numbers(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
+        """Return the numbers of joints in the model."""
+        body = self.pool(robot).current
         return tuple(named(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> motors.Motor:
-        return motors.Motor(self._motors, self._joints(robot, joints), max_torque)
+        return motors.Motor(self.motors, self.joint_numbers(robot, joints), max_torque)
 
-    def _geoms(self, part: Part) -> list[int]:
+    def geoms_of(self, part: Part) -> list[int]:
         """Return the geoms of a body in all its forms, or of one link."""
-        pool = self._pool(part[0])
+        pool = self.pool(part[0])
         if part[1] is not None:
-            _link(pool.current, part[1])
+            link_number(pool.current, part[1])
         return [geom for body in pool for geom in body.geoms_of(part[1])]
 
 
-def _link(body: Body, link: str | None) -> int:
+def link_number(body: Body, link: str | None) -> int:
+    """Return the number of a link in the model; None is the root."""
     return body.root_id if link is None else named(body.links, link, f"'{body.name}' has no link")

@@ -135,7 +135,7 @@ class ModelBuilder:
     def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
         self._world = world
         self._for_rendering = for_rendering
-        self._spec = spec = mj.MjSpec()
+        self.spec = spec = mj.MjSpec()
         step = world.timestep / world.substeps
         spec.option.timestep = step
         spec.option.gravity = world.gravity
@@ -188,7 +188,7 @@ class ModelBuilder:
         else:
             self._add_pairs()
         try:
-            model = self._spec.compile()
+            model = self.spec.compile()
         except ValueError as error:
             raise self._refusal(str(error)) from error
         # The search for islands of contacts takes 5 % of a step, and finds the only body that moves.
@@ -262,8 +262,8 @@ class ModelBuilder:
             shape |= {"rgba": color} if color else {"material": self._tiles("tiles", *_TILE_COLORS)}
             if world.terrain is not None and world.terrain.color is None:
                 self._tiles(TERRAIN_TILES, TERRAIN_COLOR[:3], _TERRAIN_SHADE)
-        geom = self._geom(self._spec.worldbody, **shape)
-        self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
+        geom = self._geom(self.spec.worldbody, **shape)
+        self._made.append((body, {GROUND: self.spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
         if self._for_rendering:
             for line in world.lines:
@@ -278,7 +278,7 @@ class ModelBuilder:
         rows, columns = relief.heights.shape
         low, high = float(relief.heights.min()), float(relief.heights.max())
         span = max(high - low, 1e-6)  # MuJoCo refuses a height field without height
-        self._spec.add_hfield(
+        self.spec.add_hfield(
             name=GROUND,
             nrow=rows,
             ncol=columns,
@@ -291,7 +291,7 @@ class ModelBuilder:
     def _add_light(self) -> None:
         """Add daylight, a sky that is brighter at the horizon, and colors that do not depend on the direction
         of view."""
-        spec = self._spec
+        spec = self.spec
         spec.visual.quality.offsamples = 0  # each pixel is sampled at its center
         gradient = mj.mjtBuiltin.mjBUILTIN_GRADIENT
         sky = mj.mjtTexture.mjTEXTURE_SKYBOX
@@ -318,8 +318,8 @@ class ModelBuilder:
     def _tiles(self, name: str, light: Triple, dark: Triple) -> str:
         """Add a material of tiles in two colors, and return its name."""
         kinds = {"type": mj.mjtTexture.mjTEXTURE_2D, "builtin": mj.mjtBuiltin.mjBUILTIN_CHECKER}
-        self._spec.add_texture(name=name, rgb1=light, rgb2=dark, width=256, height=256, **kinds)
-        material = self._spec.add_material(name=name, texuniform=True, texrepeat=(4.0, 4.0))
+        self.spec.add_texture(name=name, rgb1=light, rgb2=dark, width=256, height=256, **kinds)
+        material = self.spec.add_material(name=name, texuniform=True, texrepeat=(4.0, 4.0))
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
         return name
 
@@ -334,7 +334,7 @@ class ModelBuilder:
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
                 self._geom(
-                    self._spec.worldbody,
+                    self.spec.worldbody,
                     type=mj.mjtGeom.mjGEOM_BOX,
                     size=size,
                     pos=middle,
@@ -344,7 +344,7 @@ class ModelBuilder:
             for x, y in ((x0, y0), (x1, y1)):
                 disc = (half, thin, 0.0)
                 self._geom(
-                    self._spec.worldbody,
+                    self.spec.worldbody,
                     type=mj.mjtGeom.mjGEOM_CYLINDER,
                     size=disc,
                     pos=(x, y, 0.0),
@@ -381,7 +381,7 @@ class ModelBuilder:
             link = model.link(name)
             above = joint_of.get(name)
             position, rotation = body.initial_pose if above is None else frames.frame(above.origin)
-            parent = self._spec.worldbody if above is None else links[above.parent]
+            parent = self.spec.worldbody if above is None else links[above.parent]
             self._elements += 1
             self._links.append((self._elements, body.name, name))
             weightless = float(pooled and not body.fixed)
@@ -482,7 +482,7 @@ class ModelBuilder:
             solref_friction=self._response,
             solimp_friction=CONTACT_IMPEDANCE,
         )
-        actuator = self._spec.add_actuator(
+        actuator = self.spec.add_actuator(
             name=name,
             target=name,
             trntype=mj.mjtTrn.mjTRN_JOINT,
@@ -494,14 +494,14 @@ class ModelBuilder:
 
     def _follow(self, follower: MjObject, leader: MjObject, mimic: Mimic) -> None:
         """Make a joint follow its leader."""
-        self._spec.add_equality(
+        self.spec.add_equality(
             type=mj.mjtEq.mjEQ_JOINT,
             objtype=mj.mjtObj.mjOBJ_JOINT,
             name1=follower.name,
             name2=leader.name,
             # The coefficients of a polynomial of the leader's position, from degree 0 on.
             data=(mimic.offset, mimic.multiplier, *(0.0,) * (mj.mjNEQDATA - 2)),
-            solref=(GEAR_STEPS * self._spec.option.timestep, 1.0),
+            solref=(GEAR_STEPS * self.spec.option.timestep, 1.0),
             solimp=GEAR_IMPEDANCE,
         )
 
@@ -571,7 +571,7 @@ class ModelBuilder:
         self._elements += 1
         name = f"m{self._elements}"
         inertia = mj.mjtMeshInertia
-        self._spec.add_mesh(
+        self.spec.add_mesh(
             name=name,
             uservert=vertices.ravel().tolist(),
             userface=faces.ravel().tolist(),
@@ -626,7 +626,7 @@ class ModelBuilder:
 
     def _add_pair(self, first: MjObject, second: MjObject) -> None:
         if self._meet(first, second) and self._meet(second, first):
-            self._spec.add_pair(
+            self.spec.add_pair(
                 geomname1=first.name,
                 geomname2=second.name,
                 condim=3,  # until `MujocoWorld._update_contact_pairs` sets it with the friction

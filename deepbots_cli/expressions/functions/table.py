@@ -16,7 +16,7 @@ from deepbots_cli.expressions.functions.record import Family, Function
 from deepbots_cli.expressions.functions.world import OF_WORLD
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State
-from deepbots_cli.expressions.types import Invocation, Typed, walk
+from deepbots_cli.expressions.types import Invocation, TypedNode, walk
 from deepbots_cli.plugins import PluginTable
 
 FUNCTIONS: Mapping[str, Function] = PluginTable(
@@ -47,7 +47,7 @@ def scalar_function(name: str) -> Callable[..., float | bool]:
     return function.compiled(function.python, {**vars(math)})
 
 
-def contains_draw(tree: Typed) -> bool:
+def contains_draw(tree: TypedNode) -> bool:
     """Return whether an expression contains a random draw; one behind a name does not count."""
     return any(
         isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree)

@@ -174,11 +174,11 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
         action=tuple(_action_parts(program)),
         files={},
         evaluation=evaluation,
-        ros=_topics(program, {*step.readings, *(output.name for output in step.outputs)}),
+        ros=ros_topics(program, {*step.readings, *(output.name for output in step.outputs)}),
     )
 
 
-def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
+def ros_topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
     """Return the ROS 2 topics of these inputs and outputs. Readings of the world have default topics that
     fit."""
     from deepbots_cli.program.topics import mapping

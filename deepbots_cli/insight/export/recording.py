@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
-from deepbots_cli.expressions.types import Constant, Type
+from deepbots_cli.expressions.types import Constant, ValueType
 from deepbots_cli.insight.export.readings import Reading
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.values import Expression
@@ -85,7 +85,7 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             count = len(reading.trees)
             components = tuple(f"c{index}" for index in range(count)) if count > 1 else None
             typed = Constant(
-                Type(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count
+                ValueType(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count
             )
             name = f"{_PREFIX}{number}"
             probe = Expression(

@@ -58,7 +58,7 @@ def check_critic(model: Any) -> CriticCheck | None:
     if (normalizer := model.get_vec_normalize_env()) is not None:
         rewards = normalizer.normalize_reward(rewards)
     timeouts = getattr(buffer, "timeouts", None)
-    followed, unknown = _discounted(
+    followed, unknown = discounted_returns(
         rewards,
         buffer.dones[rows] > 0,
         np.zeros(rewards.shape, bool) if timeouts is None else timeouts[rows] > 0,
@@ -74,7 +74,7 @@ def check_critic(model: Any) -> CriticCheck | None:
     return CriticCheck(float(values.mean()), float(followed[steps, copies].mean()))
 
 
-def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> tuple[Array, Array]:
+def discounted_returns(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> tuple[Array, Array]:
     """Return the discounted return from each step (rows, copies), and the weight of the rewards that are
     missing in it."""
     followed = np.zeros(rewards.shape)

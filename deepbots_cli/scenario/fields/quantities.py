@@ -137,11 +137,11 @@ class Parsed(FieldType):
             start: int,
             end: int,
             headline: str,
-            remedy: str | None = None,
+            help: str | None = None,
             *_: object,
             **__: object,
         ) -> None:
-            raise error(code, headline, remedy)
+            raise error(code, headline, help)
 
         return parser.parse(text, report)
 
