@@ -204,8 +204,8 @@ def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root;
     meshes do not count.
 
-    The result has the ends of all shapes that are at most `thickness` (m) above the lowest point. For an upright
-    cylinder, it has the corners of the box around it.
+    The result has the ends of all shapes that are at most `thickness` (m) above the lowest point. For an
+    upright cylinder, it has the corners of the box around it.
     """
     lowest = -resting_height(model)
     touching = [

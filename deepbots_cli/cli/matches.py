@@ -18,7 +18,8 @@ def match_lines(result: MatchTable) -> Iterator[str]:
     starts = records.held_out(result.starts)
     if result.is_symmetric:
         measured = "share of decided episodes that the row wins against the column"
-        yield f"{result.scenario}: {measured}, on {starts} from evaluation seed {result.seed}, both sides of each"
+        where = f"on {starts} from evaluation seed {result.seed}, both sides of each"
+        yield f"{result.scenario}: {measured}, {where}"
     else:
         measured = "success rate" if result.success_defined else "mean return"
         yield f"{result.scenario}: {measured} of {first_agent} (rows) against {second_agent} (columns)"

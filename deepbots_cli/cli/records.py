@@ -479,8 +479,8 @@ def robustness_text(robustness: Robustness) -> str:
     the policy works."""
     nominal = robustness.nominal
     title = (
-        f"robustness of {robustness.run} in {robustness.scenario}: {nominal.episodes} held-out episodes of each"
-        f" level, from evaluation seed {nominal.seed}{in_parentheses(nominal.circumstances)}"
+        f"robustness of {robustness.run} in {robustness.scenario}: {nominal.episodes} held-out episodes of"
+        f" each level, from evaluation seed {nominal.seed}{in_parentheses(nominal.circumstances)}"
     )
     if robustness.bar is None:
         rate = with_interval(nominal.success_rate, nominal.success_interval, percent)

@@ -377,7 +377,8 @@ class _Loop:
         if "{" in texts[0] or "}" in texts[0]:
             raise _DifferentShapesError
         around = quoted(texts[0][:start])[:-1], quoted(texts[0][len(texts[0]) - end :])[1:]
-        return f"f{around[0]}{{{self.variable(Column(self._printer.context.constants.strings(parts)))}}}{around[1]}"
+        variable = self.variable(Column(self._printer.context.constants.strings(parts)))
+        return f"f{around[0]}{{{variable}}}{around[1]}"
 
     def code(self, body: str) -> str:
         """Return the vector as a comprehension."""
@@ -400,10 +401,11 @@ class _Loop:
             return self._literals[column][index] if column in self._literals else f"{column}[{index}]"
 
         pattern = re.compile(rf"\b[{''.join(names) or '_'}]\b")
-        return [
-            Code(pattern.sub(lambda name, at=at: item(name[0], at), body.text), body.precedence)  # type: ignore[misc]
-            for at in range(count)
-        ]
+
+        def text_of(index: int) -> str:
+            return pattern.sub(lambda name: item(name[0], index), body.text)
+
+        return [Code(text_of(index), body.precedence) for index in range(count)]
 
     def body(self, trees: Sequence[Scalar]) -> Code:
         """Return the code of one of the trees.

@@ -101,7 +101,8 @@ class Readers:
         kind = leaf.function
         item = _RESULT_INDEX.get(leaf.function)
         if kind in _POSES:
-            return f"{self._need(_POSES[kind], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
+            pose = self._need(_POSES[kind], leaf.subjects[:1], needs)
+            return f"{pose}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if kind in _SCALAR_READERS:
             return self._need(kind, leaf.subjects, needs)
         if kind in _VECTOR_READERS:

@@ -134,9 +134,10 @@ def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
     """Yield each agent that mirrors another one exactly, and this agent."""
     for name, entry in entries_at(document.root, AGENTS).items():
         section = entry.value
-        node = section.get(_LIKE) if isinstance(section, MappingNode) else None
-        if isinstance(node, ScalarNode) and section.entries.keys() <= _OWN_OF_MIRROR:  # type: ignore[union-attr]
-            yield name, node.text
+        if isinstance(section, MappingNode) and section.entries.keys() <= _OWN_OF_MIRROR:
+            node = section.get(_LIKE)
+            if isinstance(node, ScalarNode):
+                yield name, node.text
 
 
 def _check_policies(document: Document, sections: Mapping[str, AgentOfSeveral]) -> None:
@@ -256,8 +257,8 @@ def _report_joined_names(document: Document) -> None:
                 "DB105",
                 entry.key.span,
                 f"`{name}` cannot be the name of an agent",
-                "choose a name without `__` that does not end in `_`; `__` joins an agent and its parts, as in"
-                " `red__gas`",
+                "choose a name without `__` that does not end in `_`; `__` joins an agent and its parts, as"
+                " in `red__gas`",
             )
     for section in (_SIGNALS, "parameters"):
         for name, entry in entries_at(document.root, section).items():

@@ -230,8 +230,8 @@ def warn_beyond_limits(
     actual: Interval,
     help: str,
 ) -> None:
-    """Report DB304: `description` is `actual`, which is not all within the range that the robot file allows for
-    the value that is written in `text`."""
+    """Report DB304: `description` is `actual`, which is not all within the range that the robot file allows
+    for the value that is written in `text`."""
     tree = values.parsed(text)
     numbers = list(_numbers(tree)) if tree else []
     units = [
@@ -612,8 +612,8 @@ class ResolvedRobot:
     def report_missing_joint(
         self, values: ValueReader, span: Span, pattern: str, movable_names: Sequence[str]
     ) -> None:
-        """Report a joint or group where one of the `movable_names` is needed; for a group without any of them,
-        its first joint is reported."""
+        """Report a joint or group where one of the `movable_names` is needed; for a group without any of
+        them, its first joint is reported."""
         kind, members = self.groups.get(pattern, (None, ()))
         groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is Kind.JOINTS]
         report_missing_joint(

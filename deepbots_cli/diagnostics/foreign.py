@@ -11,7 +11,8 @@ MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "std", "Math"})
 _GROUP = r"[^()]*(?:\([^()]*\)[^()]*)*"
 _IF = re.compile(
     rf"\s*if\s*(?:\((?P<group>{_GROUP})\)|(?P<open>[^:{{}}]+?)(?=\s*(?::|\bthen\b)))\s*(?::|\bthen\b)?\s*"
-    r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
+    r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
+    r"(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
 )
 _TERNARY = re.compile(r"\s*(?P<open>[^?:]+?)\s*\?\s*(?P<value>[^?:]+?)\s*:\s*(?P<otherwise>[^?:]+?)\s*")
 _BARS = re.compile(r"\|([^|]+)\|")

@@ -142,8 +142,8 @@ class UnusableFile:
         )
 
     def _similar_file(self) -> str | None:
-        """Return a file in the folder whose name is similar; None where a name of a shipped file is, and for a
-        robot if it is a scenario."""
+        """Return a file in the folder whose name is similar; None where a name of a shipped file is, and for
+        a robot if it is a scenario."""
         if self.is_name and self.nearest_name:
             return None
         near = _similar(self.path, self.by)

@@ -120,7 +120,8 @@ def inline_text(node: Node) -> str:
         case SequenceNode():
             return f"[{', '.join(map(_item_on_line, node.items))}]"
         case MappingNode():
-            return f"{{{', '.join(f'{key}: {_item_on_line(entry.value)}' for key, entry in node.entries.items())}}}"
+            entries = (f"{key}: {_item_on_line(entry.value)}" for key, entry in node.entries.items())
+            return f"{{{', '.join(entries)}}}"
 
 
 def _item_on_line(node: Node) -> str:

@@ -600,8 +600,8 @@ class _Hint(NamedTuple):
 
 
 _FOREIGN_SIGNS = {
-    "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/",
-    "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
+    "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*",
+    "÷": "/", "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
 }  # fmt: skip
 _CONDITIONAL = _Hint("write `a if condition else b`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")

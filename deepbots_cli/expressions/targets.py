@@ -27,8 +27,8 @@ _COLUMN_FUNCTIONS = {
     "min": "minimum(*x)",
     "max": "maximum(*x)",
 }
-"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these differently from
-`math`."""
+"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these differently
+from `math`."""
 
 
 class Target(NamedTuple):

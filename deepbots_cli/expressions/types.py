@@ -265,8 +265,8 @@ class FindingReporter(Protocol):
 
     `replacement` is the text to write there instead. `names` are the named values that probably cause the
     finding, each with the value it probably should have (None if that is open). `corrected` makes the whole
-    right text from the text; the line with it replaces `CORRECTED_LINE` in `help`, and the text itself if this
-    is the `replacement`.
+    right text from the text; the line with it replaces `CORRECTED_LINE` in `help`, and the text itself if
+    this is the `replacement`.
     """
 
     def __call__(

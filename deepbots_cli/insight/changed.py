@@ -19,9 +19,9 @@ _LIKELIHOOD = 0.89
 @statement(
     "changed_since_solved",
     "Changed since {earlier}, which was solved: {changed}.",
-    advice="Set {them} back and train again: the task is solved once more if this value is the reason. To keep"
-    " a value, adapt what depends on it, such as endings, ranges of the observation, or the length of the"
-    " training.",
+    advice="Set {them} back and train again: the task is solved once more if this value is the reason. To"
+    " keep a value, adapt what depends on it, such as endings, ranges of the observation, or the length of"
+    " the training.",
 )
 def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
     if evidence.verdict.solved:

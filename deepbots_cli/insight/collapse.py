@@ -252,7 +252,8 @@ def _overestimates(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
         f" {real:.3g} follow"
     )
     weight = min(2.0, 0.6 + (value - real) / scale)
-    algorithm, base = evidence.program.agent.training.algorithm, _base(evidence)  # type: ignore[union-attr]  # of a training
+    assert evidence.program.agent.training is not None  # that of a run
+    algorithm, base = evidence.program.agent.training.algorithm, _base(evidence)
     if base == "DDPG":
         return Suspect(
             "train.algorithm",

@@ -633,11 +633,10 @@ def _action(part: Choices | ActionRange) -> Row:
             "high": part.high,
             "unit": part.unit,
         }
-    options = (
-        f"{option.name}"
-        f" ({', '.join(f'{name} = {value:g}' for name, value in zip(part.variables, option.values, strict=True))})"
-        for option in part.options
-    )
+    options = []
+    for option in part.options:
+        values = zip(part.variables, option.values, strict=True)
+        options.append(f"{option.name} ({', '.join(f'{name} = {value:g}' for name, value in values)})")
     return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
 
 

@@ -28,11 +28,11 @@ _PARTS = 3
 
 @statement(
     "rival_too_strong",
-    "The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and `{rival}` in"
-    " {other}. Where nothing that it does succeeds, `{agent}` does not learn what is better.",
-    advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}` against a"
-    " weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with this policy"
-    " (--initialize-from); or pay for what leads to a success.",
+    "The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and `{rival}`"
+    " in {other}. Where nothing that it does succeeds, `{agent}` does not learn what is better.",
+    advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}`"
+    " against a weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with this"
+    " policy (--initialize-from); or pay for what leads to a success.",
 )
 def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
     episodes = evidence.all_episodes
@@ -109,10 +109,10 @@ class _Record(NamedTuple):
 
 @statement(
     "strategies_cycle",
-    "The strategies go round in a circle: the newest policy wins {lost} of its decided games against the version"
-    " of {old} steps, but {won} against the later version of {late} steps.",
-    advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play the newest"
-    " version against itself (`newest`), so that the policy meets the old strategies again.",
+    "The strategies go round in a circle: the newest policy wins {lost} of its decided games against the"
+    " version of {old} steps, but {won} against the later version of {late} steps.",
+    advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play the"
+    " newest version against itself (`newest`), so that the policy meets the old strategies again.",
 )
 def strategies_cycle(evidence: TrainingEvidence) -> Numbers | None:
     result = evidence.run.record.result

@@ -129,8 +129,8 @@ def _link_text(robot: str, row: Row, written: str) -> str:
     present = f" The file has `{written}`." if written else ""
     return (
         f"`{row['link']}` is a link of the robot `{robot}`{sizes}{mass}{joint}.{present} The section `links`"
-        " of the robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
-        " `mass`, `friction` and `color` replace those of the robot file."
+        " of the robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the"
+        " volume; `mass`, `friction` and `color` replace those of the robot file."
     )
 
 

@@ -121,8 +121,8 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
 
 
 def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
-    """Yield ranges with another sign or order, or options of one choice: the family, the change in words, and a
-    function that changes an action."""
+    """Yield ranges with another sign or order, or options of one choice: the family, the change in words, and
+    a function that changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options

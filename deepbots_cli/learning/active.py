@@ -57,6 +57,6 @@ class ActiveTraining:
         if name is not None:
             raise RunError(
                 f"the training diverged: '{name}' contains infinite or NaN values after"
-                f" {self.learner.steps:,} steps; the last good model is in {self.run.model('last').parent}; try"
-                " a lower learning rate or smaller rewards"
+                f" {self.learner.steps:,} steps; the last good model is in {self.run.model('last').parent};"
+                " try a lower learning rate or smaller rewards"
             )

@@ -235,7 +235,8 @@ class Checkpoints:
             curriculum=self.callback.active.curriculum.state(),
             callback=self.callback.state(),
             stages=self.stages,
-            starts=[episode.start for episode in shard.episodes],  # type: ignore[misc]  # dictionaries become models
+            # The dictionaries become models.
+            starts=[episode.start for episode in shard.episodes],  # type: ignore[misc]
             observed=shard.observed,
             pending=self._log.pending(),
             # 3 is the version of this state in all Pythons that deepbots supports.

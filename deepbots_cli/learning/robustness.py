@@ -115,8 +115,8 @@ class Side:
             return ", ".join(parts)
         if _may_be_ordered(between):
             remark = (
-                f"not decided at {sentence_list([entry.level for entry in between])}, which do not differ within"
-                " their intervals"
+                f"not decided at {sentence_list([entry.level for entry in between])}, which do not differ"
+                " within their intervals"
             )
         else:
             failing, holding = (

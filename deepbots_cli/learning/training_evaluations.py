@@ -159,7 +159,8 @@ class TrainingEvaluations:
         if best is not None and self.chosen_steps:
             score = best.text(self.shortlist.measure, defines_success=active.defines_success)
             active.reporter.note(
-                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts ({score})"
+                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts"
+                f" ({score})"
             )
 
     def _append(self, name: str, about: Mapping[str, Any], episodes: Sequence[Episode]) -> None:

@@ -5,22 +5,23 @@ A static rule is a generator from a `RuleContext` to findings, a simulated rule 
 rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
 decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
-names.py         places left to the author, unused definitions, equality of measurements,    DB109, DB205, DB411,
-                 angles that jump                                                            DB506
-robots.py        commands, actuators, wheels that slip, robots that topple                   DB312 to DB315, DB317,
-                                                                                             DB319, DB322,
-                                                                                             DB324, DB325
-rays.py          rays of sensors that meet nothing                                           DB615
-world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
-                                                                                             DB323, DB507, DB809,
-                                                                                             DB812
-observations.py  what the policy sees; saturation.py values at the end of their range;       DB6
-                 mirrors.py mirror images
-rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
-rivals.py        rewards of several agents together                                          DB718
-cycles.py        what a cycle of states earns that never ends in success                     DB716
-endings.py       when episodes end, goals that cannot be reached                             DB8
-exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
+names.py         places left to the author, unused definitions, equality of          DB109, DB205, DB411,
+                 measurements, angles that jump                                      DB506
+robots.py        commands, actuators, wheels that slip, robots that topple           DB312 to DB315, DB317,
+                                                                                     DB319, DB322, DB324,
+                                                                                     DB325
+rays.py          rays of sensors that meet nothing                                   DB615
+world.py         objects out of scale, means of engines, how episodes begin          DB309, DB310, DB316,
+                                                                                     DB323, DB507, DB809,
+                                                                                     DB812
+observations.py  what the policy sees; saturation.py values at the end of their      DB6
+                 range; mirrors.py mirror images
+rewards.py       the size of the reward; shaping.py its direction; incentives.py     DB7, DB810
+                 what pays
+rivals.py        rewards of several agents together                                  DB718
+cycles.py        what a cycle of states earns that never ends in success             DB716
+endings.py       when episodes end, goals that cannot be reached                     DB8
+exploits.py      rewards that pay for something other than success                   DB712 to DB715, DB717
 
 pages.py         the pages of findings, of which `rule_pages` contains the texts
 run.py           runs the rules, with and without a simulation; cascade.py findings that follow from others

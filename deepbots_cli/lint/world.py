@@ -362,7 +362,10 @@ def _implausible_motion(stop: Stop) -> str:
         case "velocity":
             return f"`{stop.body}` moves at {stop.value:.3g} m/s"
         case "spin":
-            return f"`{stop.body}` spins at {stop.value:.3g} rad/s, by more than half a turn in each physics step"
+            return (
+                f"`{stop.body}` spins at {stop.value:.3g} rad/s, by more than half a turn in each physics"
+                " step"
+            )
         case "joint":
             return f"{joint} moves at {stop.value:.3g} rad/s or m/s"
         case _:

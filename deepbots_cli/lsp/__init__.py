@@ -2,8 +2,8 @@
 
 server.py                 request handlers, findings as diagnostics, background analysis, code actions and
                           formatting
-workspace.py              open documents, their analyses and locations, and the view of the cursor that answers
-                          requests
+workspace.py              open documents, their analyses and locations, and the view of the cursor that
+                          answers requests
 cursor.py                 the path of the cursor in a text that may be broken YAML
 lookup.py                 shapes of the schema and definitions at a path or the cursor; document symbols
 hover.py                  hover texts

@@ -109,8 +109,8 @@ class Program:
     links: tuple[Link, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        """Return the fields that count for the digest. `agent` is in a mapping, as when the first digests were
-        written."""
+        """Return the fields that count for the digest. `agent` is in a mapping, as when the first digests
+        were written."""
         left_out = {"agent", "ros", "stored_signals", "supplied_by", "tests"}
         left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
         left_out |= {"levels"} if self.levels is None else set()

@@ -352,7 +352,8 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
         case Capsule(r, length):
             middle = mass * length / (length + 4 / 3 * r)
             ends = mass - middle
-            # A half ball has its center 3/8 r from its flat face; about the middle by the parallel axis theorem.
+            # A half ball has its center 3/8 r from its flat face; about the middle by the parallel axis
+            # theorem.
             across = middle / 12 * (3 * r * r + length * length) + ends * (
                 2 / 5 * r * r + length * length / 4 + 3 / 8 * length * r
             )

@@ -34,8 +34,8 @@ class Response:
     the difference, a lag of first order exactly, and by at most `rate` * h. It starts from `initial_value`
     when the first command takes effect.
 
-    `delay` and `time_constant` are in s. A new value takes effect at the next `reset`; a negative one, which a
-    normal distribution may draw, counts as 0. `rates` are positive, in units of the command per s, one per
+    `delay` and `time_constant` are in s. A new value takes effect at the next `reset`; a negative one, which
+    a normal distribution may draw, counts as 0. `rates` are positive, in units of the command per s, one per
     component, and fixed when the response is created.
     """
 

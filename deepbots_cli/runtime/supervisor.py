@@ -144,8 +144,8 @@ class Supervisor(
         alone = [name for end in self.agent_endings.values() for name in end.endings]
         if self.terminated or alone:
             raise EndsAtResetError(
-                f"the ending '{self.ended_by or alone[0]}' is already true at reset (seed {self.streams.root});"
-                " change the start or the ending"
+                f"the ending '{self.ended_by or alone[0]}' is already true at reset (seed"
+                f" {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}

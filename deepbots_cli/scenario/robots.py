@@ -103,8 +103,8 @@ class Robot(Section):
     groups: dict[LocalName, Annotated[Many[Annotated[str, Pattern("joint or link")]], Size(1, "name")]] = {}
     """Names for several joints or several links: lists of names and patterns."""
     poses: dict[LocalName, Annotated[dict[JointPattern, JointPosition], Size(1, "joint")]] = {}
-    """Names for positions of the joints, by joint, pattern or group. An entry replaces earlier ones of the same
-    joint."""
+    """Names for positions of the joints, by joint, pattern or group. An entry replaces earlier ones of the
+    same joint."""
     sensors: dict[LocalName, AnySensor] = {}
     """Sensors, each under a name that you choose."""
     actuators: dict[LocalName, AnyActuator] = {}

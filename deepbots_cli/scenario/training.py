@@ -504,7 +504,8 @@ class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that o
 
     algorithm: Literal["auto"] = "auto"  # type: ignore[assignment]  # the word of none of its bases
     """The learning algorithm. By default, deepbots chooses it."""
-    total_timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None  # type: ignore[assignment]  # chosen as well
+    # The number of steps is chosen as well.
+    total_timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None  # type: ignore[assignment]
     """Number of steps to train for, summed over all environments."""
     learning_rate: AnyRate | None = None  # type: ignore[assignment]  # that of PPO, which takes more
     """Learning rate: a number, a schedule such as `3e-4 -> 0`, or `{kl: 0.01}` for a rate that follows the KL

@@ -186,7 +186,8 @@ def compare_versions(file: OpenFile) -> None:
         ui.card().classes("studio-dialog"),
     ):
         ui.label(
-            f"Lines with - are on disk only, lines with + in the editor only; up to {_MAX_DIFF_LINES} are shown."
+            f"Lines with - are on disk only, lines with + in the editor only; up to {_MAX_DIFF_LINES} are"
+            " shown."
         )
         shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
         ui.code(shown, language="diff").classes("studio-code")

@@ -45,8 +45,9 @@ html:root[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --m
 html:root [role="tab"] { padding-inline: 0.36em !important; }
 .mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
 @media (min-width: 36.01em) { div:has(> div > .tabler-icon-cloud-check) { display: none !important; } }
-html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
-  display: grid; place-items: center; font: 15px sans-serif; color: var(--mantine-color-dimmed); }
+html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999;
+  background: inherit; display: grid; place-items: center; font: 15px sans-serif;
+  color: var(--mantine-color-dimmed); }
 html.waits::after { content: ""; position: fixed; inset: 0 0 5rem; margin: auto; z-index: 9999; width: 1.6rem;
   height: 1.6rem; border-radius: 1rem; border: 3px solid color-mix(in srgb, currentColor, transparent);
   border-top-color: #4a93d0;
@@ -73,8 +74,8 @@ const look = setInterval(() => {
 
 - its ground, which would be white before anything is drawn;
 - no notice of viser that the browser draws by software: it covers the robot;
-- no head of the controls while they are connected, because the page has the name of the scenario already; in a
-  narrow window, it opens and closes them;
+- no head of the controls while they are connected, because the page has the name of the scenario already; in
+  a narrow window, it opens and closes them;
 - labels of enough contrast, a place for the scroll bar beside the buttons, and all tabs in one row;
 - the dark colors of `studio.css`, in which the floor of the scene does not glare;
 - the keys that lead out of the page, and those of the editor;

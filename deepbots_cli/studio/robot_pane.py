@@ -94,7 +94,8 @@ class RobotPane:
             self._driver.add_slot("option", _DRIVER_OPTION)
             ui.button("Restart", icon=ICONS["restart"], on_click=self._restart).props("dense flat no-caps")
             enter = ui.button("Keys to the robot").props(
-                'dense flat no-caps title="F6; Escape leads back" aria-label="Keyboard into the page of the robot"'
+                'dense flat no-caps title="F6; Escape leads back"'
+                ' aria-label="Keyboard into the page of the robot"'
             )
             enter.classes("studio-enter").on("click", js_handler=_ENTER)
             self._follow = ui.button("Follow the training", on_click=lambda: session.following.turn(True))

@@ -42,9 +42,9 @@ _RANKS = ((0.9, "Certain cause"), (0.5, "Likely cause"), (0.0, "Possible cause")
 """The lowest likelihood of each rank, which orders the causes of a diagnosis."""
 _NO_CAUSE = {
     True: "the task is solved, and no cause of a failure was found",
-    False: "no known cause was found; let a script of the scenario drive the robot: if it fails, too, the task may"
-    " be too hard. Look at the robot of the run and at the endings in its report, and compare it with a run"
-    " before the last change",
+    False: "no known cause was found; let a script of the scenario drive the robot: if it fails, too, the"
+    " task may be too hard. Look at the robot of the run and at the endings in its report, and compare it"
+    " with a run before the last change",
 }
 _AGE = """at => {
   const seconds = Date.now() / 1000 - at;

@@ -50,7 +50,8 @@ def studio(
     path = Path(source)
     if not path.exists():
         raise UsageError(
-            f"there is no file or folder {path}; write a scenario first: deepbots new mine --template cartpole"
+            f"there is no file or folder {path}; write a scenario first: deepbots new mine --template"
+            " cartpole"
         )
     folder = path if path.is_dir() else path.parent
     try:

@@ -12,9 +12,9 @@ from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 
 _ABOUT = (
-    "A scenario is one YAML file: a robot, what it sees and does, and what it is rewarded for. Begin with one of"
-    " these; you can change all of it. Then press Train: the robot tries again and again, and learns a policy, which"
-    " chooses what it does."
+    "A scenario is one YAML file: a robot, what it sees and does, and what it is rewarded for. Begin with one"
+    " of these; you can change all of it. Then press Train: the robot tries again and again, and learns a"
+    " policy, which chooses what it does."
 )
 PICTURES = Path(__file__).with_name("pictures")
 """The folder of pictures by name, which `tools/gallery_pictures.py` makes."""

@@ -22,12 +22,13 @@ Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
     (
         "Write",
-        "Change the text, and save it with Ctrl+S: the robot starts again. Mistakes are listed below the text.",
+        "Change the text, and save it with Ctrl+S: the robot starts again. Mistakes are listed below the"
+        " text.",
     ),
     (
         "Try",
-        "Random actions play a few episodes, which are attempts from a start to an end. Their results appear here."
-        " To watch, choose Driver: random.",
+        "Random actions play a few episodes, which are attempts from a start to an end. Their results appear"
+        " here. To watch, choose Driver: random.",
     ),
     (
         "Train",

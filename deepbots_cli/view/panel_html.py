@@ -130,6 +130,7 @@ def _bar(field: PlottedField, value: float) -> str:
     tip = html.escape(f"{field.text(field.low)} .. {field.text(field.high)}", quote=True)
     rail = (
         f"<div title='{tip}'"
-        f" style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>{mark}</div>"
+        " style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>"
+        f"{mark}</div>"
     )
     return _row(field.name, field.text(value), rail)

@@ -66,15 +66,16 @@ setInterval(() => {
 # The keys that drive, by their place on the keyboard.
 _DRIVING_KEY = f"""e => {json.dumps(KEYS)}.includes(e.code) && !e.ctrlKey && !e.metaKey && !e.altKey
   ? e.code : null"""
-# The code that Webots has for a key: the character in upper case, or a number from 312 on, with the modifiers.
-# A character that is not of ASCII is that of the key on an English keyboard.
+# The code that Webots has for a key: the character in upper case, or a number from 312 on, with the
+# modifiers. A character that is not of ASCII is that of the key on an English keyboard.
 _WEBOTS_KEY = """e => {
   const pad = {Home: 375, ArrowLeft: 376, ArrowUp: 377, ArrowRight: 378, ArrowDown: 379, End: 382};
   const keys = {End: 312, Home: 313, ArrowLeft: 314, ArrowUp: 315, ArrowRight: 316, ArrowDown: 317,
     PageUp: 366, PageDown: 367};
   const text = /^[ -~]$/.test(e.key) ? e.key : (/^(?:Key|Digit)(.)$/.exec(e.code) ?? [])[1];
   const code = (e.location == 3 && pad[e.key]) || keys[e.key] || text?.toUpperCase().charCodeAt(0);
-  return !code || e.metaKey ? null : code + 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey; }"""
+  const modifiers = 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey;
+  return !code || e.metaKey ? null : code + modifiers; }"""
 
 # All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the
 # world; here it stands below.

@@ -301,14 +301,15 @@ LIBRARY: dict[str, Entry] = {
     ),
     "RectangleArena": Entry(
         f"""{_POSE} field SFString name "rectangle arena" field SFString contactMaterial "default"
-        field SFVec2f floorSize 1 1 field SFVec2f floorTileSize 0.5 0.5 field SFNode floorAppearance Parquetry {{ }}
-        field SFFloat wallThickness 0.01 field SFFloat wallHeight 0.1 field SFNode wallAppearance NULL
+        field SFVec2f floorSize 1 1 field SFVec2f floorTileSize 0.5 0.5
+        field SFNode floorAppearance Parquetry {{ }} field SFFloat wallThickness 0.01
+        field SFFloat wallHeight 0.1 field SFNode wallAppearance NULL
         field SFVec2f wallTileSize 0.5 0.5 field SFColor wallColor 0.8 0.8 0.8""",
         _rectangle_arena,
     ),
     "Floor": Entry(
-        f"""{_POSE} field SFString name "floor" field SFString contactMaterial "default" field SFVec2f size 10 10
-        field SFVec2f tileSize 0.5 0.5 field SFNode appearance Parquetry {{ }}""",
+        f"""{_POSE} field SFString name "floor" field SFString contactMaterial "default"
+        field SFVec2f size 10 10 field SFVec2f tileSize 0.5 0.5 field SFNode appearance Parquetry {{ }}""",
         _floor,
     ),
     "SolidBox": Entry(_BOX_INTERFACE % ("box", "1 1 1"), _solid_box),
@@ -322,16 +323,18 @@ LIBRARY: dict[str, Entry] = {
     ),
     "BB-8": Entry(
         f"""{_POSE} field SFString name "BB-8" {_ROBOT} field SFString contactMaterial "bb-8"
-        field MFNode bodySlot [] field SFFloat bodyRadius 0.25 field SFFloat bodyMass 5 field MFNode headSlot []
-        field SFFloat headOffset 0.025 field SFFloat headRadius 0.15 field SFFloat headMass 1
+        field MFNode bodySlot [] field SFFloat bodyRadius 0.25 field SFFloat bodyMass 5
+        field MFNode headSlot [] field SFFloat headOffset 0.025
+        field SFFloat headRadius 0.15 field SFFloat headMass 1
         field SFFloat weightMass 20 field SFFloat maxVelocity 8.72""",
         _bb8,
     ),
     "E-puck": Entry(
         f"""{_POSE} field SFString name "e-puck" {_ROBOT} field SFString version "1"
         field SFFloat camera_fieldOfView 0.84 field SFInt32 camera_width 52 field SFInt32 camera_height 39
-        field SFBool camera_antiAliasing FALSE field SFRotation camera_rotation 0 0 1 0 field SFFloat camera_noise 0
-        field SFFloat camera_motionBlur 0 field SFInt32 distance_sensor_numberOfRays 1 field SFInt32 emitter_channel 1
+        field SFBool camera_antiAliasing FALSE field SFRotation camera_rotation 0 0 1 0
+        field SFFloat camera_noise 0 field SFFloat camera_motionBlur 0
+        field SFInt32 distance_sensor_numberOfRays 1 field SFInt32 emitter_channel 1
         field SFInt32 receiver_channel 1 field MFNode turretSlot [] field MFNode groundSensorsSlot []
         field SFBool kinematic FALSE""",
         _epuck,

@@ -159,8 +159,8 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
 
 # Findings
 
-_GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet", "Mesh",
-               "IndexedLineSet", "PointSet")  # fmt: skip
+_GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet",
+               "Mesh", "IndexedLineSet", "PointSet")  # fmt: skip
 _SLOTS: Mapping[str, tuple[str, ...]] = {
     "jointParameters": ("JointParameters", "BallJointParameters"),
     "jointParameters2": ("JointParameters",),

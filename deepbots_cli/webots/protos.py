@@ -185,7 +185,8 @@ class Expander:
             self.findings.error(
                 node.span,
                 f"PROTO {proto.name} is a template of {'Lua' if is_lua else 'JavaScript'}, {reason}",
-                f"write it without a template; of Webots' library, deepbots has: {', '.join(library.LIBRARY)}",
+                "write it without a template; of Webots' library, deepbots has:"
+                f" {', '.join(library.LIBRARY)}",
             )
             return None
         try:

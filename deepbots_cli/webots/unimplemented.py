@@ -32,8 +32,8 @@ MISSING: Mapping[str, str] = {
     " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
     "TouchSensor": "getLookupTable",
-    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance setExposure"
-    " setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
+    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
+    " setExposure setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
     " getRecognitionObjects getRecognitionSamplingPeriod getRecognitionSegmentationImage"
     " getRecognitionSegmentationImageArray hasRecognitionSegmentation isRecognitionSegmentationEnabled"
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",

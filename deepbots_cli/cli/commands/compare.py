@@ -38,8 +38,8 @@ def command(
         list[Path],
         typer.Argument(
             metavar="RUN|MODEL|SCENARIO",
-            help="Groups, run directories, models in them, or folders of run directories; at least two, but one"
-            " is enough if its agents compete. Or a scenario with two agents, whose scripts play.",
+            help="Groups, run directories, models in them, or folders of run directories; at least two, but"
+            " one is enough if its agents compete. Or a scenario with two agents, whose scripts play.",
         ),
     ],
     episodes: Annotated[
@@ -128,7 +128,8 @@ def _refuse_options(names: Sequence[str]) -> None:
     if names:
         hint = ", and write a change as a scenario with `extends` for --scenario" if "--case" in names else ""
         raise UsageError(
-            f"agents that compete play against each other in one scenario; leave out {sentence_list(names)}{hint}"
+            "agents that compete play against each other in one scenario; leave out"
+            f" {sentence_list(names)}{hint}"
         )
 
 

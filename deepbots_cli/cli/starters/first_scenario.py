@@ -76,8 +76,8 @@ def _found(draft: Draft) -> list[str]:
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"What was found in {draft.urdf}: {', '.join(parts)};",
-        f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
-        " chosen from these: change them.",
+        f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below"
+        " were chosen from these: change them.",
         *(
             f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
             " its link."

@@ -373,8 +373,8 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
 def _limit_push(draft: Draft) -> None:
     """Limit the torque of wheels that could push with many times the weight of the robot.
 
-    Such a robot drives up walls and tips over: the racecar of pybullet_data (14 times) in 10 of 30 episodes of
-    random driving between walls, also with 2 times its weight, and in none with its weight.
+    Such a robot drives up walls and tips over: the racecar of pybullet_data (14 times) in 10 of 30 episodes
+    of random driving between walls, also with 2 times its weight, and in none with its weight.
     """
     wheels = draft.build.wheels
     weight = draft.build.model.mass * GRAVITY

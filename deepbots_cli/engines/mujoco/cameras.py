@@ -111,8 +111,8 @@ class WorldRenderer:
         self._cast_shadows(renderer, view)
         self._lay_tiles(renderer)
         fine = renderer.render()
-        # 16 bits have room for the sum of 16 x 16 samples of 255. At 640 x 480 pixels of 2 x 2 samples, slices
-        # take 5 ms, and a sum over reshaped axes 110 ms.
+        # 16 bits have room for the sum of 16 x 16 samples of 255. At 640 x 480 pixels of 2 x 2 samples,
+        # slices take 5 ms, and a sum over reshaped axes 110 ms.
         total = np.zeros((view.height, view.width, 3), np.uint16)
         for row in range(samples):
             for column in range(samples):

@@ -94,8 +94,8 @@ class ObservedNames:
             return Item(clock)
         if name in _LATER or any(ending.name == name for ending in self._program.endings):
             raise UsageError(
-                f"the policy sees '{name}', but {_LATER.get(name, 'an ending')} is known only during training;"
-                " remove it from the observation"
+                f"the policy sees '{name}', but {_LATER.get(name, 'an ending')} is known only during"
+                " training; remove it from the observation"
             )
         if name in self.definitions.parameters:
             value = self.definitions.parameters[name]

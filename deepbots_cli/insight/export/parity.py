@@ -173,7 +173,8 @@ class _Rows:
         arrays = {f"input/{name}": rows for name, rows in self.inputs.items()}
         arrays |= {f"output/{name}": rows for name, rows in _stacked(self._outputs).items()}
         stream = io.BytesIO()
-        np.savez_compressed(stream, **arrays, starts=np.array(self._starts, np.int64))  # type: ignore[arg-type]
+        arrays["starts"] = np.array(self._starts, np.int64)
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
         return stream.getvalue()
 
 

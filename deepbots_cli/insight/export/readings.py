@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
@@ -177,7 +178,7 @@ class Readings:
         **fields: object,
     ) -> Input:
         step = self._timestep
-        values: dict[str, object] = {
+        values: dict[str, Any] = {
             "robot": None,
             "supplied_by": None,
             "sensor": None,
@@ -189,7 +190,7 @@ class Readings:
             "latency_s": latency,
             "max_age_s": round(latency + _AGES_WITHIN * max(period or step, step), 9),
         }
-        return Input(name=name, components=tuple(components), **{**values, **fields})  # type: ignore[arg-type]
+        return Input(name=name, components=tuple(components), **{**values, **fields})
 
 
 def _field(robot: Robot, sensor: Sensor) -> str:

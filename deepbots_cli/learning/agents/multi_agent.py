@@ -179,7 +179,8 @@ class MultiAgentLearner(Learner):
     def log(self, log: Any) -> None:
         self._log = log
         for name, learner in self._distinct_learners.items():
-            learner.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]  # the part of the log that learners use
+            # The part of the log that learners use.
+            learner.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]
 
     # Acting and learning
 

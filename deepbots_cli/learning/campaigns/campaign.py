@@ -1,8 +1,8 @@
 """Several trainings of one scenario in one folder. The trainings differ by the plan:
 
-    a group of seeds      seed-0/, seed-1/ ...    other random numbers                  `learning/campaigns/group.py`
-    a group of attempts   try-1/, try-2/ ...      the values that a diagnosis advises   `insight/retry.py`
-    a study               trial-0/, trial-1/ ...  the values of a search                `learning/campaigns/study.py`
+    a group of seeds     seed-0/, seed-1/ ...    other random numbers                 `group.py`
+    a group of attempts  try-1/, try-2/ ...      the values that a diagnosis advises  `insight/retry.py`
+    a study              trial-0/, trial-1/ ...  the values of a search               `study.py`
 
 Each has a record, the copies of its scenario (`inputs/`, `resolved.yaml`), the output of workers (`workers/`)
 and its members. A member is a run; that of a study is a group of seeds. Importing this module does not load

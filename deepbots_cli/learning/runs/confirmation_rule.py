@@ -56,8 +56,8 @@ _MAX_EPISODES = 10 * MAX_SOLVED_EPISODES
 
 
 def may_begin(number: int, failed_steps: float, steps: float, share: float) -> bool:
-    """Return whether confirmation `number`, counted from 1, may begin: the first one always, and a further one
-    while failed ones took at most `share` of the steps of the training."""
+    """Return whether confirmation `number`, counted from 1, may begin: the first one always, and a further
+    one while failed ones took at most `share` of the steps of the training."""
     return number == 1 or failed_steps <= share * steps
 
 

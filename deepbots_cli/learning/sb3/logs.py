@@ -127,9 +127,9 @@ class AgentLog(Logger):
 def encoded(value: Any) -> Any:
     """Return a number of numpy with its type, and without NaN, which JSON does not have."""
     if isinstance(value, np.generic):
-        plain = value.tolist()
-        dtype = str(value.dtype)
-        return NumpyScalar(dtype=dtype, value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
+        plain: Any = value.tolist()
+        dtype: Any = str(value.dtype)
+        return NumpyScalar(dtype=dtype, value=plain if math.isfinite(plain) else None)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -128,6 +128,6 @@ def _missing_text(name: str, first: str, count: int, learner: Agent) -> str:
     if any(observed.name == first for observed in learner.inputs):
         return f"the teacher {name} sees `{first}`{more} with another range or history; write the same ones"
     return (
-        f"the teacher {name} sees `{first}`{more}, which the training does not compute; list it under `critic`"
-        " with the range that the teacher has"
+        f"the teacher {name} sees `{first}`{more}, which the training does not compute; list it under"
+        " `critic` with the range that the teacher has"
     )
