@@ -12,7 +12,7 @@ from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.ends import training_length
 from deepbots_cli.insight.stages import criterion, criterion_text, hides_success, needs_exploration
 from deepbots_cli.insight.statements import EvaluationRate, Numbers, Percentage, sentence, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, returns_rise
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 
 _LARGE_RETURN = 1000.0
@@ -40,7 +40,7 @@ def learning_rate_too_high(evidence: TrainingEvidence) -> Numbers | None:
     times = rate / usual
     if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
         return None
-    first, last = evidence.mean_return(0.0, 0.25), evidence.mean_return(0.75, 1.0)
+    first, last = mean_return(evidence, 0.0, 0.25), mean_return(evidence, 0.75, 1.0)
     unlikely = 0.75 if times > 5 else 0.5
     return {
         "likelihood": 0.93 if times >= 20 else unlikely,
@@ -88,7 +88,7 @@ def learning_rate_too_low(evidence: TrainingEvidence) -> Numbers | None:
     # In an update of PPO with a usual rate, the KL divergence is about 0.01.
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
         return None
-    first, last = evidence.mean_return(0.0, 0.25), evidence.mean_return(0.75, 1.0)
+    first, last = mean_return(evidence, 0.0, 0.25), mean_return(evidence, 0.75, 1.0)
     divergence = (
         f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}"
         if len(kl)
@@ -326,7 +326,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
         "share": Percentage(share),
         "randomness": f"{Percentage(share)} of" if share < 10 else "more than 10 times",
         "updates": len(entropy),
-        "late": evidence.mean_return(0.75, 1.0),
+        "late": mean_return(evidence, 0.75, 1.0),
         "last_evaluation": last,
         "evaluated": ""
         if last is None

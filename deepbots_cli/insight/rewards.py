@@ -14,7 +14,7 @@ from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, returns_rise
 
 _LIMITS = ("max_steps", "max_time")
 _CLEARLY_MORE = 0.05
@@ -551,7 +551,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         evidence.policy or evidence.idle
     )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
-    has_grown = evidence.mean_return(0.0, 0.1) < 0.9 * mean
+    has_grown = mean_return(evidence, 0.0, 0.1) < 0.9 * mean
     if not is_near and (stands or not is_same or not has_grown or not _is_flat(evidence, mean)):
         return None
     steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
@@ -596,7 +596,7 @@ def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
     ]
     if len(mean_returns) >= _FLAT_EVALUATIONS:
         return max(abs(value - mean) for value in mean_returns) <= 2 * _CEILING * mean
-    third, last = evidence.mean_return(0.5, 0.75), evidence.mean_return(0.75, 1.0)
+    third, last = mean_return(evidence, 0.5, 0.75), mean_return(evidence, 0.75, 1.0)
     return abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean
 
 

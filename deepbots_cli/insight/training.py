@@ -208,10 +208,6 @@ class TrainingEvidence:
         1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
-    def mean_return(self, first: float, last: float) -> float:
-        """Return the mean return of `episodes_between`."""
-        return float(self.episodes_between(first, last).returns.mean())
-
     def episodes_by_steps(self, first: float, last: float) -> Any:
         """Return the episodes of the present stage that ended between two shares of its steps."""
         low, high = (self.first_step + share * self.stage_steps for share in (first, last))
@@ -304,6 +300,11 @@ class TrainingEvidence:
         return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
 
 
+def mean_return(evidence: TrainingEvidence, first: float, last: float) -> float:
+    """Return the mean return of `TrainingEvidence.episodes_between`."""
+    return float(evidence.episodes_between(first, last).returns.mean())
+
+
 def returns_rise(evidence: TrainingEvidence) -> tuple[float, float, float, float] | None:
     """Return the mean returns of the first half and of the last quarter of the present stage, their
     difference, and twice its standard error.
@@ -317,7 +318,7 @@ def returns_rise(evidence: TrainingEvidence) -> tuple[float, float, float, float
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it
     # levels off.
-    start, before = evidence.mean_return(0.0, 0.25), evidence.mean_return(0.5, 0.75)
+    start, before = mean_return(evidence, 0.0, 0.25), mean_return(evidence, 0.5, 0.75)
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     return float(early.mean()), float(late.mean()), gain, chance
