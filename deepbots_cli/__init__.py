@@ -1,26 +1,41 @@
 """deepbots: one YAML scenario and a URDF robot become a trained, evaluated, explained robot policy.
 
-The stages of the data, and the package of each:
+The stages of the data, and the package of each; below, the other packages and modules:
 
     text ─▶ nodes ─▶ Scenario ─▶ typed trees ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
     document    scenario    compiler, expressions   program   codegen             runtime         learning
 
-program/      the compiled scenario     lint/         rules about scenarios
-cli/, lsp/    the command and the language server
-port.py       the interface of engines  engines/      the engines behind it
-engine_kinds.py  the names of engines and their requirements
-frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
-geometry.py   terrain and meshes at simulation time
-tiles.py      heights of a terrain of tiles
-arrays.py     expressions over arrays
-api.py        from scenario to environment
-envs.py       shipped scenarios for Gymnasium
-errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
-display.py    the progress that a command shows
-installation.py  the packages of extras, and how to install them
-words.py      numbers and lists in messages
-plugins.py    plug-ins of other packages     message_formats.py  the formats of messages
-processes.py  further processes of Python    pictures.py  a check of pictures before they are decoded
+program/            the compiled scenario
+analysis/           ranges of values, equal quantities, thresholds, possible returns
+robots/             robot files: URDF, meshes
+diagnostics/        findings and their rules
+lint/               rules about scenarios
+engines/            simulated worlds, one package for each simulator
+rollout/            sources by name or path; episodes as a stream of steps
+cluster/            trainings in several processes or on several machines
+view/               the live page, pictures, clips, recordings
+insight/            explanations, reports, exported policies
+webots/             projects of Webots
+studio/             one page for writing, seeing and training
+cli/, lsp/          the command and the language server
+port.py             the interface of engines
+engine_kinds.py     the names of engines and their requirements
+frames.py           rotations and frames
+footprint.py        footprints, link frames, bounding boxes
+geometry.py         terrain and meshes at simulation time
+tiles.py            heights of a terrain of tiles
+arrays.py           expressions over arrays
+api.py              from scenario to environment
+envs.py             shipped scenarios for Gymnasium
+errors.py           the exceptions, as a tree
+files.py            files read up to a limit, or written whole
+display.py          the progress that a command shows
+installation.py     the packages of extras, and how to install them
+words.py            numbers and lists in messages
+plugins.py          plug-ins of other packages
+message_formats.py  the formats of messages
+processes.py        further processes of Python
+pictures.py         a check of pictures before they are decoded
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,
 `parallel_env`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so

@@ -10,6 +10,7 @@ model.py      bundle.json as records
 schema.py     the JSON Schema of these records
 onnx_file.py  the check that a graph consists of known operators alone
 bundle.py     loading a bundle with all checks; the policy as an object to call
+signature.py  signatures of bundles: who exported one, and that nothing in it was changed
 topics.py     the parts of ROS 2 messages that carry fields, with units and counts; default topics of a robot
 idl.py        the ROS 2 messages as types of Cyclone DDS
 ros.py        fields as messages of ROS and back
