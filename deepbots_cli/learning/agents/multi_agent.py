@@ -440,8 +440,8 @@ def _common_steps(learners: Mapping[str, Learner]) -> int:
     if len(set(steps.values())) > 1:
         step_counts = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
         raise UsageError(
-            f"agents that learn in the same worlds must collect the same number of steps between two"
-            f" updates, not {step_counts}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
+            "agents that learn in the same worlds must collect the same number of steps between two updates,"
+            f" not {step_counts}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
         )
     return next(iter(steps.values()))
 

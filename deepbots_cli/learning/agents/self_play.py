@@ -191,8 +191,8 @@ class SelfPlayLearner(MultiAgentLearner):
         (_, first), *other_trainings = training.agents
         if any(replace(agent_training, agents=()) != first for _, agent_training in other_trainings):
             raise UsageError(
-                "agents that share a policy must have the same `train`; write it, with `self_play`, at the top"
-                " level"
+                "agents that share a policy must have the same `train`; write it, with `self_play`, at the"
+                " top level"
             )
         model = ALGORITHMS[first.algorithm]
         if not model.on_policy or model.is_recurrent:
@@ -224,7 +224,8 @@ class SelfPlayLearner(MultiAgentLearner):
         if not setup.program.is_symmetric:
             raise UsageError(
                 "`self_play` needs two equal agents: `like` with no action, observation or reward of its own,"
-                " and as many successes and failures for each; without it, each agent learns a policy of its own"
+                " and as many successes and failures for each; without it, each agent learns a policy of its"
+                " own"
             )
         self._rater = _Rater()
         (name, training), _ = setup.training.agents
