@@ -2,8 +2,7 @@
 
 command.py             the commands as one program; arguments that several commands share
 commands/              the commands, a module each, imported when it is called
-sources.py             scenarios, runs and robots as arguments
-scenario_arguments.py  files, names and folders as the arguments of `lint` and `test`
+sources.py             scenarios, folders, runs and robots as arguments
 processes.py           the processes of `--workers` and `--cluster`
 exits.py               exceptions to exit codes
 terminal.py            output, color, progress

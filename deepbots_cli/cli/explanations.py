@@ -30,6 +30,7 @@ _MIN_BEGINNING = 3
 _OF_AGENT = "agents.<name>."
 _FILLER = re.compile("and|are|can|does|for|from|how|into|make|than|that|the|this|what|when|why|with|your")
 """Words of a phrase that no entry is about."""
+_FACTOR = re.compile(r"\b\d\S* times\b")
 
 GLOSSARY = Path(__file__).with_name("glossary.yaml")
 _MAX_SHOWN = 8
@@ -231,7 +232,9 @@ def related_entries(phrase: str) -> list[str]:
     """Return the entries that have a word of a phrase in one of their names, or all of them in their texts,
     the best first; empty if there is none."""
     words = {
-        word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING and not _FILLER.fullmatch(word)
+        word
+        for word in _plain(_FACTOR.sub("", phrase)).split()
+        if len(word) >= _MIN_BEGINNING and not _FILLER.fullmatch(word)
     }
     aliases = {topic.name: topic.names for topic in topics()}
     scores = {}

@@ -1,8 +1,8 @@
-"""The argument of a command: a scenario, a run directory, or a robot file."""
+"""The arguments of commands: scenarios, folders of them, run directories, and robot files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +16,13 @@ from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
+from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
+
+STDIN = "-"
+"""The argument for standard input."""
 
 
 @dataclass(frozen=True)
@@ -125,3 +129,20 @@ def run_to_export(run: Run, agent: str | None) -> Run:
         f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export"
         f" {quote(str(run.path))} --agent {names[0]}"
     )
+
+
+def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
+    """Return the scenarios that the arguments name, each once. Files in folders that the project excludes are
+    left out.
+
+    Raises:
+        UsageError: A scenario does not exist, or a folder has no scenario.
+    """
+    names: dict[str, None] = {}
+    for argument in arguments:
+        is_folder = argument != STDIN and Path(argument).is_dir()
+        names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
+    for name in names:
+        if name != STDIN:
+            Source.open(name, Permissions(), SourceKind.SCENARIO)
+    return list(names)

@@ -29,7 +29,7 @@ retry.py       trainings that follow one another with the values that the diagno
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its
                figures
 study.py       one HTML file about a study of `deepbots tune`: history, importance, slices
-wishes.py      the changes of a scenario that a phrase asks for, such as `make the pole longer`
+suggestions.py  changes of a scenario for a phrase such as `make the pole longer`
 templates.py   the templates of pages and of READMEs
 export/        a policy for a robot, as a folder that runs without deepbots
 robot.py       the simulation as a robot, which sends its sensors and obeys commands

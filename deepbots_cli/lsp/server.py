@@ -294,7 +294,7 @@ class CodeActions:
         about = [diagnostic(finding, Locator(analysis, self._workspace.open_uris))]
         changes = self._changes(finding, analysis)
         if changes and finding.fix is not None:
-            title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (a guess)'}"
+            title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (check it)'}"
             edit = self._edit(changes)
             yield types.CodeAction(
                 title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit

@@ -22,7 +22,7 @@ from deepbots_cli.cli.explanations import (
     unknown_word_message,
 )
 from deepbots_cli.diagnostics.registry import RULES, matching_rules
-from deepbots_cli.insight.wishes import Wish
+from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.studio.meanings import Meaning, line_link
 
@@ -53,13 +53,13 @@ class OfText:
         fixes: Title and action of each fix of the findings with a code, and of each change that a phrase
             asks for.
         names: The names of the text that have a word of a phrase, with the line of each, from 0.
-        wishes: The changes that a phrase asks for.
+        suggestions: The changes that a phrase asks for.
         go_to: It leads the cursor to a line, from 0.
     """
 
     fixes: Callable[[str], Iterable[tuple[str, Callable[[], object]]]]
     names: Callable[[str], Sequence[tuple[str, int]]]
-    wishes: Callable[[str], Sequence[Wish]]
+    suggestions: Callable[[str], Sequence[Suggestion]]
     go_to: Callable[[int], object]
 
 
@@ -236,7 +236,7 @@ def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
     in_text = [f"In this file: {listed}."] if names else []
     in_text = [f"**{query}** in this file\n\n{here}"] if here else in_text
-    in_file = [*(wish.text for wish in of_text.wishes(query)), *in_text]
+    in_file = [*(suggestion.text for suggestion in of_text.suggestions(query)), *in_text]
     # What the word is at the cursor says more than the entries of all keys of this name.
     entry = explanation(query, only_concepts=bool(here)) if has_entry or not here else ""
     # The name of a section, such as `reward`, is a word of the language first.

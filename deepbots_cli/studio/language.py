@@ -18,7 +18,7 @@ from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.document.edits import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.nodes import NodePath, entries_at
-from deepbots_cli.insight.wishes import Wish, wishes
+from deepbots_cli.insight.suggestions import Suggestion, suggestions
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.hover import hover
 from deepbots_cli.lsp.lookup import document_symbols
@@ -211,10 +211,10 @@ class Language:
         """Return the names of a file that have a word of a phrase, with the line of each, from 0."""
         return names_like(Document(uri_of(file.path), file.revision, file.text, file.path), phrase)
 
-    def wishes(self, path: Path, phrase: str) -> list[Wish]:
+    def suggestions(self, path: Path, phrase: str) -> list[Suggestion]:
         """Return the changes of links, joints and parameters that a phrase names."""
         analysis = self._analysis(path)
-        return [] if analysis is None or analysis.checked is None else wishes(analysis.checked, phrase)
+        return [] if analysis is None or analysis.checked is None else suggestions(analysis.checked, phrase)
 
     def fixes(self, file: OpenFile, finding: EditorFinding) -> list[EditorFix]:
         """Return the fixes that the language server offers for a finding, those of this file alone."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from lsprotocol import types
 
-from deepbots_cli.insight.wishes import properties
+from deepbots_cli.insight.suggestions import properties
 from deepbots_cli.lsp.hover import hover
 from deepbots_cli.lsp.lookup import definitions, document_symbols
 from deepbots_cli.lsp.uses import references

@@ -11,7 +11,7 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.wishes import Wish
+from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.studio.dialogs import Kind, compare_versions, new_scenario
 from deepbots_cli.studio.editor import Editor
 from deepbots_cli.studio.explain import OfText, show_explanation
@@ -419,18 +419,18 @@ class StudioPage:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._list.fix, file, finding, fix.title)
-            for wish in wishes(code):
-                if not language.has_values(file, {wish.path: wish.value}):
-                    title = f"Write {wish.path.split('.', 2)[-1]}: {wish.value}"
-                    yield title, partial(self._write_values, {wish.path: wish.value})
+            for suggestion in suggestions(code):
+                if not language.has_values(file, {suggestion.path: suggestion.value}):
+                    title = f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}"
+                    yield title, partial(self._write_values, {suggestion.path: suggestion.value})
 
         def names(phrase: str) -> list[tuple[str, int]]:
             return [] if file is None else language.names_like(file, phrase)
 
-        def wishes(phrase: str) -> list[Wish]:
-            return [] if file is None else language.wishes(file.path, phrase)
+        def suggestions(phrase: str) -> list[Suggestion]:
+            return [] if file is None else language.suggestions(file.path, phrase)
 
-        show_explanation(word, OfText(fixes, names, wishes, self._editor.go_to), meaning)
+        show_explanation(word, OfText(fixes, names, suggestions, self._editor.go_to), meaning)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

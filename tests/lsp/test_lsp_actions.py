@@ -43,7 +43,7 @@ def text_after(client, uri, action):
     [
         ("timestep: 32", "timest¦op: 32", "Replace `timestop` with `timestep`", True),
         ("{type: gyro,", "{type: gyro¦s,", "Replace `gyros` with `gyro`", True),
-        ("delta(metric)", "delta(¦metrik)", "Replace `metrik` with `metric` (a guess)", False),
+        ("delta(metric)", "delta(¦metrik)", "Replace `metrik` with `metric` (check it)", False),
         ("timestep: 32 ms", "timestep: 32 mil¦liseconds", "Replace `milliseconds` with `ms`", True),
     ],
 )

@@ -159,7 +159,7 @@ def test_a_finding_is_corrected_by_a_click_and_explained_with_links(studio: Serv
     page.click_line("    fallen:")
     page.press(BACKSPACE, len("fall_angle"))
     page.type("fal_angle")
-    page.click("Replace `fal_angle` with `fall_angle` (a guess)")
+    page.click("Replace `fal_angle` with `fall_angle` (check it)")
     page.wait("document.querySelectorAll('.studio-row').length == 0")
     assert "> fall_angle" in page.text
 

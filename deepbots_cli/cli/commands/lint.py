@@ -19,7 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.scenario_arguments import STDIN, scenario_names
+from deepbots_cli.cli.sources import STDIN, scenario_names
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText

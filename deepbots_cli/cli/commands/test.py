@@ -15,7 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import processes, terminal
 from deepbots_cli.cli.command import ClusterAddress, Engine, Force, Json, Overrides, Workers, option
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.scenario_arguments import scenario_names
+from deepbots_cli.cli.sources import scenario_names
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.junit import Case, xml_report

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.insight.wishes import Wish, wishes
+from deepbots_cli.insight.suggestions import Suggestion, suggestions
 
 _SCALE = "robots.cart.links.pole.scale"
 _MASS = "robots.cart.links.pole.mass"
 
 
-def _wishes(phrase: str, *overrides: str) -> list[Wish]:
-    return wishes(api.load("cartpole", overrides=overrides), phrase)
+def _suggestions(phrase: str, *overrides: str) -> list[Suggestion]:
+    return suggestions(api.load("cartpole", overrides=overrides), phrase)
 
 
 def _override(path: str, value: str) -> str:
@@ -38,26 +38,45 @@ def _override(path: str, value: str) -> str:
     ],
 )
 def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, path, value):
-    (wish,) = _wishes(phrase)
-    assert (wish.path, wish.value) == (path, value)
+    (suggestion,) = _suggestions(phrase)
+    assert (suggestion.path, suggestion.value) == (path, value)
     assert not api.load("cartpole", overrides=[_override(path, value)]).findings.errors
 
 
-def test_the_same_wish_once_more_changes_what_is_written():
-    (wish,) = _wishes("make the pole longer", _override(_SCALE, "1 1 1.5"))
-    assert wish.value == "1 1 2.25"
-    assert "The file has `scale: 1 1 1.5`." in wish.text
+def test_the_same_phrase_once_more_changes_what_is_written():
+    (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, "1 1 1.5"))
+    assert suggestion.value == "1 1 2.25"
+    assert "The file has `scale: 1 1 1.5`." in suggestion.text
 
 
 @pytest.mark.parametrize("phrase", ["fall_angle", "what is a policy", "how does it learn faster", ""])
-def test_a_phrase_that_asks_for_no_change_of_the_world_has_no_wish(phrase):
-    assert _wishes(phrase) == []
+def test_a_phrase_that_asks_for_no_change_of_the_world_has_no_suggestion(phrase):
+    assert _suggestions(phrase) == []
 
 
 def test_a_link_says_what_it_is():
-    (wish,) = _wishes("pole")
-    assert wish.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
+    (suggestion,) = _suggestions("pole")
+    assert suggestion.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("-1e-3 m", "-0.0015 m"),
+        ("2 m/s^2", "3 m/s^2"),
+        ("50 %", "75 %"),
+    ],
+)
+def test_a_value_of_one_number_keeps_its_sign_and_unit(written, value):
+    (suggestion,) = _suggestions("a larger extra", f"parameters={{extra: {written}}}")
+    assert suggestion.value == value
+
+
+@pytest.mark.parametrize("written", ["1 1 stretch", "1 1 uniform(1 .. 2)"])
+def test_a_size_that_is_drawn_or_a_formula_stays(written):
+    (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, written))
+    assert suggestion.value == written
 
 
 def test_a_drawn_parameter_is_left_alone():
-    assert _wishes("a larger track", "parameters.track=uniform(0.3 .. 0.4 m)") == []
+    assert _suggestions("a larger track", "parameters.track=uniform(0.3 .. 0.4 m)") == []

@@ -1,6 +1,6 @@
-"""Changes of a scenario that a phrase asks for, such as `make the pole longer`.
+"""Changes of a scenario for a phrase such as `make the pole longer`.
 
-    wishes(checked, "make the cart faster")   # Wish(..., path="parameters.wheel_speed", value="7.5 rad/s")
+    suggestions(checked, "make the cart faster")   # Suggestion(..., path="parameters.wheel_speed", value="7.5 rad/s")
 
 The words are matched with the names of links, joints and parameters; comparatives give the factor.
 """
@@ -17,9 +17,13 @@ from deepbots_cli.insight.inspection import Row, link_rows
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.fields.base import with_article
 
-_MAX_WISHES = 4
+_MAX_SUGGESTIONS = 4
 _TIMES = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
-_NUMBER = re.compile(r"(?<![\w.^])\d+(?:\.\d+)?(?![\w.])")
+_PLAIN = re.compile(
+    r"((?:urdf \* |[\d.]+ +[\d.]+ +)?[-+]?)(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
+)
+"""A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Other values,
+such as formulas and draws, are not multiplied."""
 _WORD = re.compile(r"[^\W_]+")
 _LARGER, _SMALLER = 1.5, 0.5
 _PROPERTIES = {
@@ -44,12 +48,13 @@ _OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
 
 
 @dataclass(frozen=True)
-class Wish:
+class Suggestion:
     """A link, a joint or a parameter that a phrase names.
 
     Attributes:
         text: What it is, and how the scenario changes it, as Markdown.
-        path, value: A change of it that fits the phrase: the keys to a value, and the value.
+        path, value: A change of it that fits the phrase: the keys to a value, and the value, which is that of
+            the scenario if deepbots cannot change it.
     """
 
     text: str
@@ -62,7 +67,7 @@ def properties(phrase: str) -> set[str]:
     return {_PROPERTIES[word] for word in _words(phrase) & _PROPERTIES.keys()}
 
 
-def wishes(checked: CheckedScenario, phrase: str) -> list[Wish]:
+def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     """Return the changes of links, joints and parameters that a phrase names."""
     words = _words(phrase)
     is_smaller = bool(words & _SMALLER_WORDS)
@@ -75,14 +80,14 @@ def wishes(checked: CheckedScenario, phrase: str) -> list[Wish]:
     named = list(_parts(checked, words | properties(phrase), factor))
     if factors and not words & _OF_LEARNING:
         named += _parameters(checked, words, properties(phrase), factor)
-    return named[:_MAX_WISHES]
+    return named[:_MAX_SUGGESTIONS]
 
 
 def _words(text: str) -> set[str]:
     return {word.lower() for word in _WORD.findall(text)}
 
 
-def _parts(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Wish]:
+def _parts(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:
     root = checked.document.root
     for robot in (checked.robots or {}).values():
         for row in link_rows(robot.model):
@@ -91,33 +96,31 @@ def _parts(checked: CheckedScenario, words: set[str], factor: float) -> Iterator
                 path = ("robots", robot.name, "links", str(row["link"]), key)
                 node = node_at(root, *path)
                 written = node.text if isinstance(node, ScalarNode) else ""
-                value = _multiplied(written or default, factor)
-                yield Wish(
-                    _link_text(robot.name, row, f"{key}: {written}" if written else ""), ".".join(path), value
-                )
+                text = _link_text(robot.name, row, f"{key}: {written}" if written else "")
+                yield Suggestion(text, ".".join(path), _multiplied(written or default, factor))
         for joint in robot.model.moving_joints:
             if _words(joint.name) <= words:
                 unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
                 path_of_joint = f"robots.{robot.name}.joints.{joint.name}.damping"
-                yield Wish(_joint_text(robot.name, joint), path_of_joint, f"0.01 {unit}")
+                yield Suggestion(_joint_text(robot.name, joint), path_of_joint, f"0.01 {unit}")
 
 
-def _parameters(checked: CheckedScenario, words: set[str], asked: set[str], factor: float) -> Iterator[Wish]:
+def _parameters(
+    checked: CheckedScenario, words: set[str], asked: set[str], factor: float
+) -> Iterator[Suggestion]:
     """Yield the parameters of one number whose names have the property that is asked for or, without one, a
     word of the phrase."""
     for name, entry in entries_at(checked.document.root, "parameters").items():
         node = entry.value
-        if not isinstance(node, ScalarNode) or len(_NUMBER.findall(node.text)) != 1:
-            continue
-        if _words(name) & (asked or words):
+        if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and _words(name) & (asked or words):
             text = f"`{name}` is a parameter of this scenario: {node.text}."
-            yield Wish(text, f"parameters.{name}", _multiplied(node.text, factor))
+            yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
 
 
 def _multiplied(text: str, factor: float) -> str:
-    """Return a value whose last number is multiplied."""
-    *_, last = _NUMBER.finditer(text)
-    return f"{text[: last.start()]}{float(last[0]) * factor:.6g}{text[last.end() :]}"
+    """Return a value whose last number is multiplied; the value itself if it is not plain."""
+    plain = _PLAIN.fullmatch(text)
+    return f"{plain[1]}{float(plain[2]) * factor:.6g}{plain[3] or ''}" if plain else text
 
 
 def _link_text(robot: str, row: Row, written: str) -> str:
