@@ -48,7 +48,7 @@ def main() -> None:
 
             page.click_line("  alive: 1")
             page.press(ENTER)
-            for letter in "upright: 15 deg":
+            for letter in "upright: 1 - cart.pole_angle":
                 page.type(letter)
             page.press(ESCAPE)
             page.wait("document.querySelectorAll('.studio-row').length > 0")
