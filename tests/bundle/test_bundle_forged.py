@@ -79,7 +79,6 @@ def _short() -> onnx.TensorProto:
 
 
 _INNER = helper.make_graph([], "inner", [], [])
-_WIDE = helper.make_tensor_value_info("x", FLOAT, [1, 30_000])
 GRAPHS: dict[str, tuple[bytes, str]] = {
     "a plain one": (_graph(_node()), ""),
     "another operator behind a field number of 33 bits": (

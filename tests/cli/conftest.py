@@ -25,12 +25,15 @@ Deepbots = Callable[..., Ran]
 
 @pytest.fixture
 def deepbots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Deepbots:
-    """Runs `deepbots` with the given words; the working directory is `tmp_path`."""
+    """Runs `deepbots` with the given words in `tmp_path`. The exit code is asserted, and that nothing is printed
+    on standard output after wrong usage."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*words: object) -> Ran:
+    def run(*words: object, code: int | None = 0) -> Ran:
         capfd.readouterr()
-        code = main([str(word) for word in words])
-        return Ran(code, *capfd.readouterr())
+        ran = Ran(main([str(word) for word in words]), *capfd.readouterr())
+        assert code is None or ran.code == code, ran.err + ran.out
+        assert ran.code != 2 or not ran.out
+        return ran
 
     return run

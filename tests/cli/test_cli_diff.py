@@ -45,7 +45,7 @@ SINGLE = [
 
 
 def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], dict]]:
-    ran = deepbots("diff", *words, "--json")
+    ran = deepbots("diff", *words, "--json", code=None)
     assert ran.err == "" or ran.code != 2, ran.err
     report = json.loads(ran.out)
     listed = {(row["group"], row["path"]): row for row in report["differences"]}
@@ -73,7 +73,6 @@ def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, settin
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "find_ball")))
 def test_a_scenario_has_no_difference_to_itself(deepbots, name):
     ran = deepbots("diff", name, name)
-    assert ran.code == 0
     assert ran.out == f"{name} and {name} have the same meaning\n"
 
 
@@ -216,7 +215,7 @@ def test_a_default_that_only_one_has_is_shown_with_its_numbers(deepbots):
 
 
 def test_a_link_that_only_one_has_is_named_without_its_inside(deepbots):
-    output = deepbots("diff", "cartpole", "pit_escape").out
+    output = deepbots("diff", "cartpole", "pit_escape", code=1).out
     assert "  robots.cart.links.pole\n    - (not written)\n" in output
     assert "  robots.roller.links.ball\n    + " in output
     assert "inertial" not in output
@@ -259,7 +258,7 @@ def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
 @pytest.mark.slow
 def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    trained = deepbots(
+    deepbots(
         "train",
         "cartpole.yaml",
         "--run",
@@ -269,7 +268,6 @@ def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
         "--set",
         "evaluation.episodes=1",
     )
-    assert trained.code == 0, trained.err
     assert isinstance(RunRecord.read(tmp_path / "run").digest, str)
     _, rows = differences(deepbots, "run", "cartpole.yaml")
     assert set(rows) == {("training", "train.total_timesteps"), ("training", "evaluation.episodes")}

@@ -32,19 +32,17 @@ def files(deepbots, tmp_path):
 
 
 def test_a_simulated_finding_is_printed_like_any_other(deepbots, files):
-    ran = deepbots("lint", "sunk.yaml", "--deep", "--json")
+    ran = deepbots("lint", "sunk.yaml", "--deep", "--json", code=1)
     (finding,) = json.loads(ran.out)["findings"]
-    assert ran.code == 1
     assert finding["code"] == "DB310"
     assert finding["file"] == "sunk.yaml"
     assert finding["start"]["line"] == 50
-    assert deepbots("lint", "sunk.yaml").code == 0
+    deepbots("lint", "sunk.yaml")
 
 
 @pytest.mark.slow
 def test_a_simulated_finding_is_selected_and_suppressed_like_any_other(deepbots, files):
     ran = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
-    assert ran.code == 0
     assert ran.out.split()[2] == "DB608[constant-observation]"
     assert (
         deepbots(
@@ -66,24 +64,19 @@ def test_selecting_a_simulated_rule_without_a_simulation_is_reported(deepbots, f
 
 def test_a_scenario_with_errors_is_not_simulated_and_a_note_says_so(deepbots, files):
     (files / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
-    ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise")
-    assert ran.code == 1
+    ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise", code=1)
     assert ran.out.split()[2] == "DB402[unknown-name]"
     assert ran.err == "broken.yaml: not simulated because it has errors\n"
 
 
 @pytest.mark.parametrize("option", ["--fix", "--diff"])
 def test_deep_refuses_fix(deepbots, files, option):
-    ran = deepbots("lint", "sunk.yaml", "--deep", option)
-    assert ran.code == 2
-    assert ran.out == ""
+    ran = deepbots("lint", "sunk.yaml", "--deep", option, code=2)
     assert "--deep" in ran.err
 
 
 def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, files, monkeypatch):
     for engine in ("pybullet", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
-    ran = deepbots("lint", "sunk.yaml", "--deep")
-    assert ran.code == 2
-    assert ran.out == ""
+    ran = deepbots("lint", "sunk.yaml", "--deep", code=2)
     assert install_hint("sim") in ran.err

@@ -54,8 +54,7 @@ def scenario(name: str) -> str:
 
 
 def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots, folder) -> None:
-    ran = deepbots("lint", ".", "--format", "concise")
-    assert ran.code == 3
+    ran = deepbots("lint", ".", "--format", "concise", code=3)
     rows = [line.split()[:3] for line in ran.out.splitlines()]
     assert rows == [
         ["a.yaml:1:1:", "error", "DB903[rule-failed]"],
@@ -71,8 +70,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
     "words", [("--select", "DB7"), ("--ignore", "DB903"), ("--exit-zero",), ("--jobs", "2")]
 )
 def test_no_option_hides_a_rule_that_failed(deepbots, folder, words) -> None:
-    ran = deepbots("lint", ".", *words)
-    assert ran.code == 3
+    ran = deepbots("lint", ".", *words, code=3)
     assert "DB903" in ran.out
 
 
@@ -83,20 +81,20 @@ def test_those_who_debug_get_the_exception_of_a_rule(deepbots, folder, monkeypat
 
 
 def test_every_format_reports_a_rule_that_failed_at_the_start_of_the_file(deepbots, folder) -> None:
-    (finding, _) = json.loads(deepbots("lint", "a.yaml", "--json").out)["findings"]
+    (finding, _) = json.loads(deepbots("lint", "a.yaml", "--json", code=3).out)["findings"]
     assert finding["code"] == "DB903"
     assert finding["severity"] == "error"
     assert finding["start"] == {"line": 1, "column": 1}
     assert "report this message" in finding["help"]
-    assert deepbots("lint", "a.yaml", "--format", "github").out.startswith(
+    assert deepbots("lint", "a.yaml", "--format", "github", code=3).out.startswith(
         "::error title=DB903 rule-failed,file=a.yaml,line=1,"
     )
-    (run,) = json.loads(deepbots("lint", "a.yaml", "--format", "sarif").out)["runs"]
+    (run,) = json.loads(deepbots("lint", "a.yaml", "--format", "sarif", code=3).out)["runs"]
     assert [(result["ruleId"], result["level"]) for result in run["results"]] == [
         ("DB903", "error"),
         ("DB205", "warning"),
     ]
-    report = ElementTree.fromstring(deepbots("lint", "a.yaml", "--format", "junit").out)
+    report = ElementTree.fromstring(deepbots("lint", "a.yaml", "--format", "junit", code=3).out)
     assert (report.get("errors"), report.get("failures")) == ("1", "0")
     assert [error.get("type") for error in report.iter("error")] == ["DB903"]
 
@@ -104,8 +102,7 @@ def test_every_format_reports_a_rule_that_failed_at_the_start_of_the_file(deepbo
 def test_an_exception_of_the_compiler_on_one_file_is_a_finding_of_it(deepbots, folder, monkeypatch) -> None:
     load = api.load
     monkeypatch.setattr(api, "load", lambda name, **options: load(name, **options) if "b" in name else 1 // 0)
-    ran = deepbots("lint", ".", "--format", "concise")
-    assert ran.code == 3
+    ran = deepbots("lint", ".", "--format", "concise", code=3)
     assert ran.out.startswith(
         "a.yaml:1:1: error DB903[rule-failed] the compiler failed on this file: ZeroDivisionError"
     )
@@ -138,8 +135,8 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
         "--preview",
         "--set",
         "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}",
+        code=3,
     )
-    assert ran.code == 3
     assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out
     assert "DB611" in ran.out
 

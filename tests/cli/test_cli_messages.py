@@ -61,22 +61,22 @@ def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path)
     (tmp_path / "here").mkdir()
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "buggy.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
-    refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf")
+    refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
     assert "`--allow-path there`" in refused.err
     assert "package://PACKAGE/PATH" in refused.err
-    assert deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there").code == 0
-    assert deepbots("lint", "here/mine.yaml", "--allow-path", "there").code == 0
+    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there")
+    deepbots("lint", "here/mine.yaml", "--allow-path", "there")
 
 
 def test_new_from_an_own_scenario_suggests_cp_and_extends(deepbots, tmp_path):
     (tmp_path / "one.yaml").write_text(CARTPOLE)
-    error = deepbots("new", "base", "--from", "one.yaml").err
+    error = deepbots("new", "base", "--from", "one.yaml", code=2).err
     assert "`cp one.yaml base.yaml`" in error
     assert "`extends: one.yaml`" in error
 
 
 def test_a_picture_of_a_robot_names_the_option_that_needs_a_scenario(deepbots):
-    assert "--labels needs a scenario" in deepbots("render", "epuck", "--labels", "-o", "a.png").err
+    assert "--labels needs a scenario" in deepbots("render", "epuck", "--labels", "-o", "a.png", code=2).err
 
 
 def test_a_drawn_mass_is_marked_in_inspect(deepbots, tmp_path):
@@ -91,7 +91,7 @@ def test_a_drawn_mass_is_marked_in_inspect(deepbots, tmp_path):
 def test_serving_for_no_number_of_seconds_is_refused(deepbots, seconds):
     assert (
         f"--seconds {float(seconds):g}: write a number of seconds above 0"
-        in deepbots("serve", "bundle", "--seconds", seconds).err
+        in deepbots("serve", "bundle", "--seconds", seconds, code=2).err
     )
 
 
@@ -112,7 +112,7 @@ def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(de
         '<robot name="far"><link name="a"><visual><geometry><mesh'
         ' filename="far.obj"/></geometry></visual></link></robot>'
     )
-    ran = deepbots("inspect", "far.urdf")
+    ran = deepbots("inspect", "far.urdf", code=1)
     assert "the mesh has a vertex at 1" in ran.out + ran.err
 
 

@@ -47,7 +47,6 @@ def mine(first: Path, tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path) -> None:
     ran = deepbots("compare", "mine", STEP, "--episodes", "2")
-    assert ran.code == 0, ran.err
     assert "mine (step-000000128)" in ran.out
     assert "after_steps" in ran.out
     report = json.loads(deepbots("compare", "mine", STEP, "--episodes", "2", "--json").out)
@@ -69,8 +68,7 @@ def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path
 def test_every_command_that_takes_a_policy_takes_a_checkpoint(
     deepbots: Deepbots, mine: Path, words: tuple[str, ...]
 ) -> None:
-    ran = deepbots(*words)
-    assert ran.code == 0, ran.err
+    deepbots(*words)
 
 
 @pytest.mark.slow
@@ -83,7 +81,6 @@ def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots
 @pytest.mark.slow
 def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, mine: Path) -> None:
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
-    assert ran.code == 0, ran.err
     assert "models of mine on new starts, the best first" in ran.out
     assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
     best = RunRecord.read(mine).result.best_model  # type: ignore[union-attr]
@@ -99,8 +96,7 @@ def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: P
     assert report["kept"]["best"]["chosen_by"] == "hand"
     assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
     assert "chosen by hand" in deepbots("inspect", "mine").out
-    refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg")
-    assert refused.code == 2
+    refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
     assert "--set cannot be combined with --keep" in refused.err
 
 

@@ -205,10 +205,8 @@ def robot(request, tmp_path):
 
 @pytest.mark.parametrize("robot", few(ROBOTS, ("tall_foot",)), indirect=True)
 def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, robot):
-    created = deepbots("new", "first", "--urdf", f"{robot}.urdf")
-    assert created.code == 0, created.err
+    deepbots("new", "first", "--urdf", f"{robot}.urdf")
     ran = deepbots("lint", "first.yaml", "--deep", "--preview")
-    assert ran.code == 0
     assert ran.out == "first.yaml: no findings, including the simulation\n"
 
 
@@ -230,7 +228,7 @@ def test_groups_and_poses_have_names_of_their_own():
 def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_lifted_with_it(
     deepbots, tmp_path, robot
 ):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     low, high = (
         [float(word) for word in end.split()]
@@ -247,7 +245,7 @@ def test_an_arm_that_was_lifted_out_of_the_ground_reaches_for_places_that_were_l
 def test_an_arm_that_moves_in_a_plane_reaches_for_places_in_it_and_starts_beside_them(
     deepbots, robot, across
 ):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json")
     world = api.make("first.yaml")
     limb = Build(world.scenario.world.robots[0].model).limbs[0]
     for seed in range(20):
@@ -275,7 +273,7 @@ def test_no_position_is_rounded_beyond_a_limit(deepbots, tmp_path, lower, upper)
         + link("tip", box("0.1 0.1 0.1"))
     )
     (tmp_path / "narrow.urdf").write_text(f'<robot name="r">{links}{text}</robot>')
-    assert deepbots("new", "first", "--urdf", "narrow.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", "narrow.urdf", "--json")
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
 
 
@@ -288,19 +286,19 @@ def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(dee
     mesh = '<mesh filename="package://my_arm/meshes/foot.stl"/>'
     robot = f'<robot name="r">{link("base", mesh)}{tall_foot()}{joint("bolt", "base", "pillar", "0 0 0", limit="")}</robot>'
     (tmp_path / "my_arm" / "urdf" / "arm.urdf").write_text(robot)
-    assert deepbots("inspect", "my_arm/urdf/arm.urdf").code == 0
-    assert deepbots("new", "first", "--urdf", "my_arm/urdf/arm.urdf", "--json").code == 0
+    deepbots("inspect", "my_arm/urdf/arm.urdf")
+    deepbots("new", "first", "--urdf", "my_arm/urdf/arm.urdf", "--json")
     assert [
         finding.code for finding in api.lint(tmp_path / "first.yaml") if finding.severity == "error"
     ] == []
     monkeypatch.chdir(tmp_path / "my_arm" / "urdf")
-    assert "allow its folder with --allow-path" in deepbots("inspect", "arm.urdf").err
-    assert deepbots("inspect", "arm.urdf", "--allow-path", "..").code == 0
+    assert "allow its folder with --allow-path" in deepbots("inspect", "arm.urdf", code=1).err
+    deepbots("inspect", "arm.urdf", "--allow-path", "..")
 
 
 @pytest.mark.parametrize("robot", ["locked"], indirect=True)
 def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, robot):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json")
     assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [
         ("free",)
     ]
@@ -308,7 +306,7 @@ def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, rob
 
 @pytest.mark.parametrize("robot", ["gripper"], indirect=True)
 def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, robot):
-    assert deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", f"{robot}.urdf", "--json")
     assert "2 of 2 joints move, 2 limbs, 1 follows another joint;" in (tmp_path / "first.yaml").read_text(
         encoding="utf-8"
     )
@@ -320,15 +318,13 @@ def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, robot):
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
     massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
     (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
-    created = deepbots("new", "first", "--urdf", "light.urdf")
-    assert created.code == 2
-    assert created.out == ""
+    created = deepbots("new", "first", "--urdf", "light.urdf", code=2)
     assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in created.err
     assert not (tmp_path / "first.yaml").exists()
 
 
 def test_of_a_robot_file_that_is_not_there_the_nearest_shipped_one_is_suggested(deepbots):
-    assert "did you mean rover?" in deepbots("new", "first", "--urdf", "rovr").err
+    assert "did you mean rover?" in deepbots("new", "first", "--urdf", "rovr", code=2).err
 
 
 ODD = (
@@ -344,11 +340,9 @@ ODD = (
 @pytest.mark.parametrize("name", few(ODD, ODD[:2]))
 def test_a_robot_with_an_unusual_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
     pytest.importorskip("pybullet_data")
-    created = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
-    assert created.code == 0, created.err
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
     assert deepbots("lint", "first.yaml").out == "first.yaml: no findings\n"
     ran = deepbots("try", "first.yaml", "--steps", "100")
-    assert ran.code == 0
     assert ran.err == ""
     assert "term" in ran.out
 
@@ -359,7 +353,7 @@ RACECAR = ("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf
 def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
     """It failed in the third of these episodes."""
     pytest.importorskip("pybullet_data")
-    assert deepbots(*RACECAR).code == 0
+    deepbots(*RACECAR)
     ran = deepbots(
         "try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json"
     )
@@ -369,7 +363,7 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
 def test_wheels_of_a_car_push_with_at_most_its_weight(deepbots):
     """Its robot file allows 10 N*m for each of four wheels of 5 cm, which is 14 times its weight."""
     pytest.importorskip("pybullet_data")
-    assert deepbots(*RACECAR).code == 0
+    deepbots(*RACECAR)
     text = Path("car.yaml").read_text()
     assert "max_torque: 0.723 N*m" in text  # 5.89 kg * 9.81 m/s^2 * 5 cm / 4
     assert "14 times the weight" in text
@@ -380,7 +374,7 @@ def test_wheels_of_a_car_push_with_at_most_its_weight(deepbots):
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_the_script_of_a_steered_robot_reaches_its_mark_from_fifty_starts(deepbots, engine):
     pytest.importorskip("pybullet_data")
-    assert deepbots(*RACECAR).code == 0
+    deepbots(*RACECAR)
     ran = deepbots("try", "car.yaml", "--driver", "towards", "--episodes", "50", "--engine", engine, "--json")
     assert json.loads(ran.out)["summary"]["successes"] == 50
 
@@ -399,6 +393,6 @@ def test_the_comment_about_a_tricycle_says_that_one_joint_steers(deepbots, tmp_p
         links.append(joint(f"{name}_wheel", parent, name, at).replace("revolute", "continuous"))
     links.append(joint("steering", "base", "fork", "0.2 0 -0.03", "0 0 1"))
     (tmp_path / "trike.urdf").write_text(f'<robot name="trike">{"".join(links)}</robot>', encoding="utf-8")
-    assert deepbots("new", "first", "--urdf", "trike.urdf", "--json").code == 0
+    deepbots("new", "first", "--urdf", "trike.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     assert "4 of 4 joints move, 3 of them carry wheels, 1 steers;" in text

@@ -33,7 +33,6 @@ def scripted(tmp_path):
 
 def report_of(deepbots, *words):
     result = deepbots("try", *words, "--json")
-    assert result.code == 0, result.err
     return json.loads(result.out)
 
 
@@ -85,15 +84,12 @@ KNOWN = "the drivers are onward, catch, random, zero, and actions such as forwar
     ],
 )
 def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, message):
-    result = deepbots("try", scripted, "--driver", name)
-    assert result.code == 2
+    result = deepbots("try", scripted, "--driver", name, code=2)
     assert result.err.endswith(message)
-    assert result.out == ""
 
 
 def test_a_scenario_without_scripts_says_so(deepbots):
-    result = deepbots("try", "cartpole", "--driver", "catch")
-    assert result.code == 2
+    result = deepbots("try", "cartpole", "--driver", "catch", code=2)
     assert (
         result.err == "error: there is no driver 'catch'; the drivers are random, zero, and actions such as"
         " forward,backward\n"
@@ -187,7 +183,6 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     ],
 )
 def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, message):
-    result = deepbots("try", scripted, "--start", start)
-    assert result.code == 2
+    result = deepbots("try", scripted, "--start", start, code=2)
     assert message in result.err
     assert len(result.err.strip().splitlines()) == 1

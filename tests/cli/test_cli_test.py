@@ -56,7 +56,7 @@ def small(deepbots: Deepbots, tmp_path: Path):
 
     def run(tests: str, *words: object, world: str = WORLD) -> Ran:
         (tmp_path / "small.yaml").write_text(f"{world}tests:\n{tests}")
-        return deepbots("test", "small.yaml", "--engine", "exact", *words)
+        return deepbots("test", "small.yaml", "--engine", "exact", *words, code=None)
 
     return run
 
@@ -197,8 +197,7 @@ def test_junit_has_a_suite_for_each_scenario_and_a_case_for_each_test(
     (tmp_path / "broken.yaml").write_text(
         "deepbots: 1\nextends: small.yaml\ntests: {one: {driver: nobody, expect: {mean_return: 1}}}\n"
     )
-    ran = deepbots("test", ".", "--engine", "exact", "--junit", "both.xml")
-    assert ran.code == 1
+    ran = deepbots("test", ".", "--engine", "exact", "--junit", "both.xml", code=1)
     assert "there is no script `nobody`" in ran.err
     assert "1 passed, 1 failed, 1 scenario with errors" in ran.out
     suites = ElementTree.parse(tmp_path / "both.xml").getroot()
@@ -226,12 +225,7 @@ def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_pa
 def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:
     """`--set` may take away what a test names; `test --set` asks for the tests under this setting."""
     assert small("  one: {driver: onward, expect: {ends_by: there}}\n", "--set", "edge=40mm").code == 1
-    assert (
-        deepbots(
-            "try", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2"
-        ).code
-        == 0
-    )
+    deepbots("try", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2")
 
 
 def test_a_condition_holds_only_if_it_holds_for_every_copy(tmp_path: Path) -> None:
@@ -249,6 +243,5 @@ def test_a_condition_holds_only_if_it_holds_for_every_copy(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "quadrotor", "panda_reach")))
 def test_the_tests_of_a_shipped_scenario_pass(deepbots: Deepbots, name: str) -> None:
-    ran = deepbots("test", name)
-    assert ran.code == 0, ran.out
+    deepbots("test", name)
     assert len(api.load(name).tests) >= 2

@@ -37,7 +37,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def run_command(head: list[str], deepbots: Deepbots, folder: Path) -> Ran:
     command = "\n".join(line[2:] for line in head if not line.startswith("## "))
     if command.startswith("deepbots "):
-        return deepbots(*shlex.split(command)[1:])
+        return deepbots(*shlex.split(command)[1:], code=None)
     done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True, check=False)
     return Ran(done.returncode, done.stdout, done.stderr)
 

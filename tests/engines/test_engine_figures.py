@@ -205,8 +205,7 @@ def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_na
 
 ARM_MASS = 2.0
 ARM_INERTIA = 0.02
-ARM_CENTER = (0.3, 0.1, 0.0)
-"""Of the link of `Worlds.rotor`: mass (kg), moment of inertia about its center (kg m^2), center (m)."""
+"""Of the link of `Worlds.rotor`: mass (kg), moment of inertia about its center (kg m^2)."""
 
 
 def spin_up(engine) -> float:

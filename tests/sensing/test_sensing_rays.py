@@ -18,8 +18,6 @@ from deepbots_cli.runtime.streams import Streams
 from tests.sensing.conftest import DEGREE, Scene, brick
 
 Build = Callable[..., Scene]
-ATTITUDE = Pose((0, 0, 1), (0, 0, 0))
-
 
 HERE = Pose()
 

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -135,15 +134,5 @@ class StudioTab:
             self.tab.run("[...document.querySelectorAll('.cm-line')].map(l => l.innerText).join('\\n')")
         )
 
-    def statuses(self) -> list[str]:
-        script = "[...document.querySelectorAll('[role=status]')].map(one => one.innerText)"
-        return list(self.tab.run(script))
-
     def findings(self) -> list[str]:
         return list(self.tab.run("[...document.querySelectorAll('.studio-row')].map(row => row.innerText)"))
-
-    def time_until(self, script: str, seconds: float = 30.0) -> float:
-        """Return the time in s until a script is true, looked at often."""
-        begin = time.monotonic()
-        self.wait(script, seconds)
-        return time.monotonic() - begin
