@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,12 @@ def cases(kind: str) -> list[Case]:
 
 def mistakes(part: str) -> list[list[Any]]:
     """The lines of a part of mistakes.yaml: `scenario`, `document`, `expression` and others."""
-    return list(yaml.safe_load((HERE / "mistakes.yaml").read_text(encoding="utf-8"))[part])
+    return list(_all_mistakes()[part])
+
+
+@cache
+def _all_mistakes() -> dict[str, list[list[Any]]]:
+    return dict(yaml.safe_load((HERE / "mistakes.yaml").read_text(encoding="utf-8")))
 
 
 def write(folder: Path) -> Path:
