@@ -131,7 +131,9 @@ def test_a_mistake_in_what_a_robot_hears_is_one_finding(
 def test_an_agent_learns_and_lint_has_no_doubts(carts: Path, tmp_path: Path) -> None:
     codes = {finding.code for finding in api.lint(carts)}
     assert codes <= {"DB708"}  # that falling ends the payments, which is the point here
-    carts.write_text(HEARING + "train: {algorithm: PPO, total_timesteps: 128, n_steps: 64, n_epochs: 1, batch_size: 32}\n")
+    carts.write_text(
+        HEARING + "train: {algorithm: PPO, total_timesteps: 128, n_steps: 64, n_epochs: 1, batch_size: 32}\n"
+    )
     assert deepbots_cli.train(carts, run=tmp_path / "run", seed=0).steps == 128
     pytest.importorskip("onnx")
     folder = tmp_path / "bundle"

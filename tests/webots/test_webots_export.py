@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,12 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.project import read_world
 from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
-from tests.webots.exported_projects import ROOT, exported, run_exported, run_scenario
+from tests.webots.exported_projects import exported, run_exported, run_scenario
 
 FITTING = ("cartpole", "pit_escape", "find_ball", "multi_cartpole", "line_follower", "balancer")
 
@@ -195,24 +194,19 @@ def test_the_training_has_the_settings_of_the_scenario(tmp_path: Path):
     assert "leaves out `init_std`" in (tmp_path / "README.md").read_text()
 
 
-def test_the_command_lists_differences_and_overwrites_nothing(tmp_path: Path):
+def test_the_command_lists_differences_and_overwrites_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
     folder = tmp_path / "out"
-
-    def export(*options: str) -> subprocess.CompletedProcess[str]:
-        words = ["-m", "deepbots_cli", "export", "cartpole", "--to", "webots", "-o", str(folder), *options]
-        return subprocess.run(
-            [sys.executable, *words], capture_output=True, text=True, cwd=ROOT, timeout=120, check=False
-        )
-
-    first = export("--set", "fall_angle=10 deg")
-    assert first.returncode == 0, first.stderr
-    assert "differs in Webots: Messages take one timestep" in first.stderr
+    words = ["export", "cartpole", "--to", "webots", "-o", str(folder)]
+    assert main([*words, "--set", "fall_angle=10 deg"]) == 0
+    assert "differs in Webots: Messages take one timestep" in capfd.readouterr().err
     assert "Messages take one timestep" in (folder / "README.md").read_text()
     assert "0.17453292519943295" in (folder / "scenario/environment.py").read_text()
     (folder / "README.md").write_text("mine")
-    assert export().returncode != 0
+    assert main(words) != 0
     assert (folder / "README.md").read_text() == "mine"
-    assert export("--force").returncode == 0
+    assert main([*words, "--force"]) == 0
     assert "Messages take one timestep" in (folder / "README.md").read_text()
 
 

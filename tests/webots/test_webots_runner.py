@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,9 +18,8 @@ from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.recorder import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
+from tests.webots.copied_process import ENVIRONMENT, CopiedProcess
 from tests.webots.worlds_of_webots import HEADER, simulate
-
-ROOT = Path(__file__).parents[2]
 
 WORLD = """WorldInfo { basicTimeStep 32 }
 Robot { name "boss" supervisor TRUE controller "boss" children [ Emitter { } Receiver { } ] }
@@ -30,8 +29,9 @@ DEF CART Robot { name "cart" controller "cart" children [ Emitter { } Receiver {
 class Project:
     """A project with one world, in a folder of a test."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, process: CopiedProcess) -> None:
         self.folder = folder
+        self.process = process
         (folder / "worlds").mkdir()
         self.write("worlds/w.wbt", HEADER + WORLD)
 
@@ -45,24 +45,26 @@ class Project:
 
     def run(self, *options: str, allow: bool = True, code: int = 0) -> subprocess.CompletedProcess[str]:
         """Run the world, and assert the exit code."""
-        words = [sys.executable, "-m", "deepbots_cli", "webots", str(self.folder / "worlds" / "w.wbt")]
-        ran = subprocess.run(
-            [*words, *(["--allow-code"] if allow else []), *options],
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            timeout=120,
-            check=False,
-        )
+        words = [
+            "webots",
+            str(self.folder / "worlds" / "w.wbt"),
+            *(["--allow-code"] if allow else []),
+            *options,
+        ]
+        ran = self.process.run(words, self.folder)
         assert ran.returncode == code, ran.stderr
         return ran
 
 
+@pytest.fixture(scope="module")
+def process() -> Iterator[CopiedProcess]:
+    with CopiedProcess() as process:
+        yield process
+
+
 @pytest.fixture
-def project(tmp_path: Path) -> Project:
-    return Project(tmp_path)
+def project(tmp_path: Path, process: CopiedProcess) -> Project:
+    return Project(tmp_path, process)
 
 
 CART = """
@@ -310,9 +312,7 @@ def test_ctrl_c_ends_the_processes_of_controllers(project: Project):
     project.controller("boss", "print('begins', flush=True)\nwhile True: pass")
     world = str(project.folder / "worlds" / "w.wbt")
     words = [sys.executable, "-m", "deepbots_cli", "webots", world, "--allow-code", "--processes"]
-    process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
     with process:
         assert process.stdout is not None
         assert process.stdout.readline() == "[boss] begins\n"

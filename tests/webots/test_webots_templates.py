@@ -122,7 +122,8 @@ def test_a_template_imports_modules_of_a_copy_of_webots(tmp_path: Path):
     ],
 )
 def test_a_template_that_fails_is_a_finding(tmp_path: Path, monkeypatch, body: str, words: str):
-    monkeypatch.setattr("deepbots_cli.webots.proto_templates.MAX_SECONDS", 2.0)
+    if "timeout" in words:  # on a busy machine, the memory is not full after 2 s
+        monkeypatch.setattr("deepbots_cli.webots.proto_templates.MAX_SECONDS", 2.0)
     assert problem(world(tmp_path, body)).startswith(f"the template of PROTO Thing {words}")
 
 
