@@ -83,10 +83,9 @@ def test_a_single_change_is_not_called_one_of_several(solved, tmp_path, capsys, 
 
 
 def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes(
-    solved, tmp_path, capsys, monkeypatch
+    tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    shutil.rmtree(solved)
     _trained(tmp_path, "longer", EASY, "--timesteps", "512", "--full")
     run = _trained(tmp_path, "missed", HARD, "--set", "train.total_timesteps=512")
     causes = _causes(run, capsys)

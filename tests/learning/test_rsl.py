@@ -181,7 +181,7 @@ def test_an_exported_policy_acts_as_the_policy(tmp_path: Path, training: Trainin
     assert np.abs(actions - expected).max() < 1e-5
 
 
-TRAIN = "train={algorithm: rsl_rl.PPO, total_timesteps: 2_000, environments: 4, num_steps_per_env: 64}"
+TRAIN = "train={algorithm: rsl_rl.PPO, total_timesteps: 500, environments: 4, num_steps_per_env: 64}"
 
 
 def test_the_commands_train_evaluate_and_export(
@@ -196,7 +196,7 @@ def test_the_commands_train_evaluate_and_export(
         ("export", "run", "--output", "bundle.zip"),
     ):
         assert main([*words]) == 0, capfd.readouterr().err
-    assert json.loads(Path("run/run.json").read_text())["result"]["steps"] == 2_048
+    assert json.loads(Path("run/run.json").read_text())["result"]["steps"] == 512
 
 
 def test_a_choice_is_refused_in_a_finding_and_in_an_error() -> None:
