@@ -39,7 +39,9 @@ CHOOSING = (
     reward: {upright: cos(right.angle)}
     scripts:
       lean: {go: {ahead: right.angle > 1 deg, rest: right.angle > -1 deg, back: true}}
-    train: {algorithm: MaskablePPO, total_timesteps: 64, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}
+    train:
+      {algorithm: MaskablePPO, total_timesteps: 64, n_steps: 64, n_epochs: 1, batch_size: 32,
+       network: {hidden: [8]}}
 """,
     )
     .replace("apply: {wheels: drive * 5 rad/s}", "apply: {wheels: go * 5 rad/s}", 2)

@@ -38,7 +38,8 @@ agents:
     observation: {left.angle: -1 .. 1 rad, gap: 0 .. 2 m, speed: -1 .. 1 m/s, previous_action: auto}
     reward: {upright: push * cos(left.angle), calm: -abs(delta(speed)) / (m/s)}
     scripts: {lean: {drive: 5 * left.angle / rad}}
-    train: {algorithm: PPO, total_timesteps: 256, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}
+    train:
+      {algorithm: PPO, total_timesteps: 256, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}
   right: {like: left, robots: [right]}
 endings:
   left_fell:  {when: tilt(left.pole) > 30 deg, success: right, failure: left}

@@ -19,7 +19,10 @@ CRITIC = CARTS.replace(
     "augment: {speed: velocity(left).x}",
     "augment: {speed: velocity(left).x, gap: apart, spin: angular_velocity(left.pole).y}",
 )
-PPO = "train: {algorithm: PPO, total_timesteps: 64, environments: 8, n_steps: 8, n_epochs: 1, network: {hidden: [8]}}\n"
+PPO = (
+    "train: {algorithm: PPO, total_timesteps: 64, environments: 8, n_steps: 8, n_epochs: 1,"
+    " network: {hidden: [8]}}\n"
+)
 ROLE = "role={agent: right, others: {left: lean}}"
 
 

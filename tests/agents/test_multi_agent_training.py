@@ -29,9 +29,15 @@ from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_agents import SEVERAL
 from tests.learning.interruption import At, outcome
 
-PPO = "train: {algorithm: PPO, total_timesteps: 768, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}"
+PPO = (
+    "train: {algorithm: PPO, total_timesteps: 768, n_steps: 64, n_epochs: 1,"
+    " batch_size: 32, network: {hidden: [8]}}"
+)
 SAC = "train: {algorithm: SAC, total_timesteps: 256, train_freq: 4, learning_starts: 20, network: {hidden: [8]}}"
-OWN = "train: {algorithm: PPO, total_timesteps: 256, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}"
+OWN = (
+    "train:\n      {algorithm: PPO, total_timesteps: 256, n_steps: 64, n_epochs: 1,"
+    " batch_size: 32, network: {hidden: [8]}}"
+)
 SHARED = SEVERAL.replace(f"    {OWN}\n", "") + PPO + "\n"
 """The training of all agents at the top level."""
 TOGETHER = SEVERAL.replace("success: right, failure: left", "failure: all").replace(

@@ -22,7 +22,10 @@ from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS
 from tests.learning.interruption import At, outcome
 
-PPO = "train: {algorithm: PPO, total_timesteps: 512, n_steps: 64, n_epochs: 1, batch_size: 32, network: {hidden: [8]}}\n"
+PPO = (
+    "train: {algorithm: PPO, total_timesteps: 512, n_steps: 64, n_epochs: 1,"
+    " batch_size: 32, network: {hidden: [8]}}\n"
+)
 
 
 def _changed(text: str, *changes: tuple[str, str]) -> str:

@@ -25,8 +25,8 @@ Deepbots = Callable[..., Ran]
 
 @pytest.fixture
 def deepbots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Deepbots:
-    """Runs `deepbots` with the given words in `tmp_path`. The exit code is asserted, and that nothing is printed
-    on standard output after wrong usage."""
+    """Runs `deepbots` with the given words in `tmp_path`, and asserts its exit code. Wrong usage prints
+    nothing on standard output."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words: object, code: int | None = 0) -> Ran:

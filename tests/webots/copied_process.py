@@ -1,5 +1,7 @@
-"""Commands of deepbots in copies of a process that has imported it: the imports of `deepbots webots` take 0.8 s
-of CPU."""
+"""Commands of deepbots in copies of a process that has imported it.
+
+The imports of `deepbots webots` take 0.8 s of CPU.
+"""
 
 from __future__ import annotations
 
