@@ -204,8 +204,19 @@ def missing_unit(
     probably in `unit`; otherwise the unit is proposed that its dimension usually has.
 
     Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be
-    meant as a plain number; the summands of a reward (`is_paid`) are meant as plain numbers.
+    meant as a plain number. The summands of a reward (`is_paid`) are meant as plain numbers, so the finding
+    is about the `other` side.
     """
+    if other is not None and is_paid:
+        return report_at(
+            report,
+            "DB502",
+            other,
+            f"expected a plain number, as the other side is, found {_described(other)}",
+            f"divide it by its unit: {CORRECTED_LINE}",
+            WHOLE_TEXT,
+            corrected=divided_text(other, f" / {_divisor(dimension)}"),
+        )
     ends: Sequence[TypedNode] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
     if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
@@ -228,8 +239,7 @@ def missing_unit(
             )
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
-        plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
-        help, replacement = (plain, WHOLE_TEXT) if is_paid else (f"{help}; or {plain}", replacement)
+        help += f"; or divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
     node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
     return report_at(report, "DB502", node, headline, help, replacement, corrected=corrected)

@@ -34,7 +34,9 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
             _line("success in training", _percent(curves.successes), 1),
             _line("evaluated success", _percent(curves.evaluated_successes), 1, "marks"),
         ]
-    terms = [_line(name, points, 0, "dashes") for name, points in curves.terms.items()]
+    # A single term is the return itself.
+    shown_terms = curves.terms if len(curves.terms) > 1 else {}
+    terms = [_line(name, points, 0, "dashes") for name, points in shown_terms.items()]
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
     options = _chart([*lines, *_goals([curves], dark=dark), *terms], [curves], has_successes, dark)
     if stages:

@@ -384,7 +384,9 @@ export default {
       const line = context.state.doc.lineAt(context.pos);
       const from = line.from + Math.min(...answer.options.map((option) => option.start));
       const typed = context.state.sliceDoc(from, context.pos);
-      if (!context.explicit && !typed.trim()) return null;
+      const fitting = answer.options.filter((option) => option.apply.startsWith(typed));
+      const isFinished = fitting.length == 1 && fitting[0].apply == typed;
+      if (!context.explicit && (!typed.trim() || isFinished)) return null;
       return {
         from,
         options: answer.options.map((option, number) => ({

@@ -262,7 +262,8 @@ class Language:
         document = self._workspace.documents.get(uri)
         if document is None:
             return
-        rows = sorted(map(_finding, shown), key=lambda row: (row.severity != "error", row.start))
+        findings = (_finding(each, uri) for each in shown)
+        rows = sorted(findings, key=lambda row: (row.severity != "error", row.start))
         self._findings[document.path] = tuple(rows)
         self._checked[document.path] = version or 0
         self._on_findings(document.path)
@@ -294,11 +295,16 @@ def written_parameters(text: str) -> dict[str, str]:
     return {name: source.text[span.start : span.end] for name, span in spans.items()}
 
 
-def _finding(shown: types.Diagnostic) -> EditorFinding:
+def _finding(shown: types.Diagnostic, uri: str) -> EditorFinding:
+    """Return a finding of the document `uri`; its message also names related lines of this document."""
     severity = _NAMES.get(shown.severity or types.DiagnosticSeverity.Error, "error")
-    return EditorFinding(
-        _pair(shown.range.start), _pair(shown.range.end), severity, str(shown.code), shown.message
-    )
+    places = [
+        f"{related.message}: line {related.location.range.start.line + 1}"
+        for related in shown.related_information or ()
+        if related.location.uri == uri
+    ]
+    message = "; ".join([shown.message, *places])
+    return EditorFinding(_pair(shown.range.start), _pair(shown.range.end), severity, str(shown.code), message)
 
 
 def _pair(position: types.Position) -> tuple[int, int]:

@@ -288,7 +288,7 @@ class StudioPage:
         if language.checked_revision(file.path) == 0:
             text = "checking ..."
         elif not findings:
-            text = "no findings"
+            text = "no mistakes found"
         else:
             text = ", ".join(
                 counted(number, word) for number, word in ((errors, "error"), (warnings, "warning")) if number
@@ -397,13 +397,11 @@ class StudioPage:
         if file is not None:
             with suppress(TimeoutError):
                 place = await self._editor.place()
-        if file is None or place is None:
+        # At the first character, nobody has moved the cursor.
+        if file is None or place is None or (place.line, place.column) == (0, 0):
             self._explain()
             return
         language = self._session.language
-        if (place.line, place.column) == (0, 0):  # nobody has moved the cursor
-            self._explain()
-            return
         meaning = language.meaning(file.path, place.text, place.line, place.column, place.word)
         self._explain(place.word, meaning)
 

@@ -72,6 +72,12 @@ class Robot:
             self._ask(self._loads + 1)
 
     @property
+    def is_current(self) -> bool:
+        """Whether the world is that of the files, as they were when they were to be read last."""
+        state = self.state
+        return state is not None and state.state == "running" and state.loaded >= self._loads
+
+    @property
     def is_stuck(self) -> bool:
         """Whether the process has not read the files long after it was asked to."""
         return self._deadline is not None and time.monotonic() > self._deadline

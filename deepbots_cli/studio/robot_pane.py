@@ -37,7 +37,7 @@ _CLOSING_MS = 300
 _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
 _ROBOT_TEXTS = {
     None: "starting",
-    "running": "driven by rules written by hand (a script), not by a learned policy",
+    "running": "",
     "outdated": "the saved file has errors; the robot is that of the last version without errors",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
@@ -51,9 +51,10 @@ _DRIVERS = {
 _DRIVEN_BY = {
     "random": "driven by random actions",
     "zero": "driven by the middle of each range",
-    "policy": "driven by the policy of {}",
+    "policy": "driven by the policy of {run}",
     "you": "driven by you",
 }
+_BY_SCRIPT = "driven by the script {driver}, which is rules written by hand, and not by a learned policy"
 _DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>
   <q-item-label>{{{{ props.opt.label }}}}</q-item-label>
   <q-item-label caption>{{{{ ({json.dumps(_DRIVERS)})[props.opt.label] ??
@@ -153,8 +154,10 @@ class RobotPane:
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
         if not robot.reference:
             text = "there is no scenario in this folder yet; New ... at the top writes one"
-        if state is not None and state.state == "running" and state.driver in _DRIVEN_BY:
-            text = _DRIVEN_BY[state.driver].format(Path(robot.reference).name)
+        if state is not None and state.state == "running":
+            text = _DRIVEN_BY.get(state.driver, _BY_SCRIPT).format(
+                run=Path(robot.reference).name, driver=state.driver
+            )
         if state is not None and state.note:
             text = f"{Path(robot.reference).name}: {state.note}"
         if state is not None and state.text and not robot.problem:

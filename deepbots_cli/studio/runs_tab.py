@@ -61,6 +61,7 @@ _RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))}
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _AGE_INTERVAL_S = 30.0
+_VIDEO_SIZE = "720x480"
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
 _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 """A column that a narrow page leaves out."""
@@ -114,8 +115,8 @@ class RunsTab:
                     lambda run: self._show_output(run, session.commands.run(["eval", str(run)], run)),
                 ),
                 ("Diagnose", self.diagnose),
-                ("Report", partial(self.make_file, "report", "report.html")),
-                ("Video", partial(self.make_file, "render", "video.mp4")),
+                ("Report", partial(self.make_file, ["report"], "report.html")),
+                ("Video", self.make_video),
                 ("Compare", self.compare),
                 ("Resume", self._resume),
             ):
@@ -237,10 +238,14 @@ class RunsTab:
         else:
             robot.show(path)
 
-    def make_file(self, verb: str, name: str, run: Path) -> None:
-        """Write a file about a run, such as a video, and show how far it is."""
+    def make_file(self, words: list[str], name: str, run: Path) -> None:
+        """Write a file about a run by a command, and show how far it is."""
         self._show_tab("Runs")
-        self._show_output(run, self._session.commands.run_with_output([verb, str(run)], run, name))
+        self._show_output(run, self._session.commands.run_with_output([*words, str(run)], run, name))
+
+    def make_video(self, run: Path) -> None:
+        """Write a video of a run, and show it."""
+        self.make_file(["render", "--size", _VIDEO_SIZE], "video.mp4", run)
 
     def _show_output(self, run: Path, task: Task) -> None:
         """Show the output of a command about a run."""

@@ -71,6 +71,7 @@ class Session:
         self.following = Following(self.robot, self.commands)
         self.training_options = {"--timesteps": "", "--seed": ""}
         self._problem = ""
+        self._restarts = False
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
@@ -105,6 +106,9 @@ class Session:
         problem, self._problem = self._problem, self.robot.problem
         if self._problem and self._problem != problem:
             self.say(self._problem)
+        if self._restarts and self.robot.is_current:
+            self._restarts = False
+            self.say("the robot has started again, with the saved text")
         self._tell("robot")
 
     # Files
@@ -230,6 +234,7 @@ class Session:
         self._written = now
         # The robot of a run stays until the text has no errors.
         if self.language.has_errors(self.current) or not self.following.leave(self.current):
+            self._restarts = True
             self.robot.save(tuple(changed))
 
     def _saved_parameters(self) -> dict[tuple[Path, str], str]:

@@ -38,6 +38,12 @@ _FIRST_STEPS = (
     ("Look", "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn."),
 )
 _WHY = "Why is it not solved?"
+_TIMESTEPS = (
+    "how many timesteps the robot practices; the last round of experience is whole, so there may be some more"
+)
+_SEED = (
+    "random actions and starts follow from this number; with another one, the training takes another course"
+)
 _EXPLORING = (
     "In training, the actions are partly random: the line is the mean of the last 100 episodes. Evaluations"
     " are without random actions: dots during the training, and the result above after it."
@@ -62,8 +68,8 @@ class TrainingTab:
             )
             self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_training)
             self._stop.props("dense outline no-caps")
-            self._timesteps = self._option("Timesteps", "--timesteps", "from the file")
-            self._seed = self._option("Seed", "--seed", "0")
+            self._timesteps = self._option("Timesteps", "--timesteps", "from the file", _TIMESTEPS)
+            self._seed = self._option("Seed", "--seed", "0", _SEED)
             self._follows = ui.checkbox(
                 "Robot follows",
                 value=session.following.is_on,
@@ -76,7 +82,7 @@ class TrainingTab:
             for label, act in (
                 (_WHY, runs.diagnose),
                 ("Watch", runs.watch),
-                ("Video", partial(runs.make_file, "render", "video.mp4")),
+                ("Video", runs.make_video),
                 ("Compare", lambda run: runs.compare(run, self._others[-1])),
             ):
                 self._next[label] = ui.button(label, on_click=partial(self._act, act))
@@ -93,10 +99,10 @@ class TrainingTab:
             self._note = ui.label(_EXPLORING).classes("studio-note")
             self._note.set_visibility(False)
 
-    def _option(self, label: str, name: str, placeholder: str) -> ui.input:
+    def _option(self, label: str, name: str, placeholder: str, tip: str) -> ui.input:
         """Add a field for an option of the command; the session keeps its text."""
         field = ui.input(placeholder=placeholder).bind_value(self._session.training_options, name)
-        field.props(f'dense outlined prefix="{label}" aria-label="{label}"')
+        field.props(f'dense outlined prefix="{label}" aria-label="{label}" title="{tip}"')
         return field.classes(f"studio-number studio{name}")
 
     def _add_steps(self) -> None:

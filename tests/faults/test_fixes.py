@@ -114,6 +114,15 @@ def test_the_fix_of_a_reward_with_a_unit_divides_by_it(tmp_path: Path, written: 
     assert rewrite.after.decode().endswith(f"reward: {{near: {fixed}}}\n")
 
 
+def test_a_reward_of_a_number_and_a_quantity_underlines_the_quantity(tmp_path: Path) -> None:
+    path = tmp_path / "paid.yaml"
+    path.write_text(
+        "deepbots: 1\nextends: cartpole\nname: Paid\nreward: {near: 1 - abs(x)}\n", encoding="utf-8"
+    )
+    (finding,) = (finding for finding in api.lint(path) if finding.code == "DB502")
+    assert finding.span.source.text[finding.span.start : finding.span.end] == "abs(x)"
+
+
 @pytest.mark.slow
 def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, list[Finding]]) -> None:
     mended = 0

@@ -20,7 +20,8 @@ pytest.importorskip("viser")
 from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio import robot as robots
-from deepbots_cli.studio.server import FIRST_PORT, studio
+from deepbots_cli.studio import server
+from deepbots_cli.studio.server import studio
 from deepbots_cli.studio.session import Session
 from tests.studio.served import Served, served
 from tests.studio.test_studio_page import SCENARIO
@@ -105,6 +106,10 @@ def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
             (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
             assert finding.place == "4:18"
             assert "parsec" in finding.message
+            session.change(file, file.revision, text.replace("15 deg", "15 kg"))
+            await running.checked(file.path)
+            (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
+            assert finding.message.endswith("; used here: line 21")
             with pytest.raises(UsageError, match="the scenario has errors"):
                 session.saved_name()
             _writes(session, text)
@@ -252,6 +257,7 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
             await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
             assert robot.state.state == "running"
+            assert running.notices == ["the robot has started again, with the saved text"]
 
             _writes(session, SCENARIO.replace("15 deg", "15 parsec"))
             await running.until(lambda: robot.state.state == "outdated")
@@ -453,18 +459,13 @@ def test_a_second_studio_of_a_folder_names_the_first(folder):
     )
 
 
-def test_a_busy_port_is_passed_over(folder):
-    with socket.socket() as busy:
-        # Without it, connections of an earlier server that has ended refuse the port.
-        busy.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            busy.bind(("127.0.0.1", FIRST_PORT))
-            busy.listen()
-        except OSError:  # another program has it, which serves as well
-            pass
+def test_a_busy_port_is_passed_over(folder, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        first = busy.getsockname()[1]
+        monkeypatch.setattr(server, "FIRST_PORT", first)
         address = studio(folder).address
     port = int(address.removeprefix("http://127.0.0.1:").partition("/")[0])
-    assert FIRST_PORT < port < FIRST_PORT + 20
+    assert first < port < first + 20
 
 
 def test_a_chosen_port_that_is_busy_is_one_sentence(folder):
