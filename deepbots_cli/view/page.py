@@ -113,12 +113,14 @@ class Page:
             raise UsageError(
                 f"`play` does not accept a recording; use: deepbots view {quote(source.reference)}"
             )
+        self._hidden: set[Any] = set()
         self.server, self.address = server.serve(
             host,
             port,
             f"deepbots {source.reference}",
             lambda keys, axes: self.playback.manual_input.hold(keys, axes),
             needs_token=playing or embedded,
+            hidden=self._hidden,
         )
         self._cameras = SceneCameras(self.server, self._tasks.put)
         set_theme(self.server.gui, dark=False)
@@ -337,7 +339,7 @@ class Page:
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
-        page."""
+        page, and not while all pages are hidden, as in a tab in the background."""
         frame_count = 0
         due = time.perf_counter()
         checked = time.monotonic()
@@ -356,7 +358,7 @@ class Page:
                 self._changed_at = 0.0
                 self._run_or_stop(self.reload)
             # While nobody looks, the world stands still.
-            if self.player is not None and self.server.get_clients():
+            if self.player is not None and len(self.server.get_clients()) > len(self._hidden):
                 self._run_or_stop(
                     lambda period=period: self.playback.pass_time(  # type: ignore[misc]
                         period, continues=self.panel.show.continues.value

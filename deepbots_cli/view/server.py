@@ -2,7 +2,7 @@
 
     access     Host, Origin and token, as `access.py` checks them; the token is required beyond loopback, and
                for a page that writes files
-    paths      `/` is the page, `/drive` takes keys and gamepads; no file is served
+    paths      `/` is the page, `/drive` takes keys, gamepads and whether the page is hidden; no file is served
     messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a
                value that a control does not offer is ignored
 
@@ -40,11 +40,12 @@ _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
     " data: blob:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
-# Goes into viser's page: keys that are held, the newest first, and gamepads, which viser lacks. It takes keys
-# before viser does, whose camera would move. NAME returns what is sent for a key, null for a key of the page.
+# Goes into viser's page: keys that are held, the newest first, gamepads, and whether the page is hidden, all of
+# which viser lacks. It takes keys before viser does, whose camera would move. NAME returns what is sent for a
+# key, null for a key of the page.
 _KEYS_SCRIPT = """<script>{
 const held = new Map(), name = NAME;
-let wire = null, last = "";
+let wire = null, last = "||";
 const key = e => {
   const sent = name(e);
   if (e.type == "keyup") held.delete(e.code);
@@ -57,8 +58,9 @@ setInterval(() => {
   const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad);
   const axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
   const keys = [...held.values()].reverse().slice(0, MAX_KEYS).join("+");
-  const now = keys + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
-  if (now == "|" && last == "|") return;
+  const moved = axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "";
+  const now = [keys, moved, document.hidden ? "hidden" : ""].join("|");
+  if (now == last && !keys && !moved) return;
   if (!wire || wire.readyState > 1) wire = new WebSocket("drive");
   else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>""".replace(
     "MAX_KEYS", str(MAX_KEYS)
@@ -98,6 +100,7 @@ def serve(
     *,
     needs_token: bool = False,
     has_webots_keys: bool = False,
+    hidden: set[Any] | None = None,
 ) -> tuple[viser.ViserServer, str]:
     """Start the server in a thread. Returns the server, and the address of the page with its token, if any.
 
@@ -110,6 +113,8 @@ def serve(
             programs, and other users of the machine can reach it.
         has_webots_keys: Whether the page sends all keys, as the codes that Webots has for them, in place of
             those that drive.
+        hidden: A set that the server's thread fills: an entry for each open page that its browser does not
+            show, such as that of a tab in the background.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -126,7 +131,7 @@ def serve(
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     key = _WEBOTS_KEY if has_webots_keys else _DRIVING_KEY
     with (
-        _guarded(host, token, on_drive, key),
+        _guarded(host, token, on_drive, key, set() if hidden is None else hidden),
         contextlib.redirect_stdout(io.StringIO()),
     ):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
@@ -159,7 +164,7 @@ def _is_offered(value: object, control: Any) -> bool:
 
 
 @contextlib.contextmanager
-def _guarded(host: str, token: str, on_drive: OnDrive, key: str) -> Iterator[None]:
+def _guarded(host: str, token: str, on_drive: OnDrive, key: str, hidden: set[Any]) -> Iterator[None]:
     """Context in which a new `ViserServer` gets the checks. `key` is a function of JavaScript that returns
     what the page sends for a key."""
     import viser
@@ -175,8 +180,7 @@ def _guarded(host: str, token: str, on_drive: OnDrive, key: str) -> Iterator[Non
             asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
             with contextlib.suppress(Exception):
                 if connection.request.path == "/drive":
-                    async for text in connection:
-                        on_drive(*_read_drive(text))
+                    await _listen(connection, on_drive, hidden)
                 else:
                     await handler(connection)
 
@@ -227,16 +231,27 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
     return Response(status, reason, Headers(contents | safe | headers), body)
 
 
-def _read_drive(text: Any) -> tuple[Keys, Axes]:
-    """Read the held keys and the axes of a gamepad, from -1 to 1, from a message such as `KeyW+KeyA|0.5,-1`.
-    An axis that is not a number is 0.
+async def _listen(connection: Any, on_drive: OnDrive, hidden: set[Any]) -> None:
+    """Pass on what a page sends about its keys, until it closes."""
+    try:
+        async for text in connection:
+            keys, axes, is_hidden = _read_drive(text)
+            (hidden.add if is_hidden else hidden.discard)(connection)
+            on_drive(keys, axes)
+    finally:
+        hidden.discard(connection)
+
+
+def _read_drive(text: Any) -> tuple[Keys, Axes, bool]:
+    """Read the held keys, the axes of a gamepad, from -1 to 1, and whether the page is hidden, from a message
+    such as `KeyW+KeyA|0.5,-1|` or `||hidden`. An axis that is not a number is 0.
 
     Raises:
         ValueError: The text is not such a message.
     """
     if not isinstance(text, str) or len(text) > 300:
         raise ValueError(text)
-    keys, _, axes = text.partition("|")
+    keys, axes, state = text.split("|")
     numbers = [float(part) for part in axes.split(",") if part]
     values = tuple(0.0 if math.isnan(value) else min(1.0, max(-1.0, value)) for value in numbers)
-    return dict.fromkeys(filter(None, keys.split("+"))).keys(), values
+    return dict.fromkeys(filter(None, keys.split("+"))).keys(), values, state == "hidden"

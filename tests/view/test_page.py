@@ -8,7 +8,7 @@ import re
 import signal
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -55,6 +55,23 @@ CAMERA = {
     "up_direction": (0, 0, 1),
 }
 """What a browser tells first."""
+
+
+@contextmanager
+def _browser(address):
+    """Open a page as a browser does. The value is the connection for keys."""
+    host, _, token = address.removeprefix("http://").rstrip("/").partition("/?token=")
+    allowed = {
+        "origin": f"http://{host}",
+        "additional_headers": {"Cookie": f"deepbots-{host.rpartition(':')[2]}={token}"},
+    }
+    protocol = [f"viser-v{viser.__version__}"]
+    with (
+        connect(f"ws://{host}/", subprotocols=protocol, max_size=None, max_queue=None, **allowed) as browser,
+        connect(f"ws://{host}/drive", **allowed) as keys,
+    ):
+        browser.send(msgspec.msgpack.encode(CAMERA))
+        yield keys
 
 
 def _client(page):
@@ -306,6 +323,37 @@ def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, c
     assert "2 episodes" in capsys.readouterr().out
 
 
+def test_the_world_stands_still_while_its_page_is_hidden():
+    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
+
+        def begins_within(seconds):
+            """Whether a step is made within this time."""
+            begin = page.player.frame.time
+            end = time.monotonic() + seconds
+            while page.player.frame.time == begin and time.monotonic() < end:
+                time.sleep(0.01)
+            return page.player.frame.time != begin
+
+        ended = threading.Event()
+        server = threading.Thread(target=page.run, args=(ended.is_set,))
+        server.start()
+        try:
+            assert not begins_within(0.5)
+            with _browser(page.address) as keys:
+                assert begins_within(20)
+                keys.send("||hidden")
+                assert any(not begins_within(0.5) for _ in range(20))
+                keys.send("||")
+                assert begins_within(20)
+                keys.send("||hidden")
+            assert not begins_within(0.5)
+            with _browser(page.address):
+                assert begins_within(20)
+        finally:
+            ended.set()
+            server.join()
+
+
 def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, capsys):
     pytest.importorskip("mcap")
     path = tmp_path / "drive.mcap"
@@ -315,22 +363,10 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
         try:
             while not (address := capsys.readouterr().out.strip()):
                 time.sleep(0.05)
-            host, _, token = address.removeprefix("http://").partition("/?token=")
-            allowed = {
-                "origin": f"http://{host}",
-                "additional_headers": {"Cookie": f"deepbots-{host.rpartition(':')[2]}={token}"},
-            }
-            protocol = [f"viser-v{viser.__version__}"]
-            with (
-                connect(
-                    f"ws://{host}/", subprotocols=protocol, max_size=None, max_queue=None, **allowed
-                ) as browser,
-                connect(f"ws://{host}/drive", **allowed) as keys,
-            ):
-                browser.send(msgspec.msgpack.encode(CAMERA))
+            with _browser(address) as keys:
                 end = time.monotonic() + 30.0
                 while not path.exists() and time.monotonic() < end:
-                    keys.send("KeyD|")
+                    keys.send("KeyD||")
                     time.sleep(0.05)
         finally:
             os.kill(os.getpid(), signal.SIGTERM)

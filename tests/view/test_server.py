@@ -123,12 +123,12 @@ def test_an_abbreviated_address_is_loopback():
 def test_keys_and_axes_arrive_and_rubbish_does_not(page, capfd):
     port, arrived = page
     origin = f"http://127.0.0.1:{port}"
-    for text in ("KeyW|a,b", b"\x00\xff", "x" * 1000, "KeyW|" + "1," * 90):
+    for text in ("KeyW|a,b|", b"\x00\xff", "x" * 1000, "KeyW|" + "1," * 90 + "|", "KeyW|", "|||"):
         with _open(port, "/drive", origin=origin) as wire:
             wire.send(text)
     with _open(port, "/drive", origin=origin) as wire:
-        wire.send("KeyW+KeyA|0.5,-7")
-        wire.send("|nan,0.25")
+        wire.send("KeyW+KeyA|0.5,-7|")
+        wire.send("|nan,0.25|hidden")
         held = (frozenset({"KeyW", "KeyA"}), (0.5, -1.0))
         for sent in (held, (frozenset(), (0.0, 0.25))):
             end = time.monotonic() + 10

@@ -195,11 +195,11 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
         other.enable(16)
         with page.open("/drive", page.cookie) as wire:
             shift_a = ord("A") + Keyboard.SHIFT
-            wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+            wire.send(f"{shift_a}+{Keyboard.LEFT}||")
 
             def arrived() -> bool:
                 simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
                 return keyboard.getKey() == shift_a
 
             _wait(arrived)
@@ -207,13 +207,13 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
 
             def arrived_there() -> bool:
                 simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
                 return [other.getKey() for _ in range(3)] == [shift_a, Keyboard.LEFT, -1]
 
             _wait(arrived_there)
 
             def has_seven() -> bool:
-                wire.send("+".join(map(str, range(65, 75))) + "|")
+                wire.send("+".join(map(str, range(65, 75))) + "||")
                 simulation.run_step()
                 return [keyboard.getKey() for _ in range(8)] == [*range(65, 72), -1]
 
@@ -234,7 +234,7 @@ def test_rubbish_for_keys_presses_none(capfd):
     with viewed(simulation) as (_, page):
         keyboard = Keyboard()
         keyboard.enable(8)
-        for text in ("KeyW|", "65+x|", "1.5|", b"\x00"):
+        for text in ("KeyW||", "65+x||", "1.5||", b"\x00"):
             with page.open("/drive", page.cookie) as wire:
                 wire.send(text)
                 time.sleep(0.05)
