@@ -8,13 +8,12 @@ from pathlib import Path
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.campaigns.listing import ListedRun
-from deepbots_cli.learning.runs.changes import changed_values, started
+from deepbots_cli.learning.runs.changes import changed_values, listed_values, started
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 
 _MAX_RUNS = 40
 """The number of runs, the newest ones, that are compared: a comparison compiles both scenarios."""
-_MAX_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -61,9 +60,7 @@ class RunChanges:
         for side in (before, run):
             if side.path not in opened:
                 opened[side.path] = Run.open(side.path)
-        values = changed_values(opened[before.path], opened[run.path])
-        more = f"; and {len(values) - _MAX_SHOWN} more" if len(values) > _MAX_SHOWN else ""
-        return "; ".join(map(str, values[:_MAX_SHOWN])) + more or "nothing"
+        return listed_values(changed_values(opened[before.path], opened[run.path])) or "nothing"
 
 
 def _started(path: Path) -> float:

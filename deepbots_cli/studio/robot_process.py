@@ -62,6 +62,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
             there was none; `failed`, if the process could not start.
         text: The reason of `errors` and `failed`.
         loaded: The number of times that files were read.
+        changes: What the files changed when they were read last, against the world before; empty for nothing.
         changed: The values that replace parameters of the file.
         note: What the driver says about itself, such as the steps of a policy in training.
         keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
@@ -76,6 +77,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     state: Literal["running", "outdated", "errors", "failed"]
     text: str = ""
     loaded: int = 0
+    changes: str = ""
     driver: str = ""
     drivers: tuple[str, ...] = ()
     parameters: dict[str, str] = {}
@@ -173,6 +175,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         state="outdated" if page.outdated else "running",
         text=playback.stopped[0] if playback.stopped else "",
         loaded=loaded,
+        changes=page.changes,
         driver=player.driver_name,
         drivers=tuple(player.opened.drivers),
         parameters=dict(player.opened.parameters),

@@ -106,9 +106,11 @@ class Session:
         problem, self._problem = self._problem, self.robot.problem
         if self._problem and self._problem != problem:
             self.say(self._problem)
-        if self._restarts and self.robot.is_current:
+        state = self.robot.state
+        if self._restarts and state is not None and self.robot.is_current:
             self._restarts = False
-            self.say("the robot has started again, with the saved text")
+            changes = state.changes.replace(" -> ", " → ")
+            self.say(f"the robot has started again, with {changes or 'the saved text'}")
         self._tell("robot")
 
     # Files

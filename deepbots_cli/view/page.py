@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import add, scaled
+from deepbots_cli.learning.runs.changes import changed_texts, listed_values
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
@@ -56,6 +57,8 @@ class Page:
     """The pictures per second."""
     outdated: bool = False
     """Whether the files have errors, so that the world is that of an earlier version; of an embedded page."""
+    changes: str = ""
+    """What the files changed when they were read again, in one line; of an embedded page."""
 
     def __init__(
         self,
@@ -308,6 +311,8 @@ class Page:
 
     def reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
+        before = self.player.opened.compiled if self.player is not None else None
+        self.changes = ""
         overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
         opened = dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides)).open()
         self._files = opened.files | self._files if opened.program is None else opened.files
@@ -315,7 +320,9 @@ class Page:
         if not self._embedded or opened.program is not None:
             self.playback.stopped = None
         self._show(opened)
-        if opened.program is not None:
+        if opened.compiled is not None:
+            if before is not None and self._embedded:
+                self.changes = listed_values(changed_texts(before, opened.compiled))
             self.playback.paused = paused
             self.panel.update_texts()
 

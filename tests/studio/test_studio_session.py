@@ -257,7 +257,7 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
             await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
             assert robot.state.state == "running"
-            assert running.notices == ["the robot has started again, with the saved text"]
+            assert running.notices == ["the robot has started again, with fall_angle 15 deg → 20 deg"]
 
             _writes(session, SCENARIO.replace("15 deg", "15 parsec"))
             await running.until(lambda: robot.state.state == "outdated")

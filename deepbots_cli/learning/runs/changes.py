@@ -3,7 +3,7 @@ solved its task."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,6 +22,7 @@ TIMESTEPS = "--timesteps"
 SEED = "--seed"
 MAX_COMPARED = 5
 """The number of solved runs that are compared. A comparison took 0.07 s (CartPole) to 0.4 s (Quadruped)."""
+_MAX_LISTED = 3
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,24 @@ def written_scenario(compiled: Compiled) -> WrittenScenario:
     return WrittenScenario(compiled.program, None if compiled.document is None else compiled.document.root)
 
 
-def changed_values(before: Run, after: Run) -> list[ChangedValue]:
-    """Return the values that a run changed against an earlier one, the most serious first, without those that
-    have no effect. A text that means something else because of parameters is left out for the parameters."""
-    sides = written_scenario(before.compiled), written_scenario(after.compiled)
+def changed_texts(before: Compiled, after: Compiled) -> list[ChangedValue]:
+    """Return the values that a scenario changed against an earlier one, the most serious first, without those
+    that have no effect. A text that means something else because of parameters is left out for the
+    parameters."""
+    sides = written_scenario(before), written_scenario(after)
     changes = scenario_changes(*sides)
     relevant = (change for change in changes if change.group is not Effect.cosmetic)
     values = [
         replace(value, is_written=_is_written(value, *sides))
         for value in dict.fromkeys(value for change in relevant for value in _values(change))
     ]
-    values = [value for value in values if not _is_consequence(value, values)]
+    return [value for value in values if not _is_consequence(value, values)]
+
+
+def changed_values(before: Run, after: Run) -> list[ChangedValue]:
+    """Return the values that a run changed against an earlier one, as `changed_texts` does, with the options
+    of the training."""
+    values = changed_texts(before.compiled, after.compiled)
     one, other = before.record, after.record
     if one.total_timesteps != other.total_timesteps and not any(
         "total_timesteps" in value.path for value in values
@@ -71,6 +79,12 @@ def changed_values(before: Run, after: Run) -> list[ChangedValue]:
     if one.seed != other.seed:
         values.append(ChangedValue(SEED, str(one.seed), str(other.seed)))
     return values
+
+
+def listed_values(values: Sequence[ChangedValue]) -> str:
+    """Return the most serious changes in one line, and how many there are besides; empty without any."""
+    more = f"; and {len(values) - _MAX_LISTED} more" if len(values) > _MAX_LISTED else ""
+    return "; ".join(map(str, values[:_MAX_LISTED])) + more
 
 
 def _is_written(value: ChangedValue, one: WrittenScenario, other: WrittenScenario) -> bool:
