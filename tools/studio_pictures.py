@@ -63,7 +63,7 @@ def main() -> None:
             narrow = StudioTab(new_tab(), studio.address, 420, 820)
             narrow.open_tab("Runs")
             narrow.wait("document.querySelector('table')?.innerText.includes('mine-1')")
-            narrow.tab.run("document.querySelector('.studio-work').scrollIntoView()")
+            narrow.click("Training")
             time.sleep(3)
             narrow.tab.see(str(IMAGES / "studio_narrow.png"))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.document.nodes import ScalarNode, entries_at, node_at
@@ -20,7 +20,7 @@ from deepbots_cli.scenario.fields.base import with_article
 _MAX_SUGGESTIONS = 4
 _TIMES = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
 _PLAIN = re.compile(
-    r"((?:urdf \* |[\d.]+ +[\d.]+ +)?[-+]?)(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
+    r"((?:urdf \* |[\d.]+ +[\d.]+ +)?[-+]?)(\d[\d_]*(?:\.\d+)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
 )
 """A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Other values,
 such as formulas and draws, are not multiplied."""
@@ -44,6 +44,8 @@ _PROPERTIES = {
 _TIMES_WORDS = {"half": 0.5, "twice": 2.0, "double": 2.0}
 _LARGER_WORDS = {"longer", "larger", "bigger", "heavier", "faster", "quicker", "higher"}
 _SMALLER_WORDS = {"shorter", "smaller", "lighter", "slower", "lower"}
+_QUESTIONS = {"what", "when", "where", "which", "who", "why"}
+"""The words of a phrase that asks for no change."""
 _OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
 
 
@@ -54,7 +56,7 @@ class Suggestion:
     Attributes:
         text: What it is, and how the scenario changes it, as Markdown.
         path, value: A change of it that fits the phrase: the keys to a value, and the value, which is that of
-            the scenario if deepbots cannot change it.
+            the scenario if deepbots cannot change it. The value is empty if the phrase asks for no change.
     """
 
     text: str
@@ -78,8 +80,12 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     factors += [_SMALLER] * is_smaller + [_LARGER] * bool(words & _LARGER_WORDS)
     factor = factors[0] if factors else _LARGER
     named = list(_parts(checked, words | properties(phrase), factor))
-    if factors and not words & _OF_LEARNING:
+    if words & _OF_LEARNING:
+        named += _length_of_training(checked, words, factor)
+    elif factors:
         named += _parameters(checked, words, properties(phrase), factor)
+    if words & _QUESTIONS:
+        named = [replace(suggestion, value="") for suggestion in named]
     return named[:_MAX_SUGGESTIONS]
 
 
@@ -117,10 +123,22 @@ def _parameters(
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
 
 
+def _length_of_training(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:
+    """Yield the timesteps of the training, if the scenario has them and a phrase asks for a longer or a
+    shorter one."""
+    node = node_at(checked.document.root, "train", "total_timesteps")
+    if isinstance(node, ScalarNode) and words & {"longer", "shorter"}:
+        text = f"`total_timesteps` is the length of the training, in timesteps: {node.text}."
+        yield Suggestion(text, "train.total_timesteps", _multiplied(node.text, factor))
+
+
 def _multiplied(text: str, factor: float) -> str:
     """Return a value whose last number is multiplied; the value itself if it is not plain."""
     plain = _PLAIN.fullmatch(text)
-    return f"{plain[1]}{float(plain[2]) * factor:.6g}{plain[3] or ''}" if plain else text
+    if plain is None:
+        return text
+    number = float(plain[2]) * factor
+    return f"{plain[1]}{number:_.0f}" if "_" in plain[2] else f"{plain[1]}{number:.6g}{plain[3] or ''}"
 
 
 def _link_text(robot: str, row: Row, written: str) -> str:

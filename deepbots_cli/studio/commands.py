@@ -24,6 +24,14 @@ _TRAINING_VERBS = ("train", "resume")
 _READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
 """The commands that have the options `--allow-path` and `--allow-code`."""
 
+_TITLES = {
+    "try": "A few episodes",
+    "test": "The tests",
+    "eval": "Evaluation",
+    "render": "Video",
+    "report": "Report",
+}
+"""The headings of outputs."""
 _RESULTS = {
     "test": re.compile(r"^\d+ passed.*|^\d+ failed.*", re.MULTILINE),
     "try": re.compile(r"^[\d,]+ (?:of [\d,]+ )?episodes?(?: succeeded)?, .*", re.MULTILINE),
@@ -37,6 +45,13 @@ _RESULTS = {
     "lint": re.compile(r"^.*: no findings$|^\d+ (?:error|warning).*", re.MULTILINE),
 }
 """The lines of the output of a command with its result."""
+
+
+def title_of(task: Task) -> str:
+    """Return a heading for the output of a command: what it makes, and of what."""
+    verb, *words = task.record.words
+    about = task.record.run or (words[0] if words else "")
+    return f"{_TITLES[verb]} of {Path(about).name}" if verb in _TITLES and about else task.command
 
 
 def result_of(task: Task) -> str:

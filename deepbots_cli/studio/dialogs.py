@@ -124,18 +124,12 @@ def _free_name(session: Session, name: str) -> str:
 
 
 class RobotUpload:
-    """The control for a robot file.
+    """The control for a robot file."""
 
-    Attributes:
-        element: The element of it.
-        path: The file once it has been written into the folder; None before.
-    """
-
-    def __init__(self, session: Session, on_robot: Callable[[Path], Awaitable[object] | None]) -> None:
+    def __init__(self, session: Session, on_robot: Callable[[Path], Awaitable[object]]) -> None:
         """`on_robot` is called with the file, and awaited."""
         self._session, self._on_robot = session, on_robot
-        self.path: Path | None = None
-        with ui.element("div").classes("studio-upload") as self.element:
+        with ui.element("div").classes("studio-upload"):
             ui.upload(
                 label="Drop a robot file (.urdf) here, or choose one with +",
                 on_upload=self._take,
@@ -167,11 +161,8 @@ class RobotUpload:
         except OSError as error:
             self.show(f"{name} cannot be written: {error.strerror}", is_error=True)
         else:
-            self.path = path
             self.show(f"{name} is in the folder")
-            following = self._on_robot(path)
-            if following is not None:
-                await following
+            await self._on_robot(path)
 
 
 def compare_versions(file: OpenFile) -> None:

@@ -80,6 +80,7 @@ def explanation(word: str, *, only_concepts: bool = False) -> str:
         return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
     if not explained.entries and (related := related_entries(word)):
         nearest, *others = related
+        others = [name for name in others if name not in explain_word(nearest).others]
         more = f"\n\nFurther entries: {', '.join(map(_link, others))}" if others else ""
         return f"The entry that is nearest to these words:\n\n{explanation(nearest)}{more}"
     if not explained.entries:

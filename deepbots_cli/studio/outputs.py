@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nicegui import ui
 
-from deepbots_cli.studio.commands import result_of
+from deepbots_cli.studio.commands import result_of, title_of
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
@@ -56,7 +56,8 @@ class TaskOutput:
         self._shown = shown
         starting = "starting ..." if code is None and not shown[2] else ""
         ended = "" if code in (None, 0) else f"\nended with exit code {code}"
-        self._text.set_text(f"{starting}{shown[2]}{ended}")
+        command = f"$ {task.command}\n" if self._sentence else ""
+        self._text.set_text(f"{command}{starting}{shown[2]}{ended}")
         # The element is missing until its tab is opened.
         self._output.client.run_javascript(
             f"const output = getHtmlElement({self._output.id});"
@@ -106,7 +107,7 @@ class Result:
     def watch(self, task: Task, place: ui.element | None = None, sentence: ui.label | None = None) -> None:
         """Show the output of a command while it runs, in place of what is here or in an element of it. Its
         result comes first, or is shown in `sentence`."""
-        with place or self.fill(task.command):
+        with place or self.fill(title_of(task)):
             self._output = TaskOutput(sentence or ui.label("").classes("studio-sentence"))
         self._task = task
         self.update()

@@ -37,15 +37,6 @@ _PREFERENCES = """(() => { const kept = (name) => localStorage.getItem(`deepbots
   const dark = kept("dark") ? kept("dark") == "yes" : matchMedia("(prefers-color-scheme: dark)").matches;
   return { dark, text: kept("size-text"), robot: kept("size-robot") }; })()"""
 """A script for the browser: whether the colors are dark, and the sizes of areas that it has kept, if any."""
-_MARK_PART = """(() => {
-  const parts = ["text", "robot", "work"].map((name) => document.querySelector(`.studio-${name}`));
-  const buttons = document.querySelectorAll(".studio-jump button");
-  const mark = () => parts.forEach((part, index) => {
-    const { top, bottom } = part.getBoundingClientRect(), middle = innerHeight / 2;
-    buttons[index].setAttribute("aria-current", top <= middle && middle < bottom); });
-  for (const name of ["scroll", "resize"]) addEventListener(name, mark, true);
-  mark(); })()"""
-"""A script for the browser: in a narrow window, the button of the part in the middle is marked."""
 _REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
 
 
@@ -78,15 +69,32 @@ class StudioPage:
             with self._columns.splitter.before, _section("text", "Text"):
                 self._add_text()
             with self._columns.splitter.after:
-                self._rows = Division("robot", "Height of the robot", 52, horizontal=True)
+                self._rows = Division("robot", "Height of the robot", 50, horizontal=True)
             with self._rows.splitter.before, _section("robot", "Robot"):
                 self._robot = RobotPane(session, self._write_values, self._save_file, self._train)
             with self._rows.splitter.after, _section("work", "Training and commands"):
                 self._add_work()
+        self._parts: dict[str, ui.button] = {}
         with ui.element("nav").classes("studio-jump").props('aria-label="Parts of the page"'):
             for name, label in (("text", "Text"), ("robot", "Robot"), ("work", "Training")):
-                scroll = f"() => document.querySelector('.studio-{name}').scrollIntoView()"
-                ui.button(label).props("flat no-caps").on("click", js_handler=scroll)
+                self._parts[name] = ui.button(label, on_click=partial(self._show_part, name))
+                self._parts[name].props("flat no-caps")
+        self._show_part("text")
+        self._shows: dict[Topic, tuple[Callable[[], object], ...]] = {
+            "text": (
+                self._editor.refresh,
+                self._show_state,
+                self._robot.update_parameters,
+                self._update_inspect,
+            ),
+            "findings": (self._show_findings,),
+            "files": (self._show_files, self._update_inspect),
+            "robot": (self._robot.update,),
+            "training": (self._training.update, self._robot.show_offer),
+            "runs": (self._runs.update, self._robot.update_sources),
+            "task": (self._training.update, self._runs.update_output, self._command.update),
+            "notice": (self._show_notice,),
+        }
         self._show_areas(starts=session.current is None)
         ui.context.client.on_delete(session.listen(self._changed))
         ui.timer(0, self._start, once=True)
@@ -104,7 +112,6 @@ class StudioPage:
             self._columns.restore(preferences)
             self._rows.restore(preferences)
         client.content.classes(remove="studio-loads")
-        ui.run_javascript(_MARK_PART)
         self._robot.begin()
         with suppress(TimeoutError):
             self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
@@ -170,32 +177,16 @@ class StudioPage:
 
     def _changed(self, topic: Topic) -> None:
         """Show what has changed."""
-        if topic == "text":
-            self._editor.refresh()
-            self._show_state()
-            self._robot.update_parameters()
-            if self._inspect.is_shown:
-                background_tasks.create(self._inspect.update())
-        elif topic == "findings":
-            self._show_findings()
-        elif topic == "files":
-            self._show_files()
-            if self._inspect.is_shown:
-                background_tasks.create(self._inspect.update())
-        elif topic == "robot":
-            self._robot.update()
-        elif topic == "training":
-            self._training.update()
-            self._robot.show_offer()
-        elif topic == "runs":
-            self._runs.update()
-            self._robot.update_sources()
-        elif topic == "task":
-            self._training.update()
-            self._runs.update_output()
-            self._command.update()
-        elif topic == "notice" and self._session.notice:
+        for show in self._shows[topic]:
+            show()
+
+    def _show_notice(self) -> None:
+        if self._session.notice:
             self._notices.show(self._session.notice)
+
+    def _update_inspect(self) -> None:
+        if self._inspect.is_shown:
+            background_tasks.create(self._inspect.update())
 
     def _show_files(self) -> None:
         session, has_file = self._session, self._file is not None
@@ -212,6 +203,12 @@ class StudioPage:
         if has_file != (self._file is not None):
             self._show_areas(starts=self._file is None)
         self._robot.update_sources()
+
+    def _show_part(self, name: str) -> None:
+        """Show a part of the page, in a narrow window that has no room for all of them."""
+        self._main.props(f'data-part="{name}"')
+        for part, button in self._parts.items():
+            button.props(f'aria-current="{str(part == name).lower()}"')
 
     def _show_areas(self, *, starts: bool) -> None:
         """Show what a new scenario begins with, or the areas of a file."""
@@ -288,7 +285,7 @@ class StudioPage:
         if language.checked_revision(file.path) == 0:
             text = "checking ..."
         elif not findings:
-            text = "no mistakes found"
+            text = "no mistakes"
         else:
             text = ", ".join(
                 counted(number, word) for number, word in ((errors, "error"), (warnings, "warning")) if number
@@ -328,6 +325,7 @@ class StudioPage:
 
     def _train(self) -> None:
         self._tabs.set_value("Train")
+        self._show_part("work")
         self._training.train()
 
     def _save_file(self) -> None:
@@ -358,9 +356,7 @@ class StudioPage:
             file = self._session.open(Path(path))
             self._show_file(file)
             if not file.read_only and self._session.language.is_scenario(file):
-                self._session.show(file.path)
-                self._runs.close_result()
-                self._training.close_result()
+                self._show_scenario(file.path)
 
         self._guarded(choose)
 
@@ -383,11 +379,17 @@ class StudioPage:
 
         self._guarded(write)
 
+    def _show_scenario(self, path: Path) -> None:
+        """Show the robot and the trainings of a scenario, and close the results of another one."""
+        self._session.show(path)
+        self._runs.close_result()
+        self._training.close_result()
+
     async def _new(self, kind: Kind, origin: str) -> None:
         path = await new_scenario(self._session, kind, origin)
         if path is not None:
             self._show_areas(starts=False)
-            self._guarded(lambda: self._session.show(path))
+            self._guarded(lambda: self._show_scenario(path))
             self._show_file(self._session.files.get(path))
             self._show_files()
 
@@ -418,7 +420,7 @@ class StudioPage:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._list.fix, file, finding, fix.title)
             for suggestion in suggestions(code):
-                if not language.has_values(file, {suggestion.path: suggestion.value}):
+                if suggestion.value and not language.has_values(file, {suggestion.path: suggestion.value}):
                     title = f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}"
                     yield title, partial(self._write_values, {suggestion.path: suggestion.value})
 

@@ -138,10 +138,10 @@ class RobotPane:
         options = {str(session.current): session.name_of(session.current)}
         for run in reversed(session.runs[-_MAX_RUNS:]):
             if not run.runs and run.problem is None:
-                options[str(run.path)] = f"policy of {run.path.name}"
+                options[str(run.path)] = run.path.name
         value = session.robot.reference or str(session.current)
         # A training that has just begun is not listed yet. Another value would be taken as a choice.
-        options.setdefault(value, f"policy of {Path(value).name}")
+        options.setdefault(value, Path(value).name)
         if options != self._shown.options or value != self._shown.value:
             self._shown.set_options(options, value=value)
 

@@ -21,8 +21,8 @@ from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.page import Page
 
-_STATE_INTERVAL = 6
-"""Pictures between two looks at the state; 0.2 s."""
+_STATE_INTERVAL_S = 0.2
+"""The time between two looks at the state."""
 
 
 class RobotRequest(BaseModel, strict=True, frozen=True):
@@ -135,7 +135,7 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
         if refusals:
             raise refusals[0]
         looks += 1
-        if looks % _STATE_INTERVAL == 0:
+        if looks % max(1, round(_STATE_INTERVAL_S * page.frame_rate)) == 0:
             text = _state(page, loaded).model_dump_json()
             if text != shown:
                 shown = text

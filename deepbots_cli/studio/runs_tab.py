@@ -20,7 +20,7 @@ from deepbots_cli.learning.runs.changes import TIMESTEPS, changed_values
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.charts import comparison_chart
-from deepbots_cli.studio.commands import RUNS_FOLDER
+from deepbots_cli.studio.commands import RUNS_FOLDER, title_of
 from deepbots_cli.studio.outputs import Result, text_with_code
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
@@ -67,6 +67,7 @@ _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 """A column that a narrow page leaves out."""
 _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("name", "run", "left", _SHORT),
+    ("scenario", "scenario", "left", _WIDE),
     ("state", "state", "left", _WIDE),
     ("return", "mean return", "right", {"classes": "studio-return", ":format": _RETURN}),
     ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
@@ -81,8 +82,9 @@ _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ),
 )
 """Name, label, alignment and other properties of each column of the table."""
-_OPTIONAL = ("success", "solved")
+_OPTIONAL = ("success", "solved", "scenario")
 """The columns that are left out while no run has a value."""
+_INTERVAL = "With other starts, the difference would be in its 95 % interval in 95 of 100 comparisons."
 
 
 class RunsTab:
@@ -118,7 +120,7 @@ class RunsTab:
                 ("Report", partial(self.make_file, ["report"], "report.html")),
                 ("Video", self.make_video),
                 ("Compare", self.compare),
-                ("Resume", self._resume),
+                ("Resume", self.resume),
             ):
                 self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act))
                 self._buttons[label].props("dense outline no-caps")
@@ -164,11 +166,13 @@ class RunsTab:
 
     def update(self) -> None:
         changes = self._session.run_changes
+        has_several = len({run.scenario for run in self._session.runs}) > 1
         rows = [
             {
                 "name": run.path.name,
                 "when": change.started if (change := changes.get(run.path)) else None,
                 "change": _unbroken(change.text) if change else "",
+                "scenario": run.scenario if has_several else "",
                 "state": run.problem or run.state,
                 "steps": run.steps,
                 "return": run.mean_return,
@@ -220,7 +224,8 @@ class RunsTab:
 
     # What can be done with runs. Each of these raises UsageError if the folder cannot be written.
 
-    def _resume(self, run: Path) -> None:
+    def resume(self, run: Path) -> None:
+        """Go on with a training that was stopped or needs more timesteps."""
         text = str(self._timesteps.value or "").strip()
         options = ["--timesteps", text] if text else []
         self._session.commands.run(["resume", str(run), *options], run)
@@ -249,7 +254,7 @@ class RunsTab:
 
     def _show_output(self, run: Path, task: Task) -> None:
         """Show the output of a command about a run."""
-        self._result.watch(task, self._fill(task.command, run))
+        self._result.watch(task, self._fill(title_of(task), run))
 
     def _fill(self, title: str, *runs: Path) -> ui.element:
         """Open the place for a result about runs."""
@@ -280,6 +285,7 @@ class RunsTab:
                 with ui.element("div"):
                     ui.label("On the same starts: ").classes("studio-inline")
                     sentence = ui.label("").classes("studio-inline")
+                ui.label(_INTERVAL).classes("studio-note")
             chart = ui.echart(comparison_chart(curves, dark=self._is_dark))
             self._compared = chart.classes("studio-chart studio-compared"), curves
         self._result.watch(task, place, sentence)
@@ -423,10 +429,11 @@ def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _unbroken(text: object) -> str:
     """Return the text with no line break before an arrow, or between a sign and its number or name."""
+    grouped = re.sub(r"(?<=\d)_(?=\d{3})", ",", str(text or ""))
     return re.sub(
         r"(?<=\de-)(?=\d)|(?<![\w-])-+",
         lambda signs: "".join(f"{sign}\u2060" for sign in signs[0]) or "\u2060",
-        str(text or "").replace(" -> ", "\u00a0→ "),
+        grouped.replace(" -> ", "\u00a0→ "),
     )
 
 

@@ -23,7 +23,7 @@ _FIRST_STEPS = (
     (
         "Write",
         "Change the text, and save it with Ctrl+S: the robot starts again. Mistakes are listed below the"
-        " text.",
+        " text. Explain can write a change for you: make the pole longer.",
     ),
     (
         "Try",
@@ -45,9 +45,10 @@ _SEED = (
     "random actions and starts follow from this number; with another one, the training takes another course"
 )
 _EXPLORING = (
-    "In training, the actions are partly random: the line is the mean of the last 100 episodes. Evaluations"
-    " are without random actions: dots during the training, and the result above after it."
+    "In training, actions are partly random: the line is the mean of the last 100 episodes. Evaluations are"
+    " without, and may differ much: dots during the training, and the result above after it."
 )
+_TERMS = " A click on a gray name draws a term of the reward."
 
 
 class TrainingTab:
@@ -84,6 +85,7 @@ class TrainingTab:
                 ("Watch", runs.watch),
                 ("Video", runs.make_video),
                 ("Compare", lambda run: runs.compare(run, self._others[-1])),
+                ("Resume", runs.resume),
             ):
                 self._next[label] = ui.button(label, on_click=partial(self._act, act))
                 self._next[label].props("dense outline no-caps")
@@ -140,7 +142,9 @@ class TrainingTab:
         solved = None if run is None or is_running else run.solved
         self._solved.set_visibility(solved is True)
         further = {"Compare"} if self._others else set()
-        shown = {True: {"Watch", "Video", *further}, False: {_WHY}, None: set()}[solved]
+        has_ended = run is not None and not is_running and run.state != "training"
+        ended = {"Watch", "Video", "Resume"} if has_ended else set()
+        shown = {True: {"Watch", "Video", *further}, False: {_WHY}, None: ended}[solved]
         for label, button in self._next.items():
             button.set_visibility(label in shown)
         starts = is_running and training is not None and not training.curves.returns
@@ -170,6 +174,7 @@ class TrainingTab:
 
     def _draw(self, curves: Curves, *, has_successes: bool) -> None:
         """Draw the curves; without returns, there is no chart."""
+        self._note.set_text(f"{_EXPLORING}{_TERMS if len(curves.terms) > 1 else ''}")
         self._note.set_visibility(bool(curves.returns and curves.evaluations))
         options = training_chart(curves, has_successes=has_successes, dark=self._is_dark)
         if not curves.returns:

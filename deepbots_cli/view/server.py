@@ -81,7 +81,8 @@ _WEBOTS_KEY = """e => {
 
 # All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the
 # world; here it stands below.
-_STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-width: 36em) {
+_STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; }
+[style*="letter-spacing"] { letter-spacing: normal !important; } @media (max-width: 36em) {
   div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
   .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important;
     max-height: 50% !important; }

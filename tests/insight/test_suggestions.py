@@ -35,6 +35,8 @@ def _override(path: str, value: str) -> str:
         ("make the cart faster", "parameters.wheel_speed", "7.5 rad/s"),
         ("go twice as fast", "parameters.wheel_speed", "10 rad/s"),
         ("a larger fall angle", "parameters.fall_angle", "22.5 deg"),
+        ("how do I make the training longer", "train.total_timesteps", "150_000"),
+        ("a training half as long and shorter", "train.total_timesteps", "50_000"),
     ],
 )
 def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, path, value):
@@ -47,6 +49,12 @@ def test_the_same_phrase_once_more_changes_what_is_written():
     (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, "1 1 1.5"))
     assert suggestion.value == "1 1 2.25"
     assert "The file has `scale: 1 1 1.5`." in suggestion.text
+
+
+def test_a_question_has_what_it_is_about_and_no_change():
+    (suggestion,) = _suggestions("why does the pole fall")
+    assert suggestion.text.startswith("`pole` is a link")
+    assert suggestion.value == ""
 
 
 @pytest.mark.parametrize("phrase", ["fall_angle", "what is a policy", "how does it learn faster", ""])

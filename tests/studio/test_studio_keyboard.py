@@ -103,7 +103,7 @@ def test_the_keys_of_the_editor_work_after_a_click_on_a_button_and_in_the_robot(
         )
         page.tab.run(focus.format("Try"))
         page.press(("Enter", 13), modifiers=2)
-        page.wait("document.querySelector('.studio-work').innerText.includes('deepbots train mine.yaml')")
+        page.wait("document.querySelector('.studio-work').textContent.includes('deepbots train mine.yaml')")
         assert not page.tab.run("document.body.innerText.includes('deepbots try')")
         page.click_line("deepbots: 1")
         page.type(", two")

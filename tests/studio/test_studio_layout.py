@@ -121,7 +121,7 @@ def test_bars_move_by_mouse_and_keys_and_the_sizes_and_options_are_kept(folder, 
         page.wait(f"document.querySelector('.studio-robot').clientHeight < {robot - 5}")
         page.tab.run("document.querySelector('[aria-label=Timesteps]').focus()")
         page.type("512")
-        page.wait("localStorage.getItem('deepbots-studio-size-robot') == '50'")
+        page.wait("localStorage.getItem('deepbots-studio-size-robot') == '48'")
         width = _rectangle(page, text)["right"]
 
         page.load(studio.address)
@@ -177,6 +177,12 @@ def test_a_narrow_page_shows_the_robot_and_its_controls(folder, new_tab, width):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, width, 800)
         page.wait(RUNS, 60)
+        if width < 960:
+            assert not page.tab.run("document.querySelector('.studio-robot').checkVisibility()")
+            page.click("Robot")
+            page.wait("document.querySelector('.studio-robot').checkVisibility()")
+            assert not page.tab.run("document.querySelector('.cm-editor').checkVisibility()")
+            assert page.tab.run("document.querySelector('.studio-save').checkVisibility()")
         frame = "document.querySelector('.studio-frame').contentDocument"
         page.wait(f"{frame}?.body?.innerText.includes('pause')", 60)
         page.wait(f"!{frame}.documentElement.classList.contains('waits')")

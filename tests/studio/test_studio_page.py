@@ -99,7 +99,7 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
 
     # The curve follows the training, which ends with a result in the list of runs.
     page.click("Train")
-    page.wait("document.querySelector('.studio-work').innerText.includes('deepbots train mine.yaml')")
+    page.wait("document.querySelector('.studio-work').textContent.includes('deepbots train mine.yaml')")
     page.wait(
         "/mine-1: (training|finished), [0-9,]+/.test(document.querySelector('.studio-work').innerText)", 60
     )
