@@ -61,9 +61,9 @@ def main() -> None:
             page.tab.see(str(IMAGES / "studio_finding.png"))
 
             narrow = StudioTab(new_tab(), studio.address, 420, 820)
+            narrow.click("Training")
             narrow.open_tab("Runs")
             narrow.wait("document.querySelector('table')?.innerText.includes('mine-1')")
-            narrow.click("Training")
             time.sleep(3)
             narrow.tab.see(str(IMAGES / "studio_narrow.png"))
 
