@@ -618,6 +618,7 @@ def without_old_spelling(words: list[str]) -> list[str]:
     if not folder and index < len(options):
         folder = options.pop(index)
     verb = "apply" if "--apply" in options else "resume"
+    # `apply` prints no progress, and has no --quiet.
     dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
     terminal.note(
         f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old"

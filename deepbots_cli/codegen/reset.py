@@ -42,6 +42,7 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
     _print_first_draws(supervisor, printer)
     _print_stds(supervisor, printer)
     if needs_arrangement(scenario):
+        # An attempt resets the engine to nominal parameters, so the values are drawn before the first one.
         for index, variation in enumerate(reset.variations):
             printer.assign(_varied(supervisor, index), printer.vector(variation.scalars))
         printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")

@@ -61,6 +61,7 @@ _VECTOR_READERS = {
     "angular_momentum": "engine.angular_momentum({robot})",
 }
 """The facts that are vectors x y z, and the reader of each."""
+# The reader of a line is called last, because it takes the position from the result of a pose reader.
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, *_VECTOR_READERS, "line")
 
 
@@ -531,6 +532,7 @@ class SupervisorPrinter(ClassPrinter):
 
     def of_one_world(self) -> SupervisorPrinter:
         """Return the printer of code that runs in one world."""
+        # The names stay shared: a batch takes its columns from attributes of the same names in single worlds.
         printer = copy(self)
         printer.target = SCALAR
         printer.state = {}

@@ -422,6 +422,7 @@ class _VariantCompiler:
             Span(entry.key.span.source, entry.key.span.start, entry.value.span.end) for entry in entries
         ]
         for finding in checked.findings:
+            # A variant is checked as a whole, so it repeats the findings of the scenario itself.
             if finding.sort_key not in self._known:
                 inside = any(
                     span.source is finding.span.source and span.start <= finding.span.start <= span.end

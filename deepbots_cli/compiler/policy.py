@@ -147,6 +147,7 @@ class Actions(NamespaceReader):
             if isinstance(part, DiscreteAction):
                 self._define_choices(name, part)
             else:
+                # The parts of the action keep the order of the file, whichever name is resolved first.
                 self._parts[name] = None
                 namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
         namespace.built_in["previous_action"] = self._last_action_symbol
@@ -359,6 +360,7 @@ class Observations(NamespaceReader):
         range_text = field(spec, "range") if isinstance(spec, Observed) else field(self._spec, section, key)
         if typed is None:
             if range_text.text != "auto":
+                # The range may have findings of its own.
                 self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)

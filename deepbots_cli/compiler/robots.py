@@ -382,6 +382,7 @@ class Overrides:
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         subject = OfLink(self.robot, link.name)
+        # The mass scales with the volume, so a mass that the scenario gives replaces the scaled one.
         factors = self.namespace.fields.triple(change, "scale", known=Known.EPISODE)
         if factors:
             model = self._accepted(model, with_scale(model, link.name, factors), change, "scale")

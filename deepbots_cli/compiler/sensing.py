@@ -177,6 +177,7 @@ class SensorsCompiler(NamespaceReader):
                 if radar is None:
                     return None
                 more["radar"] = radar
+                # The copies of a group have names such as `crate#2`, and no name in an expression has a `#`.
                 names = tuple(name.replace("#", "_") for name in radar.targets)
                 typed = ValueType(
                     spec.measures[spec.measure],

@@ -138,6 +138,7 @@ class Lowering:
                 )
             case Family.DRAW:
                 columns = self._columns(value, value.args)
+                # The slot of a draw with components names the component already.
                 target = "" if value.type.components else self._target
                 names = (stream_name(self._slot_name(value, index) + target) for index in range(len(columns)))
                 return tuple(

@@ -316,6 +316,7 @@ class Report:
         if middle not in indices:
             indices.remove(min(indices, key=lambda index: abs(index - middle)))
             indices.add(middle)
+        # Of equal numbers the last one counts, so that a single episode is the best one.
         labels = dict(zip((len(episodes) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
         return [
             ReportEpisode(episodes[index].run, episodes[index].number, labels.get(index, ""))

@@ -197,6 +197,7 @@ class _Retries:
             base = self.group.planned[attempt.base - 1]
             if folder_kind(path) is not SourceKind.RUN:
                 self._copy(base, path)
+            # A copy that was continued before has one more entry, and its record has the new goal.
             is_copy = len(RunRecord.read(path).resumed_at) == len(RunRecord.read(base).resumed_at)
             training = compiled.program.agent.training if is_copy else None
             changes = {} if training is None else {"total_timesteps": training.total_timesteps}
@@ -206,6 +207,7 @@ class _Retries:
             self.on_attempt(path, attempt)
         options = record.options | {"command": self._command(number)}
         if TOTAL_TIMESTEPS in attempt.settings:
+            # The value of the attempt counts, and not the one of the command line.
             options["total_timesteps"] = None
         further: dict[str, Any] = {"progress": self.progress, "executor": self.executor}
         return train_member(path, compiled, record.seeds[0], options, changes, **further)

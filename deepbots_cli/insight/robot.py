@@ -242,6 +242,7 @@ class SimulatedRobot(Driver):
                     f"nobody listens on {self.link.name}; start the policy first: deepbots serve BUNDLE"
                 )
             time.sleep(0.01)
+        # Commands that answer the last episode may still have arrived since.
         self.link.take()
         self.link.reset(self.episodes, time.time())
         self.episodes += 1
@@ -295,6 +296,7 @@ class SimulatedRobot(Driver):
         if time.monotonic() > self._looked_at + 1.0:
             self._look()
         self.late_steps += left < -self._period
+        # A robot that is late does not catch up by faster steps.
         self._due = max(self._due + self._period, time.monotonic())
 
     def _received(self, sent: float | None, since: float) -> bool:

@@ -183,6 +183,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Return ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
     step = total_range(reward.terms, reward.ranges_while_running())
+    # Endings are computed before the reward of their step, so the return lacks the reward of a known step.
     ticks = float((last - bool(first)) * analysis.program.action_repeat)
     return_interval = Interval()
     if reward.is_complete and not first:
@@ -538,6 +539,7 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
         return None
     if heights.is_single:
         return heights.low
+    # The height of a body that rests has no bounds here; a drawn height has finite ones.
     return kinematics.resting_height(shape) if not heights.is_finite else None
 
 
@@ -547,6 +549,7 @@ def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
     match shape:
         case Sphere(radius):
             return [SolidProfile(height - radius, height + radius, radius, is_ball=True)]
+        # The circle within the base is solid at every yaw.
         case Box(size) if upright:
             return [SolidProfile(height - size[2] / 2, height + size[2] / 2, min(size[0], size[1]) / 2)]
         case Cylinder(radius, length) | Capsule(radius, length) if upright:

@@ -191,6 +191,7 @@ class _Heights:
             if object_body.solid:
                 yield object_body.name, self._top(object_body, may_be_lifted=may_be_lifted)
         for body in self._world.robots:
+            # With copies of a robot, the other copies are bodies in the way as well.
             if body.name != robot or self._program.agent.copies is not None:
                 yield body.name, self._top_of_robot(body)
 

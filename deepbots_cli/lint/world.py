@@ -248,6 +248,7 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
     """Return the radius and half the height of an upright cylinder within a shape, m."""
     match shape:
         case Sphere(radius):
+            # The edge of this cylinder lies within the sphere, since 0.86 ** 2 + 0.5 ** 2 is below 1.
             return 0.86 * radius, 0.5 * radius
         case Capsule(radius, length) | Cylinder(radius, length):
             return radius, length / 2

@@ -112,6 +112,7 @@ class Program:
         """Return the fields that count for the digest. `agent` is in a mapping, as when the first digests
         were written."""
         left_out = {"agent", "ros", "stored_signals", "supplied_by", "tests"}
+        # A later field counts only where a scenario uses it, so that older runs keep their digests.
         left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
         left_out |= {"levels"} if self.levels is None else set()
         left_out |= set() if self.members else {"members"}

@@ -241,10 +241,12 @@ class LocalCollector:
         lesson_actions = taught[: lesson.worlds]
         if lesson.worlds:
             if isinstance(self.action_space, gym.spaces.Box):
+                # Each shard seeds the global generator of numpy anew for a fragment.
                 lesson_actions = np.clip(
                     lesson_actions + np.random.normal(0.0, _NOISE, lesson_actions.shape), -1.0, 1.0
                 )
             actions[: lesson.worlds] = lesson_actions
+            # The replay buffer of an off-policy learner takes the actions from this column.
             if "stored" in columns:
                 columns["stored"] = np.array(columns["stored"])
                 columns["stored"][: lesson.worlds] = lesson_actions

@@ -55,6 +55,7 @@ def play_episodes(
         driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
         yield from ((number, play(worlds[0], driver, Start(seeds[number]))) for number in numbers)
         return
+    # Each episode seeds the one generator from which a policy samples, so such episodes cannot take turns.
     together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
     forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
     by_row = [
@@ -130,6 +131,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
                 forward.put_all(observations, slice(part.start * width, part.stop * width), masks)
                 answers[index] = forward.predict(policy, deterministic=True)
         outcome = running.step_all(np.concatenate(answers)[: worlds.count])
+        # A batch ends the episode of a lost world and goes on, but its outcome says nothing about the policy.
         if len(worlds.losses) > lost:
             raise EngineError(worlds.losses[-1].error)
         begun = []

@@ -101,6 +101,7 @@ class RobotLog:
             episodes = list(_episodes(read_log(path), notes.append))
             if not episodes:
                 raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
+            # The folder is made last, so that a log that cannot be read leaves none behind.
             folder = scenario_folder(path, files)
         except (OSError, ValueError, TypeError, msgspec.MsgspecError, BundleError) as error:
             if isinstance(error, UsageError):
@@ -136,6 +137,7 @@ def is_robot_log(path: Path) -> bool:
         return False
     try:
         with path.open("rb") as file:
+            # The log of a robot has its metadata first, so neither later records nor large ones are read.
             first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
             return any(
                 isinstance(record, records.Metadata) and record.name == "deepbots_robot" for record in first

@@ -306,6 +306,7 @@ class ShardedCollector(FetchingCollector):
             {name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))
         ]
         begun, next_episode, stage = self._listener.present()
+        # A resumed training has the older weights of its checkpoint here, without a request of its own.
         order = Order(
             {**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson
         )
@@ -318,6 +319,7 @@ class ShardedCollector(FetchingCollector):
         longest = max(busy.values())
         self.times.worlds += sum(result.seconds[1] for result in results) / len(busy)
         self.times.waiting += longest - sum(busy.values()) / len(busy)
+        # A fragment that was requested ahead was begun before this wait, and may have taken longer.
         self.times.transfer += max(0.0, seconds - longest)
 
     def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
@@ -352,6 +354,7 @@ class ShardedCollector(FetchingCollector):
                     np.append(fragment.starts[:, first], fragment.following_starts[first])
                 )
                 self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
+        # The checkpoints of the training write this very list.
         self._stages[:] = [episode.stage for episode in self.episodes]
 
     def _steps(

@@ -359,6 +359,7 @@ class SingleWorlds(Worlds):
                 set_random_state(self.worlds[index], history.start)
             world_observations = self._begin(index, seed)
             for action in history.actions:
+                # A history belongs to a running episode, so none of its actions ends the episode.
                 outcomes, _ = self._act(index, action)
                 for row, (_, reward, _, _, info) in enumerate(outcomes, index * self._width):
                     self._accumulators[row].add(float(reward), info)

@@ -80,6 +80,7 @@ class Physics:
         for body, at in self._free_dofs.items():
             linear, angular = body.velocity
             velocity[at : at + 3] = linear
+            # MuJoCo has the angular velocity of a free joint in the frame of the body.
             velocity[at + 3 : at + 6] = frames.rotate_back(body.frame[1], angular)
         return position, velocity
 
@@ -174,6 +175,7 @@ class Physics:
         """Return the velocity of the origin of a frame, m/s, and the angular velocity, rad/s."""
         self.update_velocities()
         index = self.bodies[body.index]
+        # `cvel` has the linear velocity at the center of mass of the whole kinematic tree.
         root = int(self.model.body_rootid[index])
         wx, wy, wz, vx, vy, vz = self.data.cvel[index].tolist()
         x, y, z = self.data.subtree_com[root].tolist()
@@ -219,6 +221,7 @@ class Physics:
         force = np.zeros(6)
         for index in range(self.data.ncon):
             contact = self.data.contact[index]
+            # MuJoCo lists contacts that it leaves out of the constraints too, and these exert no force.
             if contact.efc_address < 0:
                 continue
             mj.mj_contactForce(self.model, self.data, index, force)
@@ -289,10 +292,12 @@ class Physics:
         self.data.xfrc_applied[self.bodies[body.index]] += (*force, *torque)
 
     def end_pushes(self) -> None:
+        # MuJoCo keeps applied forces, while a force of a supervisor in Webots acts for one basic time step.
         self.data.xfrc_applied[:] = 0.0
 
     def snapshot(self) -> Floats:
         """Return the state."""
+        # This state has the warm start of the solver too, without which a restored world goes on differently.
         spec = mj.mjtState.mjSTATE_INTEGRATION
         state = np.zeros(mj.mj_stateSize(self.model, spec))
         mj.mj_getState(self.model, self.data, state, spec)

@@ -217,6 +217,7 @@ class Runner:
         stdout, stderr = sys.stdout, sys.stderr
         main, modules_before = sys.modules.get("__main__"), set(sys.modules)
         finder = _ProjectFinder(self)
+        # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, finder)
         name = self._speaker
         streams = tuple(Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
@@ -273,6 +274,7 @@ class Runner:
         module = sys.modules["__main__"]
         module.__file__ = str(controller.program)
         module.__builtins__ = __builtins__  # type: ignore[attr-defined]
+        # `compile` finds out the encoding of a program only from its bytes (PEP 263).
         code = compile(controller.program.read_bytes(), str(controller.program), "exec")
         exec(code, vars(module))  # after --allow-code
 

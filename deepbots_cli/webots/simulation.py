@@ -239,6 +239,7 @@ class Simulation:
                 return False
         skipped = sender.body.robot.index if sender.body.robot else None
         hit = self.physics.rays.cast(start, [unit], distance, skipped)[0]
+        # The ray may end at the robot that carries the receiver, which hides nothing.
         return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
 
 

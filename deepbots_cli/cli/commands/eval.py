@@ -308,6 +308,7 @@ def _evaluate_run(
     requirements: list[Requirement] = []
     with processes.executor(request.workers, request.address, parts) as executor:
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
+            # Engines are compared on the same starts, so that each of several plays all episodes.
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
             further_options = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
             try:
@@ -383,6 +384,7 @@ def _evaluate_in_engine(
         if baselines:
             of_policy = ("model", "deterministic")
             baseline_options = {name: value for name, value in options.items() if name not in of_policy}
+            # The evaluation may have ended early, and baselines have its starts.
             baseline_options["episodes"] = result.episodes
             with terminal.progress(f"{unit} of baselines", always=False) as show_episode:
                 scripted = learning.evaluate_baselines(

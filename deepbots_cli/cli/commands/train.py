@@ -165,6 +165,7 @@ def command(
         "command": ["deepbots", *sys.argv[1:]],
     }
     with terminal.transient_line("loading PyTorch ..." if progress else ""):
+        # The package imports PyTorch when this attribute is read, and not before.
         checked_settings = learning.checked_settings
     root = seed or 0
     checked_settings(compiled.program, listed or [root], **settings)
@@ -283,6 +284,7 @@ def _with_fastest_shards(
             "the training has 1 shard: there is nothing to divide, with one environment or one worker"
         )
         return compiled
+    # Workers on other machines do not see the temporary folders of this one.
     folder = None if executor.is_on_this_machine else Path.cwd()
     with terminal.progress("measurements") as show:
         timings = scaling.measure(

@@ -264,6 +264,7 @@ def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options)
             if options.page is not None:
                 viewer = stack.enter_context(_serve(simulation, pace, path.name, options))
             outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+            # A stuck controller is a thread that nothing ends, and it would run beside its successor.
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
@@ -302,6 +303,7 @@ def _run_once(
             steps=options.steps,
             timeout=options.timeout,
             packages=packages_of(options.python) if options.python is not None else (),
+            # With --json, the standard output has the JSON alone.
             output=sys.stderr if options.as_json else None,
             pace=pace,
             after_step=[call for call in (recorder, viewer) if call is not None],

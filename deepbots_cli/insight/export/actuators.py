@@ -147,6 +147,7 @@ def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] |
         for component in interval.components or (None,)
     ]
     count = len(parts)
+    # Zeros and unit vectors give offset and matrix; random actions then show a clamp or a product.
     dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
     actions = np.concatenate([np.zeros((1, count)), np.eye(count), dice])
     values = _evaluated(

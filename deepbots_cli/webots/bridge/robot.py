@@ -134,6 +134,7 @@ class RobotDevices:
     ) -> MotorWriter:
         motors = self._motors(joints, max_torque)
         for motor in motors:
+            # Webots drives a motor at P times its error, which falls to 1/e in `SERVO_TIME` with this P.
             motor.setControlPID(1.0 / SERVO_TIME, 0.0, 0.0)
             motor.setVelocity(motor.getMaxVelocity())
 
@@ -284,6 +285,7 @@ class WebotsRobot:
             self._streams = Streams(start["root"], start["copy"])
         self.devices.start(start["readings"])
         self.controller.begin(self._streams)
+        # The supervisor makes the first message by the same call, and random streams and memories agree.
         self.controller.create_message()
         self.devices.first = None
         self._has_begun = True
