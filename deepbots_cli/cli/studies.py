@@ -218,6 +218,7 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
 
 
 def unused_seeds(study: Study) -> str:
+    # The seeds of the study have chosen the values, so only other seeds judge them without bias.
     first = max(study.record.seeds) + 1
     return f"{first}..{first + 4}"
 

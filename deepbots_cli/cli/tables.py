@@ -43,6 +43,7 @@ def table(rows: Sequence[Row], indent: str = "  ", *, is_prose: bool = False) ->
             justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width
         )
     for line in (names, *cells):
+        # In a plain string, rich takes brackets such as `[red]` for markup.
         grid.add_row(*(Text(text) for text in line))
         if line is names:
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))

@@ -291,6 +291,7 @@ def _program(namespace: Namespace) -> Program:
     actions = Actions(namespace)
     goals = Goals(namespace)
     builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
+    # A robot may hear the fields of any other robot, so all of these are defined before.
     for builder in builders:
         builder.define_heard()
     signals = Signals(namespace)

@@ -316,6 +316,7 @@ class Actuators(NamespaceReader):
             effort,
             file_limits,
         )
+        # A drawn limit is cut in each episode at that of the robot file, as a fixed one is cut below.
         self._fields.variations[variations:] = [replace(varied, max=file_limits) for varied in new_variations]
         return _tighter(file_limits, max_torque)
 

@@ -588,6 +588,7 @@ class Signals(NamespaceReader):
             typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
+        # Noise is normally distributed, so that a value with noise has no bounds.
         added = self._fields.noise(value, typed) if isinstance(value, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
         return Symbol(

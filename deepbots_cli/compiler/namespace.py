@@ -157,6 +157,7 @@ class Namespace:
             self._being_resolved.clear()
             return
         self._being_resolved.pop()
+        # A cycle has given the definition a symbol without a type in the meantime.
         definition.symbol = definition.symbol or symbol
         self.order.append(definition.name)
 

@@ -192,6 +192,7 @@ def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, 
     located = locate_file(reference, span, namespace.document, namespace.values)
     if located is None:
         return None
+    # One byte more than allowed shows `picture_problem` that the file is too large.
     data = read_at_most(located, MAX_PICTURE_BYTES + 1)
     wrong = picture_problem(data)
     if wrong is not None:

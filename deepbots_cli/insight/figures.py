@@ -217,6 +217,7 @@ def starts(
             c=colors,
             alpha=0.8,
             linewidths=0,
+            # An SVG has an element for each point, and thousands of them make a page large.
             rasterized=len(drawn) > 300,
         )
         for drawn_bin in value.parts:
@@ -310,6 +311,7 @@ def _with_titles(figure: Figure, panel: Any, theme: str) -> Figure:
         edgecolor=grid,
     )
     for entry in box.get_texts():
+        # A name in the scenario may contain `$`, with which Matplotlib begins a formula.
         entry.set_parse_math(False)
     return figure
 

@@ -69,6 +69,7 @@ def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
         defined_span = definitions.around(text)
         if text not in spans:
             spans.add(text)
+            # Each name is followed once, because its users are among the spans from then on.
             waiting += [
                 user
                 for name in (defined[defined_span] if defined_span else ())

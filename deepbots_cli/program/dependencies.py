@@ -48,6 +48,7 @@ class Definitions:
     def _nodes(self, trees: Iterable[Scalar], robot: Robot | None, met: set[str]) -> Iterator[Node]:
         for node in (node for tree in trees for node in walk(tree)):
             yield robot, node
+            # A name on board of a robot is one of its sensors, and not a value of the supervisor.
             if (
                 robot is None
                 and isinstance(node, Name)

@@ -105,6 +105,7 @@ def own_ending(seat: SeatLayout, ending: Ending) -> Ending:
     return ending._replace(
         episode=own_episode(seat.member, ending.episode),
         observation=seat.observation(ending.observation),
+        # The episode of an agent that ended alone was over before the limit of the world.
         timed_out=ending.timed_out and not has_ended,
     )
 

@@ -191,6 +191,7 @@ class Scenario(Section):
         missing = {key: value for key, value in _OF_ONE_AGENT.items() if key not in data}
         scenario = handler({**data, **missing})
         for key in missing:
+            # The model is frozen, and a stand-in is not a value that the user has set.
             scenario.__dict__[key] = {}
             scenario.model_fields_set.discard(key)
         return scenario

@@ -531,4 +531,5 @@ ALGORITHMS: PluginTable[type[Training]] = PluginTable(
     {model.__name__: model for model in _BUILT_IN} | {kind_of(RslPPO, "algorithm"): RslPPO},
     _read,
 )
+# A union of both tables would list all names, and so load the packages of all plug-ins.
 AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]

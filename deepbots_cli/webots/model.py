@@ -44,9 +44,11 @@ class ModelBuilder:
         spec.option.gravity = scene.gravity
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
         spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
+        # `Physics.step` reports a state that is not finite, which MuJoCo would reset by itself.
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_ISLAND
         spec.compiler.degree = False
         spec.compiler.autolimits = False
+        # A free body keeps the frame of its node, to which all poses in the world refer.
         spec.compiler.alignfree = False
         # `_is_inertia` accepts moments that are rounded by 0.1 %, which MuJoCo would refuse without this.
         spec.compiler.balanceinertia = True
@@ -117,6 +119,7 @@ class ModelBuilder:
                 kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
                 fields = {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
             case "plane":
+                # A plane collides without end in Webots, whatever its size, as one of size 0 does in MuJoCo.
                 fields = {"type": types.mjGEOM_PLANE, "size": [0.0, 0.0, 1.0]}
             case "grid":
                 fields, position = self._grid(geometry)
@@ -150,6 +153,7 @@ class ModelBuilder:
             ncol=shape.columns,
             userdata=((heights - low) / rise).tolist(),
         )
+        # A grid begins at its origin in Webots, and has its middle there in MuJoCo.
         middle: Frame = ((shape.size[0] / 2, shape.size[1] / 2, low), frames.IDENTITY_ROTATION)
         position = compose(geometry.frame, middle)[0]
         return {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": name}, position

@@ -205,6 +205,7 @@ class Expander:
         self, node: Node, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]
     ) -> Node:
         """Return a copy of a node of a body, with the values of the PROTO node where the body says IS."""
+        # A node that the body repeats by USE stays a single node in the copy.
         if id(node) in memo:
             return memo[id(node)]
         copy = Node(node.type, node.span, node.name, is_internal=True)

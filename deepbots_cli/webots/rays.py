@@ -46,6 +46,7 @@ class Rays:
     def _without(self, skipped: int | None) -> Iterator[None]:
         """Context in which the robot of an index stops no ray."""
         self._update_positions()
+        # `mj_ray` can leave out a single body, and a robot has several.
         groups = self._model.geom_group
         geoms = [] if skipped is None else self._robot_geoms.get(skipped, [])
         saved = groups[geoms].copy()

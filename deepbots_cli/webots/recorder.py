@@ -44,6 +44,7 @@ class VideoRecorder:
         require_opengl()
         self._simulation, self._path = simulation, path
         step = simulation.basic_step / 1000
+        # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
         self._every = max(1, ceil(1 / step / FRAME_RATES[path.suffix.lower()] - 1e-9))
         self._rate = 1 / step / self._every
         self._viewpoint = Viewpoint(simulation)

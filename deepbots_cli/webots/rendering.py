@@ -120,6 +120,7 @@ class Pictures:
     def _renderer(self, size: tuple[int, int]) -> Any:
         if size not in self._renderers:
             width, height = size
+            # MuJoCo refuses a renderer that is larger than the framebuffer of the model.
             self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
             self._renderers[size] = mj.Renderer(self._model, height, width)
         return self._renderers[size]
@@ -161,6 +162,7 @@ class _VisualModel:
     def __init__(self, physics: Physics) -> None:
         self._scene = physics.scene
         self.spec = spec = mj.MjSpec()
+        # MuJoCo multiplies the distances of the clipping planes by the extent, so that they are in m here.
         spec.stat.extent = 1.0
         spec.stat.center = (0.0, 0.0, 0.0)
         spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M

@@ -42,6 +42,7 @@ class Accelerometer(VectorSensor):
         self._before, self._since = self._velocity(), self._simulation.ticks
 
     def forget(self) -> None:
+        # A sensor that is due measures right after the reset, in the same basic time step.
         self._before, self._since = self._velocity(), self._simulation.ticks - self.period
 
     def _velocity(self) -> Triple:
@@ -186,6 +187,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
                 reach if self._type == "sonar" and cosine < SONAR_CONE else distance
                 for distance, _, cosine in hits
             )
+        # A surface that reflects less looks farther away to an infra-red sensor of Webots.
         if self._type == "infra-red":
             distances = [
                 distance / physics.geoms[geom][1].reflection if geom >= 0 else distance

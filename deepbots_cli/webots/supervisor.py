@@ -44,6 +44,7 @@ class Robot:
         simulation = _active()
         if simulation.current is None:
             raise RuntimeError("only a controller can create a Robot")
+        # The prefix keeps these names apart from those of controllers, whose classes derive from this one.
         self._webots_simulation, self._webots_robot = simulation, simulation.current
         self.keyboard = Keyboard()
 
@@ -151,6 +152,7 @@ class Supervisor(Robot):
         nodes = self._webots_simulation.scene.nodes
         match: Written | None = None
         for def_name in name.split("."):
+            # `walk` yields the node itself first, which is not a part of itself.
             match = next(
                 (node for node in _public(nodes) if node.name == def_name and node is not match), None
             )

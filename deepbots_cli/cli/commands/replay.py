@@ -133,6 +133,7 @@ def _verify(
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.replay import verify
 
+    # `verify` replaces this driver by the actions of each episode.
     with closing(Player(showing, "zero")) as player, terminal.progress(always=False) as show:
         count = len(recording.episodes)
         difference = verify(recording, player, lambda finished: show(finished, count), tolerance=tolerance)

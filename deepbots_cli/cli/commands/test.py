@@ -174,6 +174,7 @@ def _command(scenario: str, result: TestResult, unmet: UnmetExpectation, options
         return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
     actions = ",".join(action.text for action in test.driver)
     seed = derive_seed(test.seed, "evaluation", episode)
+    # An action may begin with a minus, which without the equals sign would make it an option.
     return f"deepbots try {where} --driver={actions} --steps {len(test.driver)} --episodes 1 --seed {seed}"
 
 

@@ -118,6 +118,7 @@ def command(
             raise UsageError(f"--protos {folder}: there is no such folder")
     if not view and (open_ or port is not None):
         raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
+    # The callback of the option checks only the name, and not whether MuJoCo is installed.
     known_engine(_ENGINE)
     try:
         opened = _read(world, protos or (), allow_code=allow_code)

@@ -101,6 +101,7 @@ class MirrorEngine(EngineProxy):
             return touches
         if others is None:
             others = [(name, None) for name in self._others if name != one[0]]
+        # Webots shows that a body touches anything, and the engine shows which other bodies are that near.
         gaps = [self.engine.clearance(one, part) for part in others]
         return lambda: touches() and any(gap() < TOUCHING_M for gap in gaps)
 

@@ -72,6 +72,7 @@ class Plant:
         """Bring the world back to its start, at rest; this takes a step of `timestep` ms."""
         self.supervisor.simulationReset()
         self.wait(timestep)
+        # The reset happens within a step, whose physics has set bodies in motion already.
         self.supervisor.simulationResetPhysics()
 
     def wait(self, timestep: int) -> None:

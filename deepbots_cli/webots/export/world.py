@@ -99,6 +99,7 @@ class WorldWriter:
 
     def nodes(self, supervisor: str) -> Iterator[NodeText]:
         """Yield the nodes of the world; `supervisor` is the controller of the supervisor."""
+        # The bodies are made first, because they name the surfaces whose contacts WorldInfo lists.
         bodies = [*self._bodies()]
         yield self._world_info()
         yield self._viewpoint()
