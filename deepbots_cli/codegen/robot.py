@@ -353,7 +353,7 @@ class ActuatorBindings:
         return (
             varies
             or self._acts_each_substep(actuator)
-            # Of other motors, the strength scales limits and gains; of a torque motor, it scales each command.
+            # The engine gets scaled limits, but only `Motor` also scales the targets of a torque motor.
             or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
         )
 

@@ -116,6 +116,7 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
                         episode.answers.append(answer)
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
+    # An episode takes the events that precede it, so events are left over only if the log has no episode.
     if before:
         episodes = [_new_episode(0, 0.0, before)]
     if not episodes:
@@ -242,6 +243,7 @@ def compare_log(
             control, lambda world: PolicyDriver(learner, world), engine=run.record.engine
         )
         simulated = [step.inputs for step in islice(recorded, count)]
+        # `islice` leaves the generator suspended; closing it also closes the simulation that it holds.
         recorded.close()
     logged = [content.get("inputs") for _, content in steps]
     times = np.array([stamp for stamp, _ in steps]) - steps[0][0]
@@ -275,6 +277,7 @@ def _compared(number: _Field, robot_values: Array, simulated_values: Array, time
     inside = np.flatnonzero((robot_values >= low) & (robot_values <= high))
     last = int(inside[-1]) if len(inside) else -1
     since = float(times[last + 1]) if last + 1 < len(times) - MIN_STEPS // 2 else None
+    # A last part shorter than half the log is left out: chance alone gives a small sample a larger distance.
     chunks = [
         simulated_values[first : first + len(robot_values)]
         for first in range(0, len(simulated_values) - len(robot_values) // 2, len(robot_values))

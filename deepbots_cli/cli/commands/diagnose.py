@@ -264,6 +264,7 @@ def _diagnose(
                 if not as_json:
                     _print_causes(folder, training, stage, causes)
         except RunError as error:
+            # A group lists a run that cannot be read beside its other runs; alone, such a run is an error.
             if folder == run:
                 raise
             terminal.note(f"note: {error}")

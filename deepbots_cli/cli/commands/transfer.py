@@ -307,6 +307,7 @@ def _verdict(compared: Transfer) -> list[str]:
     works_here, works_there = compared.works
     is_lower = bool(works_here and works_there) and compared.is_much_lower
     is_rate = compared.here.success_defined and not is_lower
+    # The verdict names the world in which the policy works first, and the scores follow that order.
     worlds = [*zip(compared.names, (compared.here, compared.there), strict=True)][
         :: -1 if works_there and not works_here else 1
     ]

@@ -206,6 +206,7 @@ class _Drive:
     def __init__(
         self, drive: Callable[[Sequence[float]], object], note: Callable[[Sequence[float]], None]
     ) -> None:
+        # `__setattr__` passes each attribute on to the actuator, so the attributes of this object bypass it.
         vars(self).update(drive=drive, note=note, notes=True, acts=True)
 
     def __call__(self, targets: Sequence[float]) -> None:

@@ -85,6 +85,7 @@ def _function_at(module: ModuleCode, todo: Todo) -> ast.FunctionDef | None:
         for node in ast.walk(module.tree)
         if isinstance(node, ast.FunctionDef) and node.lineno <= todo.location.line <= (node.end_lineno or 0)
     ]
+    # `ast.walk` visits a tree level by level, so of functions within each other the innermost comes last.
     return around[-1] if around else None
 
 
