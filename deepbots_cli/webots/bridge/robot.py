@@ -226,7 +226,7 @@ class _LinkSensors:
     def velocity(self) -> tuple[Triple, Triple]:
         x, y, z = self._gps.getSpeedVector()
         u, v, w = self._gyro.getValues()
-        # A Gyro measures in the frame of the link, and the program expects the velocities in the world frame.
+        # A Gyro measures in the frame of the link, but both velocities are in the world frame.
         return (x, y, z), frames.rotate(self.orientation(), (u, v, w))
 
 
