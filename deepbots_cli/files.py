@@ -37,6 +37,15 @@ def read_at_most(path: Path, limit: int) -> bytes:
         return data if len(data) <= size else data + file.read(limit - len(data))
 
 
+def is_file(path: Path) -> bool:
+    """Return whether there is a file, also for a name that no file can have: one that is too long, or has a null
+    byte."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def unwritable_message(path: Path, error: OSError) -> str:
     """Return a sentence with the file that cannot be written, the reason, and what to do."""
     reason = (error.strerror or str(error).strip().partition("\n")[0] or "no reason given").lower()

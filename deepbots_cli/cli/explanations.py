@@ -28,7 +28,9 @@ _MIN_MISSPELLED = 5
 away from `tests`."""
 _MIN_BEGINNING = 3
 _OF_AGENT = "agents.<name>."
-_FILLER = re.compile("and|are|can|does|for|from|how|into|make|than|that|the|this|what|when|why|with|your")
+_FILLER = re.compile(
+    "and|are|can|does|for|from|how|into|make|robots?|than|that|the|this|what|when|why|with|your"
+)
 """Words of a phrase that no entry is about."""
 _FACTOR = re.compile(r"\b\d\S* times\b")
 

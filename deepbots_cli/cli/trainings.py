@@ -171,7 +171,9 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         further.insert(0, f"deepbots eval {run} --details")
     if causes:
         commands = [causes[0].command, f"deepbots diagnose {run}"]
-        further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
+        # The command of the cause comes in place of more timesteps.
+        others = [command for command in further if not command.startswith("deepbots resume ")]
+        further = [*dict.fromkeys(filter(None, [*commands, *others]))]
     data = {
         "training": result,
         "evaluation": evaluated,

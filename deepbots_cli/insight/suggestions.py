@@ -24,8 +24,13 @@ _PLAIN = re.compile(
 )
 """A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Other values,
 such as formulas and draws, are not multiplied."""
+_QUANTITY = re.compile(r"(?<![\w.])(\d{1,4}(?:\.\d{1,4})?) ?(m|cm|mm|kg|g)\b")
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "kg": 1.0, "g": 0.001}
+"""The units of a size and of a mass, in m and kg."""
+_LONG_SHAPE = re.compile(r"(?:box|cylinder|capsule) .*?([\d.]+)")
+"""A shape whose last number is its size along z, in m."""
 _WORD = re.compile(r"[^\W_]+")
-_LARGER, _SMALLER = 1.5, 0.5
+_LARGER, _SMALLER = 1.5, 2 / 3  # so that `shorter` takes `longer` back
 _PROPERTIES = {
     "longer": "length",
     "shorter": "length",
@@ -56,7 +61,8 @@ class Suggestion:
     Attributes:
         text: What it is, and how the scenario changes it, as Markdown.
         path, value: A change of it that fits the phrase: the keys to a value, and the value, which is that of
-            the scenario if deepbots cannot change it. The value is empty if the phrase asks for no change.
+            the scenario if deepbots cannot change it. The value is empty if the phrase asks for no change, or
+            for one that is not clear.
     """
 
     text: str
@@ -79,12 +85,13 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     factors = [1 / number if is_smaller and number > 1 else number for number in times if number > 0]
     factors += [_SMALLER] * is_smaller + [_LARGER] * bool(words & _LARGER_WORDS)
     factor = factors[0] if factors else _LARGER
-    named = list(_parts(checked, words | properties(phrase), factor))
+    quantity = _QUANTITY.search(phrase)
+    named = list(_parts(checked, words | properties(phrase), factor, quantity))
     if words & _OF_LEARNING:
         named += _length_of_training(checked, words, factor)
-    elif factors:
+    elif factors and quantity is None:
         named += _parameters(checked, words, properties(phrase), factor)
-    if words & _QUESTIONS:
+    if words & _QUESTIONS or not (factors or quantity):
         named = [replace(suggestion, value="") for suggestion in named]
     return named[:_MAX_SUGGESTIONS]
 
@@ -93,17 +100,24 @@ def _words(text: str) -> set[str]:
     return {word.lower() for word in _WORD.findall(text)}
 
 
-def _parts(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:
+def _parts(
+    checked: CheckedScenario, words: set[str], factor: float, quantity: re.Match[str] | None
+) -> Iterator[Suggestion]:
+    """Yield the links and joints that the words name; a `quantity` is the size or the mass of a link."""
     root = checked.document.root
     for robot in (checked.robots or {}).values():
         for row in link_rows(robot.model):
             if _words(str(row["link"])) <= words:
-                key, default = ("mass", "urdf * 1") if "mass" in words else ("scale", "1 1 1")
+                is_mass = "mass" in words if quantity is None else quantity[2] in ("kg", "g")
+                key, default = ("mass", "urdf * 1") if is_mass else ("scale", "1 1 1")
                 path = ("robots", robot.name, "links", str(row["link"]), key)
                 node = node_at(root, *path)
                 written = node.text if isinstance(node, ScalarNode) else ""
                 text = _link_text(robot.name, row, f"{key}: {written}" if written else "")
-                yield Suggestion(text, ".".join(path), _multiplied(written or default, factor))
+                value = _multiplied(written or default, factor)
+                if quantity is not None:
+                    value = quantity[0] if is_mass else _scaled_to(written or default, row, quantity)
+                yield Suggestion(text, ".".join(path), value)
         for joint in robot.model.moving_joints:
             if _words(joint.name) <= words:
                 unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
@@ -121,6 +135,16 @@ def _parameters(
         if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and _words(name) & (asked or words):
             text = f"`{name}` is a parameter of this scenario: {node.text}."
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
+
+
+def _scaled_to(scale: str, row: Row, quantity: re.Match[str]) -> str:
+    """Return the scale with which a link has this size along z; empty if its shape has no such size."""
+    shapes = row["seen_as"] or row["collides_as"]
+    assert isinstance(shapes, list)
+    shape = _LONG_SHAPE.fullmatch(shapes[0]) if shapes else None
+    if shape is None:
+        return ""
+    return _multiplied(scale, float(quantity[1]) * _UNITS[quantity[2]] / float(shape[1]))
 
 
 def _length_of_training(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:

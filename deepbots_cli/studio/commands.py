@@ -38,7 +38,7 @@ _RESULTS = {
     "eval": re.compile(r"^ +(?:mean return|success rate) .*|^(?:not )?solved.*", re.MULTILINE),
     "compare": re.compile(
         r"^.*(?: is (?:better|worse) than | no significant difference |: the same .* in every |"
-        r": cannot be compared).*",
+        r": cannot be compared).*|(?<=note: )the rewards of the runs differ.*",
         re.MULTILINE,
     ),
     "diagnose": re.compile(r"^Episode .*", re.MULTILINE),

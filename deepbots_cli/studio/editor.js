@@ -354,7 +354,7 @@ export default {
       const mark = CM.Decoration.line({ class: "studio-flash" });
       this.view.dispatch({ effects: [
         setFlash.of(CM.Decoration.set(places.map((from) => mark.range(from)))),
-        CM.EditorView.scrollIntoView(places[0], { y: "center" })] });
+        CM.EditorView.scrollIntoView(places[0], { y: "nearest", yMargin: 60 })] });
       clearTimeout(this.flashTimer);
       this.flashTimer = setTimeout(() =>
         this.view.dispatch({ effects: setFlash.of(CM.Decoration.none) }), FLASH_MS);

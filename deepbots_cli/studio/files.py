@@ -220,9 +220,12 @@ class OpenFile:
             text = edited(text, [self._earlier[-1 - number]])
         return text
 
-    def edit(self, edits: Sequence[TextEdit]) -> None:
-        """Change the text by edits whose offsets are those of the present text."""
+    def edit(self, edits: Sequence[TextEdit]) -> list[int]:
+        """Change the text by edits whose offsets are those of the present text. Returns the line of each, from
+        0."""
+        lines = [self.text.count("\n", 0, edit.start) for edit in edits]
         self._set(edited(self.text, edits))
+        return lines
 
     def save(self) -> None:
         """Write the text to the file.

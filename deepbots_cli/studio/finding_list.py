@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from deepbots_cli.studio.editor import Editor
 from deepbots_cli.studio.explain import linked, rule_page
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.language import EditorFinding
@@ -23,18 +24,17 @@ class FindingList:
     def __init__(
         self,
         session: Session,
-        go_to: Callable[[int, int], object],
+        editor: Editor,
         explain: Callable[[str], object],
         say: Callable[[str], object],
     ) -> None:
         """Create the list.
 
         Args:
-            go_to: It leads the cursor to a line and a column, from 0.
             explain: It opens the explanation of a word.
             say: It shows a message.
         """
-        self._session, self._go_to, self._explain, self._say = session, go_to, explain, say
+        self._session, self._editor, self._explain, self._say = session, editor, explain, say
         self._shown: tuple[OpenFile, tuple[EditorFinding, ...]] | None = None
         self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
 
@@ -65,13 +65,14 @@ class FindingList:
         if fix is None:
             self._say("the text has changed, and this fix no longer applies")
         else:
-            file.edit(fix.edits)
+            lines = file.edit(fix.edits)
             self._session.edited(file)
+            self._editor.mark_lines(lines)
 
     def _add(self, file: OpenFile, finding: EditorFinding) -> None:
         with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
             with ui.element("details") as details:
-                with ui.element("summary").on("click", lambda: self._go_to(*finding.start)):
+                with ui.element("summary").on("click", lambda: self._editor.go_to(*finding.start)):
                     ui.label(finding.place).classes("studio-place")
                     ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
                     ui.label(finding.message).classes("studio-text-line")

@@ -56,12 +56,8 @@ class InspectTab:
 
     def _show(self, tables: Tables) -> None:
         self._tables.clear()
-        names = [
-            *(name for name in _FIRST if name in tables),
-            *(name for name in tables if name not in _FIRST),
-        ]
         with self._tables:
-            for name in names:
+            for name in sorted(tables, key=lambda name: (*_FIRST, name).index(name)):
                 rows = tables[name]
                 ui.label(name.replace("_", " ")).classes("studio-cause").props(
                     'role="heading" aria-level="2"'

@@ -150,7 +150,7 @@ class StudioPage:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
         self._banner.set_visibility(False)
         self._editor = Editor(self._typed, self._key)
-        self._list = FindingList(self._session, self._editor.go_to, self._explain, self._notices.show)
+        self._list = FindingList(self._session, self._editor, self._explain, self._notices.show)
 
     def _add_work(self) -> None:
         self._tabs = ui.tabs().props("dense no-caps align=left")
@@ -381,6 +381,7 @@ class StudioPage:
 
     def _show_scenario(self, path: Path) -> None:
         """Show the robot and the trainings of a scenario, and close the results of another one."""
+        self._notices.withdraw()
         self._session.show(path)
         self._runs.close_result()
         self._training.close_result()
@@ -403,9 +404,8 @@ class StudioPage:
         if file is None or place is None or (place.line, place.column) == (0, 0):
             self._explain()
             return
-        language = self._session.language
-        meaning = language.meaning(file.path, place.text, place.line, place.column, place.word)
-        self._explain(place.word, meaning)
+        at = (place.text, place.line, place.column, place.word)
+        self._explain(place.word, self._session.language.meaning(file.path, *at))
 
     def _explain(self, word: str = "", meaning: Meaning | None = None) -> None:
         """Open the explanation of a word, with what can be written into the text."""
@@ -424,13 +424,19 @@ class StudioPage:
                     title = f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}"
                     yield title, partial(self._write_values, {suggestion.path: suggestion.value})
 
-        def names(phrase: str) -> list[tuple[str, int]]:
-            return [] if file is None else language.names_like(file, phrase)
-
         def suggestions(phrase: str) -> list[Suggestion]:
             return [] if file is None else language.suggestions(file.path, phrase)
 
-        show_explanation(word, OfText(fixes, names, suggestions, self._editor.go_to), meaning)
+        show_explanation(
+            word,
+            OfText(
+                fixes,
+                lambda phrase: language.names_like(file, phrase) if file is not None else [],
+                suggestions,
+                self._editor.go_to,
+            ),
+            meaning,
+        )
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

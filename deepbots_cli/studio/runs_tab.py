@@ -123,7 +123,8 @@ class RunsTab:
                 ("Resume", self.resume),
             ):
                 self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act))
-                self._buttons[label].props("dense outline no-caps")
+                number = "two runs" if label == "Compare" else "one run"
+                self._buttons[label].props(f'dense outline no-caps title="of {number}, selected in the list"')
             self._timesteps = ui.input(placeholder="timesteps").props(
                 'dense outlined prefix="up to" aria-label="Resume up to"'
             )
@@ -218,9 +219,8 @@ class RunsTab:
         names = {row["name"] for row in self._table.selected}
         if names and names != self._names:  # what is shown is of other runs
             self._result.close()
-        number = len(names)
         for label, button in self._buttons.items():
-            button.set_enabled(number == (2 if label == "Compare" else 1))
+            button.set_enabled(len(names) == (2 if label == "Compare" else 1))
 
     # What can be done with runs. Each of these raises UsageError if the folder cannot be written.
 
@@ -285,7 +285,8 @@ class RunsTab:
                 with ui.element("div"):
                     ui.label("On the same starts: ").classes("studio-inline")
                     sentence = ui.label("").classes("studio-inline")
-                ui.label(_INTERVAL).classes("studio-note")
+                note = ui.label(_INTERVAL).classes("studio-note")
+                note.bind_visibility_from(sentence, "text", lambda text: "interval" in text)
             chart = ui.echart(comparison_chart(curves, dark=self._is_dark))
             self._compared = chart.classes("studio-chart studio-compared"), curves
         self._result.watch(task, place, sentence)

@@ -269,8 +269,7 @@ class Session:
             edit = self.language.assignment(file, path, value)
             if edit is None:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
-            file.edit([edit])
-            lines.append(file.text.count("\n", 0, edit.start))
+            lines += file.edit([edit])
         if "train.total_timesteps" in values:
             self.training_options["--timesteps"] = ""
         if file.text == before:

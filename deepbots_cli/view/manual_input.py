@@ -46,6 +46,8 @@ _OPTION_KEYS = (
     (_RANGE_BINDINGS[1].positive_keys, ("right", "turn_right", "rotate_right", "cw")),
 )
 """The keys of options with such names."""
+_SIDEWAYS = {_RANGE_BINDINGS[0].positive_keys: "ArrowRight", _RANGE_BINDINGS[0].negative_keys: "ArrowLeft"}
+"""A further key of these options where nothing turns: in the picture, ahead is to the right."""
 _IDLE_WORDS = ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing")
 _DIGITS = tuple(f"Digit{number}" for number in range(1, 10))
 KEYS = sorted(
@@ -132,9 +134,12 @@ class ManualInput:
             for number, digit in enumerate(_DIGITS[: len(field.options)])
             if field is self._choices[0]
         ]
-        return digits + [
+        named = [
             (codes, option) for codes, words in _OPTION_KEYS if (option := _option(field, words)) is not None
         ]
+        if not self._ranges and all(codes in _SIDEWAYS for codes, _ in named):
+            named = [((*codes, _SIDEWAYS[codes]), option) for codes, option in named]
+        return digits + named
 
     def effects(self) -> list[tuple[tuple[str, ...], str]]:
         """Return the names of keys, such as `W`, and what they do while they are held."""

@@ -189,7 +189,7 @@ class Page:
         self._source = dataclasses.replace(self._source, reference=reference)
         self._changed = {}
         self.playback.leave(driver)
-        self.reload()
+        self.reload(again=False)
         self._cameras.refit()
 
     def submit(self, task: Callable[[], None]) -> None:
@@ -198,9 +198,9 @@ class Page:
 
     # What is shown
 
-    def _show(self, opened: ShowingState) -> None:
+    def _show(self, opened: ShowingState, *, again: bool = False) -> None:
         """Show the present state of a source: its world from the beginning of the present episode, or else
-        its findings over the world before."""
+        its findings over the world before. `again` if the world before is of the same source."""
         self.outdated = opened.program is None and self._embedded and self.player is not None
         if self.outdated:
             return
@@ -236,10 +236,10 @@ class Page:
             raise
         playback.close_players()
         playback.rival = players.pop() if rival else None
-        self._build(players)
+        self._build(players, again=again)
         playback.show_first_frame()
 
-    def _build(self, players: Sequence[Player]) -> None:
+    def _build(self, players: Sequence[Player], *, again: bool) -> None:
         """Show worlds side by side. The panel stays as it is if it fits."""
         scene, playback = self.server.scene, self.playback
         player = players[0]
@@ -269,7 +269,7 @@ class Page:
         for other_player in players[1:]:
             right = shift_beside(boxes, extent(other_player.program))
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other_player.program)]
-        size = self._cameras.aim(boxes)
+        size = self._cameras.aim(boxes, waits=again)
         for number, world_player in enumerate(players):
             root = f"/world{number or ''}"
             world = WorldScene(
@@ -309,8 +309,9 @@ class Page:
         self.server.scene.reset()
         self.server.gui.main_panel.dock_right()
 
-    def reload(self) -> None:
-        """Read the files again; a world without errors begins at the same seed and episode."""
+    def reload(self, *, again: bool = True) -> None:
+        """Read the files again; a world without errors begins at the same seed and episode. `again` if the
+        world before is of the same source."""
         before = self.player.opened.compiled if self.player is not None else None
         self.changes = ""
         overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
@@ -319,7 +320,7 @@ class Page:
         paused = self.playback.paused and not self.playback.stopped
         if not self._embedded or opened.program is not None:
             self.playback.stopped = None
-        self._show(opened)
+        self._show(opened, again=again and before is not None)
         if opened.compiled is not None:
             if before is not None and self._embedded:
                 self.changes = listed_values(changed_texts(before, opened.compiled))
@@ -372,6 +373,7 @@ class Page:
                     )
                 )
                 self._draw(texts=frame_count % FRAMES_PER_TEXT == 0)
+                self._cameras.settle()
             frame_count = frame_count + 1
             # After a long step, pictures that are overdue by more than this are left out.
             due = max(due + period, time.perf_counter() - MAX_STEPPING_S)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
@@ -50,6 +51,7 @@ MAX_CELLS = 120  # the largest number of cells of a terrain along a side
 _RADAR_GRAY = 120
 _MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
+_SETTLING_S = 2.0  # the time for which a changed world is seen from the place before
 _EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
 
 Points = NDArray[np.float32]
@@ -154,9 +156,13 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
     camera.fov = view.fov
     # The resolution of depth falls with the ratio of far to near.
     camera.near, camera.far = max(0.002, size / 200), 60 * size
+    _light(server)
+    return size
+
+
+def _light(server: viser.ViserServer) -> None:
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)
-    return size
 
 
 def add_shape(scene: viser.SceneApi, name: str, shape: Shape, color: Color, frame: frames.Frame) -> Any:
@@ -205,15 +211,33 @@ class SceneCameras:
         self._server = server
         self._boxes: Sequence[tuple[Triple, Triple]] = ()
         self._fitted: dict[int, dict[tuple[int, int], Triple]] = {}
+        self._due = math.inf
         server.on_client_connect(
             lambda client: client.camera.on_update(lambda _: queue(lambda: self._fit(client)))
         )
         server.on_client_disconnect(lambda client: self._fitted.pop(client.client_id, None))
 
-    def aim(self, boxes: Sequence[tuple[Triple, Triple]]) -> float:
-        """Look at the scene within these boxes (lowest and highest corner, m). Returns the distance in m."""
+    def aim(self, boxes: Sequence[tuple[Triple, Triple]], *, waits: bool = False) -> float:
+        """Look at the scene within these boxes (lowest and highest corner, m). Returns the distance in m.
+
+        With `waits`, `settle` moves the cameras a moment later: at once, a robot that has grown would be
+        drawn as large as before.
+        """
         self._boxes = boxes
-        return aim_camera(self._server, view_around(boxes, 480, 400))  # a usual window beside the panel
+        view = view_around(boxes, 480, 400)  # a usual window beside the panel
+        if not waits:
+            return aim_camera(self._server, view)
+        _light(self._server)
+        self._due = time.monotonic() + _SETTLING_S
+        return math.dist(view.eye, view.target)
+
+    def settle(self) -> None:
+        """Show the whole scene in all browsers, once it is time after `aim`, unless a person has moved the
+        camera."""
+        if time.monotonic() >= self._due:
+            self._due = math.inf
+            for client in self._server.get_clients().values():
+                self._fit(client, again=True)
 
     def refit(self) -> None:
         """Show the whole scene in all browsers, wherever a person has moved the camera."""
@@ -221,9 +245,9 @@ class SceneCameras:
         for client in self._server.get_clients().values():
             self._fit(client)
 
-    def _fit(self, client: Any) -> None:
-        """Show the whole scene in a browser that has been opened or resized, unless a person has moved its
-        camera."""
+    def _fit(self, client: Any, *, again: bool = False) -> None:
+        """Show the whole scene in a browser that has been opened or resized, or else `again`, unless a person
+        has moved its camera."""
         camera = client.camera
         size = (camera.image_width, camera.image_height)
         framed = self._fitted.setdefault(client.client_id, {})
@@ -232,7 +256,8 @@ class SceneCameras:
         moved = framed and all(
             math.dist(camera.position, eye) > 0.01 * math.hypot(*eye) for eye in (initial, *framed.values())
         )
-        if not self._boxes or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
+        is_fitted = bool(framed) and next(reversed(framed)) == size and not again
+        if not self._boxes or min(size) < 1 or moved or is_fitted:
             return
         view = view_around(self._boxes, *size)
         camera.position = view.eye

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import read_at_most
+from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.webots.findings import WorldError, WorldFinding, WorldFindings
 from deepbots_cli.webots.nodes import check
 from deepbots_cli.webots.protos import Expander, Scope
@@ -80,14 +80,14 @@ class Files:
         for folder in self.library:
             candidates += [folder / _LIBRARY_FOLDER / tail] if tail else []
             candidates.append(folder / f"{name}.proto")
-        return next((path for path in candidates if path.is_file() and self.allows(path)), None)
+        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
 
     def module(self, name: str) -> Path | None:
         """Return a module that templates of PROTOs import, in a copy of Webots."""
         candidates = (
             folder / "resources" / "javascript" / "modules" / "webots" / name for folder in self.library
         )
-        return next((path for path in candidates if path.is_file() and self.allows(path)), None)
+        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
 
     def picture(self, address: str, writer: str) -> Path | None:
         """Return the file of a picture: at its address beside the file that names it, in `worlds/` of the
@@ -98,14 +98,7 @@ class Files:
         if _LIBRARY_FOLDER in address:
             tail = address.rpartition(_LIBRARY_FOLDER)[2]
             candidates += [folder / _LIBRARY_FOLDER / tail for folder in self.library]
-        return next((path for path in candidates if _is_file(path) and self.allows(path)), None)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or with a null byte
-        return False
+        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
 
 
 def _display_path(path: Path) -> str:

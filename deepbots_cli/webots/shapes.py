@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import read_at_most
+from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.webots.nodes import child, integer, number, numbers, texts, vectors
 
 if TYPE_CHECKING:
@@ -134,8 +134,8 @@ def _face_set(node: Node, scale: Triple, findings: WorldFindings) -> Shape | Non
 
 def _mesh(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> Shape | None:
     address = next(iter(texts(node, "url")), "")
-    path = (files.project / "worlds" / address).resolve()
-    if "://" in address or not path.is_file() or not files.allows(path):
+    path = files.project / "worlds" / address
+    if "://" in address or not is_file(path) or not files.allows(path):
         findings.error(node.span, f"the mesh '{address[:80]}' is not a file of the project")
         return None
     try:

@@ -141,6 +141,12 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
     output = capsys.readouterr().out
     assert "episode 1: 2 steps of the policy in 0.5 s; median answer 2.00 ms, longest 2.00 ms" in output
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in output
+    for option, text in (
+        (["--episode", "failed"], "a robot does not see which episodes fail"),
+        (["--last"], "the log of a robot takes --episode and --json"),
+    ):
+        assert main(["diagnose", str(path), *option]) == 2
+        assert text in capsys.readouterr().err
     assert main(["diagnose", str(path), "--episode", "7"]) == 2
     assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
     assert main(["view", str(path)]) == 2

@@ -30,13 +30,16 @@ def _override(path: str, value: str) -> str:
         ("a pole that is half as heavy", _MASS, "urdf * 0.5"),
         ("make the pole 2 times lighter", _MASS, "urdf * 0.5"),
         ("a pole 4x shorter", _SCALE, "1 1 0.25"),
-        ("a smaller and shorter pole", _SCALE, "1 1 0.5"),
+        ("a smaller and shorter pole", _SCALE, "1 1 0.666667"),
         ("make the pole heavier", _MASS, "urdf * 1.5"),
         ("make the cart faster", "parameters.wheel_speed", "7.5 rad/s"),
         ("go twice as fast", "parameters.wheel_speed", "10 rad/s"),
         ("a larger fall angle", "parameters.fall_angle", "22.5 deg"),
+        ("make the pole 2 m long", _SCALE, "1 1 2"),
+        ("pole length 150 cm", _SCALE, "1 1 1.5"),
+        ("a pole of 0.5 kg", _MASS, "0.5 kg"),
         ("how do I make the training longer", "train.total_timesteps", "150_000"),
-        ("a training half as long and shorter", "train.total_timesteps", "50_000"),
+        ("make the training half as long, shorter", "train.total_timesteps", "50_000"),
     ],
 )
 def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, path, value):
@@ -49,10 +52,15 @@ def test_the_same_phrase_once_more_changes_what_is_written():
     (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, "1 1 1.5"))
     assert suggestion.value == "1 1 2.25"
     assert "The file has `scale: 1 1 1.5`." in suggestion.text
+    (suggestion,) = _suggestions("make the pole 2 m long", _override(_SCALE, "1 1 1.5"))
+    assert suggestion.value == "1 1 2"
+    (suggestion,) = _suggestions("make the pole shorter", _override(_SCALE, "1 1 1.5"))
+    assert suggestion.value == "1 1 1"
 
 
-def test_a_question_has_what_it_is_about_and_no_change():
-    (suggestion,) = _suggestions("why does the pole fall")
+@pytest.mark.parametrize("phrase", ["why does the pole fall", "reset the pole", "pole"])
+def test_a_phrase_without_a_clear_change_has_what_it_is_about(phrase):
+    (suggestion,) = _suggestions(phrase)
     assert suggestion.text.startswith("`pole` is a link")
     assert suggestion.value == ""
 

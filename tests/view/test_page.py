@@ -438,6 +438,44 @@ def test_hands_know_options_by_their_names():
     assert hand.values() == {"move": 2.0}
 
 
+def test_the_arrows_to_the_sides_also_drive_where_nothing_turns():
+    hand = ManualInput([PlottedField("drive", "drive", 0, 1, "", ("forward", "backward"))])
+    for key, option in (("ArrowRight", 0.0), ("ArrowLeft", 1.0)):
+        hand.hold(frozenset({key}), ())
+        assert hand.values() == {"drive": option}
+    assert (("W", "up arrow", "right arrow"), "forward") in hand.effects()
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_a_longer_robot_is_seen_from_the_place_before_for_a_moment(tmp_path, monkeypatch, is_moved):
+    monkeypatch.setattr("deepbots_cli.view.scene._SETTLING_S", 0.5)
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Showing(str(file)), port=0, driver="zero")) as page, _client(page) as wire:
+
+        def serve(seconds):
+            end = time.monotonic() + seconds
+            page.run(lambda: time.monotonic() > end)
+
+        def place():
+            (client,) = page.server.get_clients().values()
+            return tuple(client.camera.position)
+
+        wire.send(msgspec.msgpack.encode(CAMERA))
+        serve(1.0)
+        if is_moved:
+            wire.send(msgspec.msgpack.encode({**CAMERA, "position": (3.0, 3.0, 3.0)}))
+            serve(0.5)
+        before = place()
+        file.write_text(
+            CARTPOLE.replace("urdf: cartpole\n", "urdf: cartpole\n    links: {pole: {scale: 1 1 3}}\n")
+        )
+        page.reload()
+        assert place() == before
+        serve(1.0)
+        assert (place() == before) is is_moved
+
+
 def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)

@@ -193,6 +193,11 @@ def test_a_text_that_is_not_a_world_is_one_finding(text: str, headline: str):
             "the mesh '../../etc/passwd' is not a file of the project",
         ),
         (
+            f'Solid {{ boundingObject Mesh {{ url "{"x" * 300}.stl" }} }}',
+            f"the mesh '{'x' * 80}' is not a file of the project",
+        ),
+        (f'EXTERNPROTO "{"x" * 300}.proto" {"x" * 300} {{ }}', f"PROTO {'x' * 300} is not available"),
+        (
             "Solid { boundingObject ElevationGrid { } }",
             "an ElevationGrid with less than two rows or columns, or without spacing",
         ),

@@ -69,7 +69,10 @@ def command(
 ) -> None:
     """Explain why a training does not learn, or why an episode ended."""
     permissions = Permissions(code=allow_code)
-    if source.endswith(RECORDING_SUFFIX) and _explain_log(Path(source), episode, as_json=as_json):
+    if source.endswith(RECORDING_SUFFIX) and _is_log(Path(source)):
+        if only_logs or last or seed is not None or agent is not None:
+            raise UsageError("the log of a robot takes --episode and --json, and no other options")
+        _explain_log(Path(source), episode, as_json=as_json)
         return
     if episode is not None or source.endswith((".json", RECORDING_SUFFIX)):
         if only_logs:
@@ -83,14 +86,18 @@ def command(
     _diagnose(Path(source), only_logs=only_logs, as_json=as_json, permissions=permissions, agent=agent)
 
 
-def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
-    """Print the events in the log of a robot, in one episode or in all. Returns False for a recording of a
-    simulation."""
-    from deepbots_cli.insight.robot_log import explain_log, logged_episodes
+def _is_log(path: Path) -> bool:
     from deepbots_cli.rollout.robot_logs import is_robot_log
 
-    if not is_robot_log(path):
-        return False
+    return is_robot_log(path)
+
+
+def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> None:
+    """Print the events in the log of a robot, in one episode or in all."""
+    from deepbots_cli.insight.robot_log import explain_log, logged_episodes
+
+    if number == "failed":
+        raise UsageError("a robot does not see which episodes fail; give the number of an episode")
     episodes = [
         episode
         for episode in logged_episodes(path, terminal.note)
@@ -104,7 +111,6 @@ def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool
         {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
     ]
     terminal.show(data, *(line for episode in episodes for line in explain_log(episode)), as_json=as_json)
-    return True
 
 
 def _explain_episode(
