@@ -1,8 +1,10 @@
-"""The pictures of templates and shipped scenarios on the first page of the studio: `python -m
-tools.gallery_pictures [NAME ...]` takes some seconds for each."""
+"""The pictures of templates and shipped scenarios on the first page of the studio, and the times of their
+trainings: `python -m tools.gallery_pictures [NAME ...]` takes some seconds for each picture.
+"""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -14,13 +16,33 @@ from deepbots_cli.document.shipped import scenario_names
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.dialogs import templates
 from deepbots_cli.studio.start import PICTURES
+from tools.results import measure
+from tools.results.experiment import experiments
+from tools.results.measure import Places
+from tools.results.standing import Headline, Standing
 
+TIMES = PICTURES / "trainings.json"
 _SIZE, _RENDERED = (320, 200), "1280x800"
 _FOLLOWED = {"quadrotor": "drone", "quadruped_rough": "dog"}
 """The robots that are too small in a picture of the whole world."""
 
 
+def training_times() -> dict[str, str]:
+    """Return the median CPU time of the measured trainings of each scenario, rounded."""
+    times = {}
+    for name, experiment in experiments().items():
+        headline = Headline.of(Standing.of(experiment, measure.read(Places().record(name))))
+        if headline is not None:
+            times[name] = _rounded(headline.cpu_seconds)
+    return times
+
+
+def _rounded(seconds: float) -> str:
+    return f"{max(10, round(seconds, -1)):.0f} s" if seconds < 95 else f"{seconds / 60:.0f} min"
+
+
 def main(names: list[str]) -> None:
+    TIMES.write_text(json.dumps(training_times(), indent=2) + "\n", encoding="utf-8")
     for name in names or [*templates(), *scenario_names()]:
         with tempfile.TemporaryDirectory() as folder:
             shown = name

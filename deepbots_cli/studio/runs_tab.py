@@ -207,10 +207,8 @@ class RunsTab:
         keys, row, _ = event.args
         name = row["name"]
         selected = {entry["name"] for entry in self._table.selected}
-        if any(keys.values()) or selected == {name}:
-            selected ^= {name}
-        else:
-            selected = {name}
+        is_further = any(keys.values()) or selected == {name}
+        selected = selected ^ {name} if is_further else {name}
         self._table.selected = [entry for entry in self._table.rows if entry["name"] in selected]
         self._show_buttons()
 

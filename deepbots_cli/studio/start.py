@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 
@@ -17,7 +18,7 @@ _ABOUT = (
     " policy, which chooses what it does."
 )
 PICTURES = Path(__file__).with_name("pictures")
-"""The folder of pictures by name, which `tools/gallery_pictures.py` makes."""
+"""The folder of pictures by name, and of the times of trainings, which `tools/gallery_pictures.py` makes."""
 _FIRST = "cartpole"
 """The template for those who begin."""
 
@@ -64,6 +65,7 @@ class StartPage:
             ui.run_javascript(f"getHtmlElement({self._leave.id})?.focus()")
 
     def _add_choices(self, kind: Kind, summaries: Mapping[str, str], classes: str) -> None:
+        times = json.loads((PICTURES / "trainings.json").read_text("utf-8")) if kind == Kind.shipped else {}
         with ui.element("div").classes(f"studio-choices {classes}"):
             for name, summary in summaries.items():
                 with ui.element("button").classes("studio-choice").props('type="button"') as choice:
@@ -73,6 +75,8 @@ class StartPage:
                         ui.label(name)
                         if kind == Kind.template and name == _FIRST:
                             ui.label("begin here").classes("studio-badge")
+                        if name in times:
+                            ui.label(f"learns in {times[name]}").classes("studio-badge")
                     ui.label(summary).classes("studio-choice-about")
                 choice.on("click", lambda name=name: self._begin(kind, name))
 

@@ -208,10 +208,9 @@ class TrainingTab:
         self.update()
 
     def _run(self, words: list[str]) -> None:
-        def run() -> None:
-            self._result.watch(self._session.commands.run([*words, self._session.saved_name()]))
-
-        self._guarded(run)
+        self._guarded(
+            lambda: self._result.watch(self._session.commands.run([*words, self._session.saved_name()]))
+        )
 
     def _stop_training(self) -> None:
         task = self._session.commands.training_task

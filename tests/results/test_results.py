@@ -3,6 +3,7 @@ is stopped goes on."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import signal
@@ -23,6 +24,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import mean_interval
 from tests.few import few
+from tools import gallery_pictures
 from tools.results import measure, page, picture
 from tools.results.__main__ import main
 from tools.results.experiment import (
@@ -56,6 +58,12 @@ def test_the_pages_are_what_the_records_say():
         CURRENT
     )
     assert {*PLACES.records.glob("*.md")} <= {*pages}, "a card of no experiment"
+
+
+def test_the_studio_shows_the_measured_times_of_trainings():
+    times = json.loads(gallery_pictures.TIMES.read_text(encoding="utf-8"))
+    assert times == gallery_pictures.training_times(), "run: python -m tools.gallery_pictures"
+    assert {"cartpole", "quadruped", "find_ball"} <= times.keys() <= {*shipped.scenario_names()}
 
 
 def test_the_pages_that_people_read_are_short():

@@ -165,8 +165,7 @@ def command(
         "command": ["deepbots", *sys.argv[1:]],
     }
     with terminal.transient_line("loading PyTorch ..." if progress else ""):
-        # The package imports PyTorch when this attribute is read, and not before.
-        checked_settings = learning.checked_settings
+        checked_settings = learning.checked_settings  # which imports PyTorch when it is read
     root = seed or 0
     checked_settings(compiled.program, listed or [root], **settings)
     settings["progress"] = progress
