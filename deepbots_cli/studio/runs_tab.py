@@ -84,7 +84,6 @@ _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
 """Name, label, alignment and other properties of each column of the table."""
 _OPTIONAL = ("success", "solved", "scenario")
 """The columns that are left out while no run has a value."""
-_INTERVAL = "With other starts, the difference would be in its 95 % interval in 95 of 100 comparisons."
 
 
 class RunsTab:
@@ -283,8 +282,6 @@ class RunsTab:
                 with ui.element("div"):
                     ui.label("On the same starts: ").classes("studio-inline")
                     sentence = ui.label("").classes("studio-inline")
-                note = ui.label(_INTERVAL).classes("studio-note")
-                note.bind_visibility_from(sentence, "text", lambda text: "interval" in text)
             chart = ui.echart(comparison_chart(curves, dark=self._is_dark))
             self._compared = chart.classes("studio-chart studio-compared"), curves
         self._result.watch(task, place, sentence)

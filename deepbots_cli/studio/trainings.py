@@ -83,10 +83,13 @@ def read_curves(run: Path) -> Curves:
 
 
 def result_text(run: ListedRun) -> str:
-    """Return whether a run is solved, after how many steps, and with which mean return."""
+    """Return whether a run is solved, after how many steps, whether it stopped before its last timestep for
+    that, and the mean return."""
     verdict = {True: "solved", False: "not solved", None: run.state}[run.solved]
     steps = run.solved_after if run.solved and run.solved_after else run.steps
-    return ", ".join(filter(None, (verdict + (f" after {steps:,} steps" if steps else ""), score_text(run))))
+    after = f" after {steps:,} steps" if steps else ""
+    stopped = "so it stopped" if run.solved and (run.steps or 0) < (run.total_timesteps or 0) else ""
+    return ", ".join(filter(None, (verdict + after, stopped, score_text(run))))
 
 
 def score_text(run: ListedRun) -> str:
