@@ -37,6 +37,10 @@ _PREFERENCES = """(() => { const kept = (name) => localStorage.getItem(`deepbots
   const dark = kept("dark") ? kept("dark") == "yes" : matchMedia("(prefers-color-scheme: dark)").matches;
   return { dark, text: kept("size-text"), robot: kept("size-robot") }; })()"""
 """A script for the browser: whether the colors are dark, and the sizes of areas that it has kept, if any."""
+_NAME_UPLOAD = """document.querySelectorAll(".q-uploader a, .q-uploader input").forEach((one) => {
+  one.setAttribute("aria-label", "Choose a robot file");
+  if (one.tagName == "A") one.setAttribute("role", "group"); })"""
+"""A script for the browser: Quasar gives these controls no name, and puts one button into the other."""
 _REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
 
 
@@ -112,6 +116,7 @@ class StudioPage:
             self._columns.restore(preferences)
             self._rows.restore(preferences)
         client.content.classes(remove="studio-loads")
+        ui.run_javascript(_NAME_UPLOAD)
         self._robot.begin()
         with suppress(TimeoutError):
             self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
@@ -404,8 +409,10 @@ class StudioPage:
         if file is None or place is None or (place.line, place.column) == (0, 0):
             self._explain()
             return
-        at = (place.text, place.line, place.column, place.word)
-        self._explain(place.word, self._session.language.meaning(file.path, *at))
+        self._explain(
+            place.word,
+            self._session.language.meaning(file.path, place.text, place.line, place.column, place.word),
+        )
 
     def _explain(self, word: str = "", meaning: Meaning | None = None) -> None:
         """Open the explanation of a word, with what can be written into the text."""

@@ -48,7 +48,6 @@ _EXPLORING = (
     "In training, actions are partly random: the line is the mean of the last 100 episodes. Evaluations are"
     " without, and may differ much: dots during the training, and the result above after it."
 )
-_TERMS = " A click on a gray name draws a term of the reward."
 
 
 class TrainingTab:
@@ -174,7 +173,9 @@ class TrainingTab:
 
     def _draw(self, curves: Curves, *, has_successes: bool) -> None:
         """Draw the curves; without returns, there is no chart."""
-        self._note.set_text(f"{_EXPLORING}{_TERMS if len(curves.terms) > 1 else ''}")
+        self._note.set_text(
+            _EXPLORING + (" A click on a gray name draws a reward term." if len(curves.terms) > 1 else "")
+        )
         self._note.set_visibility(bool(curves.returns and curves.evaluations))
         options = training_chart(curves, has_successes=has_successes, dark=self._is_dark)
         if not curves.returns:
