@@ -84,20 +84,24 @@ class StudioPage:
                 self._parts[name] = ui.button(label, on_click=partial(self._show_part, name))
                 self._parts[name].props("flat no-caps")
         self._show_part("text")
+
+        def update_inspect() -> None:
+            background_tasks.create(self._inspect.update())
+
         self._shows: dict[Topic, tuple[Callable[[], object], ...]] = {
             "text": (
                 self._editor.refresh,
                 self._show_state,
                 self._robot.update_parameters,
-                self._update_inspect,
+                update_inspect,
             ),
             "findings": (self._show_findings,),
-            "files": (self._show_files, self._update_inspect),
+            "files": (self._show_files, update_inspect),
             "robot": (self._robot.update,),
             "training": (self._training.update, self._robot.show_offer),
             "runs": (self._runs.update, self._robot.update_sources),
             "task": (self._training.update, self._runs.update_output, self._command.update),
-            "notice": (self._show_notice,),
+            "notice": (lambda: self._notices.show(session.notice),),
         }
         self._show_areas(starts=session.current is None)
         ui.context.client.on_delete(session.listen(self._changed))
@@ -184,14 +188,6 @@ class StudioPage:
         """Show what has changed."""
         for show in self._shows[topic]:
             show()
-
-    def _show_notice(self) -> None:
-        if self._session.notice:
-            self._notices.show(self._session.notice)
-
-    def _update_inspect(self) -> None:
-        if self._inspect.is_shown:
-            background_tasks.create(self._inspect.update())
 
     def _show_files(self) -> None:
         session, has_file = self._session, self._file is not None
