@@ -58,7 +58,7 @@ METHOD = """\
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.
 - **CPU** covers training and evaluation on two cores, and varies by a fifth.
-- [**Webots**](webots.md#measured): projects.\
+- [**Webots**](webots.md#measured): projects. [**Studio**](studio.md#measured).\
 """
 
 
