@@ -38,8 +38,8 @@ def read_at_most(path: Path, limit: int) -> bytes:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file, also for a name that no file can have: one that is too long, or has a null
-    byte."""
+    """Return whether there is a file; False for a name that no file can have, because it is too long or has a
+    null byte."""
     try:
         return path.is_file()
     except (OSError, ValueError):

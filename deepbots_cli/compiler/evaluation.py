@@ -635,7 +635,7 @@ class _Reader(NamespaceReader):
             len(driver) if isinstance(driver, tuple) else longest,
         )
         total = steps * self._program.action_repeat * spec.episodes
-        # Without a time limit, which DB803 reports, an episode counts as 2**63 steps.
+        # An episode without a time limit has 2**63 steps here, and DB803 reports it.
         if total > MAX_STEPS and self._program.truncation != Truncation():
             help = "lower `episodes`, `max_steps` or `max_time`"
             self._values.add_at_key(

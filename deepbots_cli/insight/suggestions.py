@@ -1,6 +1,7 @@
 """Changes of a scenario for a phrase such as `make the pole longer`.
 
-    suggestions(checked, "make the cart faster")   # Suggestion(..., path="parameters.wheel_speed", value="7.5 rad/s")
+    suggestions(checked, "make the cart faster")
+    # [Suggestion(text="...", path="parameters.wheel_speed", value="7.5 rad/s")]
 
 The words are matched with the names of links, joints and parameters; comparatives give the factor.
 """
@@ -22,8 +23,8 @@ _TIMES = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
 _PLAIN = re.compile(
     r"((?:urdf \* |[\d.]+ +[\d.]+ +)?[-+]?)(\d[\d_]*(?:\.\d+)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
 )
-"""A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Other values,
-such as formulas and draws, are not multiplied."""
+"""A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Formulas and
+draws are not multiplied."""
 _QUANTITY = re.compile(r"(?<![\w.])(\d{1,4}(?:\.\d{1,4})?) ?(m|cm|mm|kg|g)\b")
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "kg": 1.0, "g": 0.001}
 """The units of a size and of a mass, in m and kg."""

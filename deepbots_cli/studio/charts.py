@@ -56,7 +56,7 @@ def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]
             _line(name, run.evaluations, 0, "marks"),
             _line(f"{name} success", _percent(run.successes), 1, "dashes"),
         ):
-            # A shorter run is drawn over a longer one, because runs with the same seed may begin alike.
+            # Runs with the same seed may begin alike, so the shorter run is drawn over the longer one.
             lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
     has_successes = any(run.successes for run in curves.values())
     return _chart([*lines, *_goals(curves.values(), dark=dark)], curves.values(), has_successes, dark)

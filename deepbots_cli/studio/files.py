@@ -221,8 +221,7 @@ class OpenFile:
         return text
 
     def edit(self, edits: Sequence[TextEdit]) -> list[int]:
-        """Change the text by edits whose offsets are those of the present text. Returns the line of each, from
-        0."""
+        """Change the text by edits at offsets of the present text. Returns the line of each edit, from 0."""
         lines = [self.text.count("\n", 0, edit.start) for edit in edits]
         self._set(edited(self.text, edits))
         return lines

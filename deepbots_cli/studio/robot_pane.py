@@ -154,7 +154,7 @@ class RobotPane:
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
         if not robot.reference:
             text = "there is no scenario in this folder yet; New ... at the top writes one"
-        if state is not None and state.state == "running":
+        if state is not None and state.state == "running" and not robot.problem:
             text = _DRIVEN_BY.get(state.driver, _BY_SCRIPT).format(
                 run=Path(robot.reference).name, driver=state.driver
             )

@@ -2,7 +2,8 @@
 
     access     Host, Origin and token, as `access.py` checks them; the token is required beyond loopback, and
                for a page that writes files
-    paths      `/` is the page, `/drive` takes keys, gamepads and whether the page is hidden; no file is served
+    paths      `/` is the page, `/drive` takes keys, gamepads and whether the page is hidden; there
+               are no files
     messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a
                value that a control does not offer is ignored
 
@@ -40,9 +41,9 @@ _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
     " data: blob:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
-# Goes into viser's page: keys that are held, the newest first, gamepads, and whether the page is hidden, all of
-# which viser lacks. It takes keys before viser does, whose camera would move. NAME returns what is sent for a
-# key, null for a key of the page.
+# Goes into viser's page: keys that are held, the newest first, gamepads, and whether the page is hidden. viser
+# sends none of these. The script takes keys before viser does, whose camera would move. NAME returns what is
+# sent for a key, and null for a key of the page.
 _KEYS_SCRIPT = """<script>{
 const held = new Map(), name = NAME;
 let wire = null, last = "||";

@@ -71,7 +71,7 @@ def command(
         report = of_studies.StudyReport.read(run) if is_study else of_runs.Report.read(run)
     if isinstance(report, of_runs.Report):
         if figures is not None and figures.is_dir():
-            # The names of the figures of several agents are known only after the run was read.
+            # Only the run names its agents, and each agent has a figure of its own.
             check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
         selection = report.choose_episodes(episodes)
         permissions = Permissions(code=allow_code)
