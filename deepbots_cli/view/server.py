@@ -41,7 +41,7 @@ _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
     " data: blob:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
-# Goes into viser's page: keys that are held, the newest first, gamepads, and whether the page is hidden. viser
+# Goes into viser's page: held keys, the newest first, gamepads, and whether the page is hidden. viser
 # sends none of these. The script takes keys before viser does, whose camera would move. NAME returns what is
 # sent for a key, and null for a key of the page.
 _KEYS_SCRIPT = """<script>{
