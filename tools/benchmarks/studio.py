@@ -110,7 +110,8 @@ def keystrokes(page: StudioTab, count: int) -> list[float]:
     """Seconds from each letter to its underline."""
     page.click_line("  alive: 1")
     page.type(" + ")
-    time.sleep(2)  # the page is complete
+    # Chromium draws by software, and its first picture of the robot blocks the page for about 3 s.
+    time.sleep(6)
     page.tab.run(_WATCH)
     seconds = []
     for number in range(count):
