@@ -303,6 +303,7 @@ class SimulatedRobot(Driver):
         """Follow the commands that have arrived. Returns whether there is now a command of each actuator that
         answers the sent values."""
         for arrival in self.link.take():
+            # A stamp in whole nanoseconds may lie just before `since`, a float.
             if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= since - 1e-6):
                 if ACTION in arrival.fields and self._space.shape is not None:
                     self._action = _fitting(arrival.fields[ACTION], self._space, self._still)

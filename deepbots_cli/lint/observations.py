@@ -374,6 +374,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         for number in ranged_numbers(simulation.analysis)
         if number.place in simulation.report.summary.constant_numbers
     ]
+    # A number at an end of its range may wait for an event, such as a touch that no driver had.
     constant = [number for number in constant if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(constant, key=lambda number: number.entry.value.name):
         numbers = list(group)

@@ -148,11 +148,12 @@ def _content(
                 if (
                     record.compression not in ("zstd", "")
                     or unpacked != record.uncompressed_size
-                    or max(size, 8 * unpacked) > _MAX_CONTENT
+                    or unpacked > _MAX_RECORD  # empty channels take 7.4 times their size as objects
+                    or size > _MAX_CONTENT
                 ):
                     raise RecordingError(
-                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses"
-                        " an unknown compression"
+                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, has a chunk"
+                        f" of more than {_MAX_RECORD >> 20} MiB, or uses an unknown compression"
                     )
                 inner = breakup_chunk(record, validate_crc=True)
                 size += _RECORD_OVERHEAD_BYTES * len(inner)

@@ -100,7 +100,7 @@ class Plant:
         node = self.node(body)
         node.getField("translation").setSFVec3f(list(position))
         node.getField("rotation").setSFRotation(axis_angle(orientation))
-        if any((*linear, *angular)):
+        if any((*linear, *angular)):  # at rest since the reset of the physics, which comes before
             node.setVelocity([*linear, *angular])
 
     def set_joint(self, robot: str, joint: str, position: float) -> None:
