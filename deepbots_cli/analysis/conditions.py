@@ -72,6 +72,28 @@ def _compared(
                 yield from _compared(analysis, definition, definition.typed, met)
 
 
+def deciding_comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
+    """Yield the comparisons of which each one alone makes the condition hold, as soon as it is true."""
+    if condition.foreign is None:
+        yield from _deciding(analysis, condition, condition.typed, set())
+
+
+def _deciding(
+    analysis: Analysis, value: Expression, node: TypedNode, met: set[str]
+) -> Iterator[ConditionComparison]:
+    match node:
+        case Operation(operator=operator) if operator in INEQUALITIES:
+            yield ConditionComparison(value, node)
+        case Operation(operator="or", args=args):
+            for arg in args:
+                yield from _deciding(analysis, value, arg, met)
+        case Reference(symbol=symbol) if symbol.name not in met:
+            met.add(symbol.name)
+            definition = analysis.expression_named(symbol.name)
+            if definition is not None and definition.foreign is None and definition.typed.type.boolean:
+                yield from _deciding(analysis, definition, definition.typed, met)
+
+
 def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
     """Return the comparison that a condition is; None for a conjunction, a disjunction and others."""
     meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])

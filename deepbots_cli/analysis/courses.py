@@ -17,7 +17,7 @@ from typing import NamedTuple
 from deepbots_cli.analysis.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, hull, single
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, ZERO, Interval, hull, single
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, children
 from deepbots_cli.expressions.types import INEQUALITIES
 
@@ -346,7 +346,7 @@ class Course(Ranges):
         if op == "sub":
             now, before = (self.analysis.identity(self._unchanged(arg)) for arg in args)
             if now == before:
-                return NEVER
+                return ZERO
         return super()._op(op, args)
 
     def _unchanged(self, node: Scalar) -> Scalar:
@@ -368,13 +368,13 @@ class Course(Ranges):
 
     def _world(self, node: EngineRead) -> Interval:
         if node.function in RATE_FUNCTIONS and not self._is_moving:
-            return NEVER
+            return ZERO
         return super()._world(node)
 
     def _state(self, node: State) -> Interval:
         identity = self.analysis.identity(node)
         if identity not in self._now:
-            self._now[identity] = NEVER
+            self._now[identity] = ZERO
             self._now[identity] = self._advanced(node, identity)
         return self._now[identity]
 
@@ -385,7 +385,7 @@ class Course(Ranges):
         memory = x
         match node.function:
             case "delta" | "previous":
-                value = NEVER if node.function == "delta" else x
+                value = ZERO if node.function == "delta" else x
                 if before is not None and self._varies(node.args[0]):
                     value = iv.subtract(x, before) if node.function == "delta" else before
             case "rising_edge":
@@ -393,10 +393,10 @@ class Course(Ranges):
                 if before is not None and self._varies(node.args[0]):
                     value = iv.minimum(x, iv.subtract(ALWAYS, before))
             case "duration":
-                memory = value = self._duration(x, before or NEVER)
+                memory = value = self._duration(x, before or ZERO)
             case "integral":
                 step = iv.multiply(x, single(self._tick))
-                memory = value = NEVER if before is None else iv.add(before, step)
+                memory = value = ZERO if before is None else iv.add(before, step)
             case "accumulate":
                 memory = value = args[3] if before is None else iv.clamp(iv.add(before, x), args[1], args[2])
             case "hold":
@@ -419,7 +419,7 @@ class Course(Ranges):
         longer = iv.add(before, single(self._tick))
         if condition.low > 0.0:
             return longer
-        return NEVER if condition.high <= 0.0 else hull([NEVER, longer])
+        return ZERO if condition.high <= 0.0 else hull([ZERO, longer])
 
 
 def has_memory(analysis: Analysis, node: Scalar) -> bool:
@@ -472,7 +472,7 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
 def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) -> bool:
     """Return whether a quantity depends on the present alone; of its change, only the sign is at will."""
     states = [part for part in analysis.walk_definitions(quantity) if isinstance(part, State)]
-    return not states or (bound == NEVER and all(part.function in _RECENT for part in states))
+    return not states or (bound == ZERO and all(part.function in _RECENT for part in states))
 
 
 def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:

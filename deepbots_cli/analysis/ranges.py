@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, function_named
-from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, hull, single
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, ZERO, Interval, hull, single
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.program.resets import Placement, Region, Top
 
@@ -137,10 +137,10 @@ class Ranges:
         args = [self.of(arg) for arg in node.args]
         match node.function:
             case "duration":
-                return NEVER if args[0] == NEVER else Interval(0.0, self._time.high)
+                return ZERO if args[0] == NEVER else Interval(0.0, self._time.high)
             case "integral":
                 # An integral begins at 0.
-                return hull((NEVER, iv.multiply(args[0], Interval(0.0, self._time.high))))
+                return hull((ZERO, iv.multiply(args[0], Interval(0.0, self._time.high))))
             case "rising_edge":
                 return NEVER if args[0] == NEVER else TRUTH
             case function:
@@ -160,7 +160,7 @@ class Ranges:
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), single(2.0))
         if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):
-            return NEVER
+            return ZERO
         if op == "and" and self._is_contradictory(args):
             return NEVER
         return function_named(op).interval(*[self.of(arg) for arg in args])
@@ -201,7 +201,7 @@ class StartRanges(Ranges):
     """
 
     def __init__(self, analysis: Analysis) -> None:
-        super().__init__(analysis, {"episode_return": NEVER, "previous_reward": NEVER}, (0.0, 0.0))
+        super().__init__(analysis, {"episode_return": ZERO, "previous_reward": ZERO}, (0.0, 0.0))
         program = analysis.program
         self._is_placed = not program.reset.settle and program.agent.copies is None
         self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
@@ -228,7 +228,7 @@ class StartRanges(Ranges):
                     else None
                 )
             case "joint_velocity":
-                return self.joint(subject, "velocity") or NEVER
+                return self.joint(subject, "velocity") or ZERO
             case "velocity" | "angular_velocity" as function:
                 return self._velocity(subject, function, "xyz".index(node.component or "x"))
             case "orientation":
@@ -252,7 +252,7 @@ class StartRanges(Ranges):
         mimic = model.followers.get(name) if model is not None else None
         if mimic is not None:
             leader = iv.multiply(
-                self.joint(f"{robot}.{mimic.joint}", quantity) or NEVER, single(mimic.multiplier)
+                self.joint(f"{robot}.{mimic.joint}", quantity) or ZERO, single(mimic.multiplier)
             )
             # The offset of `<mimic>` is constant, so the velocity is without it.
             return iv.add(leader, single(mimic.offset)) if quantity == "position" else leader
@@ -273,7 +273,7 @@ class StartRanges(Ranges):
             start.robot == subject.partition(".")[0] and start.velocity is not None for start in starts
         )
         if not is_moved and (body is not None or not swings):
-            return NEVER
+            return ZERO
         if body is None or (
             function == "velocity" and any(place.angular_velocity is not None for place in places)
         ):
@@ -282,7 +282,7 @@ class StartRanges(Ranges):
             place.velocity if function == "velocity" else place.angular_velocity for place in places
         ]
         trees = [() if value is None else value.scalars for value in velocities]
-        return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else NEVER for parts in trees])
+        return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else ZERO for parts in trees])
 
     def _placements(self, body: str) -> Iterator[Placement]:
         return (place for place in self.analysis.placements if place.body == body)

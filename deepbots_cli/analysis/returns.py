@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, ZERO, Interval
 from deepbots_cli.expressions.scalar import Scalar, State
 from deepbots_cli.program.values import Expression
 
@@ -73,8 +73,8 @@ class RewardTerms:
         ordinary: Terms = []
         final: Terms = []
         for term, node in self.terms:
-            is_final = self.ranges_while_running().of(node) == NEVER and any(
-                self.ranges_at(ending).of(node) != NEVER for ending in self.endings_and_truncation
+            is_final = self.ranges_while_running().of(node) == ZERO and any(
+                self.ranges_at(ending).of(node) != ZERO for ending in self.endings_and_truncation
             )
             (final if is_final else ordinary).append((term, node))
         return ordinary, final
@@ -90,7 +90,7 @@ class RewardTerms:
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:
     """Return the range of the sum of terms in one step."""
-    total = NEVER
+    total = ZERO
     for _, node in terms:
         total = iv.add(total, ranges.of(node))
     return total

@@ -65,7 +65,7 @@ def write(rewrite: Rewrite) -> None:
                 f"another program changed {files.display_path(path)} in the meantime, so it was not"
                 " overwritten; run the command again"
             )
-        with path.open("r+b"):  # a read-only file stays as it is, even if its folder permits to replace it
+        with path.open("r+b"):  # a read-only file stays as it is, even if its folder permits replacing it
             pass
         draft.write_bytes(rewrite.after)
 
@@ -75,7 +75,8 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     their lines.
 
     Raises:
-        UsageError: The file comes with deepbots, or its text does not allow a change; nothing is written.
+        UsageError: The file comes with deepbots, has changed meanwhile, or its text does not allow a change;
+            nothing is written.
     """
     opened = Source.open(name, permissions, SourceKind.SCENARIO)
     file = opened.path.resolve()
@@ -104,6 +105,5 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     ):
         listed = ", ".join(f"{path}: {text}" for path, text in values.items())
         raise UsageError(f"{file} cannot be changed by `deepbots apply`; write the values yourself: {listed}")
-    with atomic_write(file) as draft:
-        draft.write_bytes(after)
+    write(Rewrite(file, before, after))
     return file

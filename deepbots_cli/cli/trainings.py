@@ -73,42 +73,41 @@ def _evaluate_cases(trained: Run, permissions: Permissions, results: list[Evalua
 
 
 def finish_group(
-    group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions
+    trained: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions
 ) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next
     commands."""
     _show_training(
-        records.group_training_text(group),
-        {"training": vars(group), "evaluation": None},
-        group.interrupted,
+        records.group_training_text(trained),
+        {"training": vars(trained), "evaluation": None},
+        trained.interrupted,
         as_json=as_json,
     )
-    with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
+    with _evaluating(trained.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(
-            group.group, permissions=permissions, on_run=show_run, executor=executor
+            trained.group, permissions=permissions, on_run=show_run, executor=executor
         )
     for result in evaluation.evaluations:
         records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
-    path = quote(str(group.group))
-    data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
+    path = quote(str(trained.group))
+    data: dict[str, Any] = {"training": vars(trained), "evaluation": records.group_json(evaluation)}
     verdicts = {
-        result.run: run_verdict(result.run, RunRecord.read(result.run)).solved
-        for result in evaluation.evaluations
+        result.run: run_verdict(result.run, RunRecord.read(result.run)) for result in evaluation.evaluations
     }
     unsolved = [
         result
         for result in evaluation.evaluations
-        if verdicts[result.run] is False or (verdicts[result.run] is None and result.success_defined)
+        if verdicts[result.run].is_unsolved(defines_success=result.success_defined)
     ]
     worst = min(unsolved, key=lambda result: (result.success_rate, result.mean_return), default=None)
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [
-        f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}",
+        f"deepbots eval {path} --csv {quote(f'{trained.group.name}.csv')}",
         f"deepbots compare {path} OTHER_GROUP",
+        f"tensorboard --logdir {path}",
     ]
-    further.append(f"tensorboard --logdir {path}")
-    found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
-    falls = {name: fall for name, fall in found_falls.items() if fall is not None}
+    declines = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(trained.group).runs}
+    falls = {name: fall for name, fall in declines.items() if fall is not None}
     data |= {
         "cause": causes[0].as_json() if causes else None,
         "declines": {name: fall.as_json() for name, fall in falls.items()},
@@ -126,7 +125,7 @@ def finish_group(
         as_json=as_json,
         next_commands=further,
     )
-    if group.failed:
+    if trained.failed:
         raise typer.Exit(FAILED)
 
 
@@ -151,7 +150,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
             evaluated = records.evaluation_json(evaluation, cases)
             if evaluation.confirmation is None or cases:
                 records.write_evaluation(trained, evaluated)
-    solved = run_verdict(trained.path, trained.record).solved
+    verdict = run_verdict(trained.path, trained.record)
     run, film, logs = (
         quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard")
     )
@@ -161,10 +160,9 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         f"deepbots resume {run} {longer}",
         f"tensorboard --logdir {logs}",
     ]
-    if solved:
+    if verdict.solved:
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
-    has_goal = solved is False or trained.program.defines_success
-    unsolved = has_goal and not solved
+    unsolved = verdict.is_unsolved(defines_success=trained.program.defines_success)
     fall = decline_of(result.run, trained.record)
     causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
     if unsolved and not causes:
@@ -177,7 +175,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     data = {
         "training": result,
         "evaluation": evaluated,
-        "solved": solved,
+        "solved": verdict.solved,
         "decline": None if fall is None else fall.as_json(),
         "cause": causes[0].as_json() if causes else None,
     }
@@ -195,8 +193,8 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Return why a training did not solve its task or fell apart, the most likely cause first; what
-    has merely changed comes last."""
+    """Return why a training did not solve its task or fell apart, the most likely cause first;
+    changes since an earlier run come last."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
         from deepbots_cli.insight.diagnosis import causes_after
 

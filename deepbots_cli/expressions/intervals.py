@@ -41,7 +41,8 @@ TRUTH = Interval(0.0, 1.0)
 HALF_TURN = Interval(0.0, math.pi)
 QUARTER_TURNS = Interval(-math.pi / 2, math.pi / 2)
 TURN = Interval(-math.pi, math.pi)
-NEVER, ALWAYS = Interval(0.0, 0.0), Interval(1.0, 1.0)
+ZERO = Interval(0.0, 0.0)
+NEVER, ALWAYS = ZERO, Interval(1.0, 1.0)
 """Truth values as numbers: never true, and always."""
 
 
@@ -208,8 +209,8 @@ def atan2(y: Interval, x: Interval) -> Interval:
     """Return the angle of the point (x, y), without the half planes where the point cannot lie."""
     if y.low < 0.0:
         return QUARTER_TURNS if x.low >= 0.0 else TURN
-    if y == NEVER and x.low >= 0.0:
-        return NEVER
+    if y == ZERO and x.low >= 0.0:
+        return ZERO
     return Interval(0.0, math.pi / 2) if x.low >= 0.0 else HALF_TURN
 
 

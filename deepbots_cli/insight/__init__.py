@@ -4,7 +4,8 @@ conditions.py  the endings of a scenario as comparisons whose values an episode 
 trace.py       an episode that runs again, with what each step saw, did, earned and measured
 statements.py  sentences with their evidence: the form of every row in the two tables
 episode.py     the table that explains an episode
-training.py    what is known of a training: its logs, and a few short episodes
+training.py    the evidence about a training: its logs and evaluations; probes.py its short episodes
+train_command.py  the command that trains the scenario of a run again
 scenario_facts.py  what a scenario has already, and the units of its file
 linted.py      what lint says of a scenario
 diagnosis.py   the table of causes why a training does not learn, with causes in faults
@@ -27,7 +28,7 @@ inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot fi
 speed.py       steps per second of engines and of batches, and where the time goes
 retry.py       trainings that follow one another with the values that the diagnosis advises
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its
-               figures
+               figures; figure_files.py  figures as files and as parts of a page
 study.py       one HTML file about a study of `deepbots tune`: history, importance, slices
 suggestions.py  changes of a scenario for a phrase such as `make the pole longer`
 templates.py   the templates of pages and of READMEs

@@ -50,6 +50,7 @@ from deepbots_cli.insight.observations import (
     saturated_observation,
     sensor_without_reading,
 )
+from deepbots_cli.insight.probes import run_probes
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
     loitering,
@@ -83,13 +84,12 @@ from deepbots_cli.insight.statements import (
 )
 from deepbots_cli.insight.teachers import script_succeeds, teacher_fails, teacher_sees_more
 from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.train_command import training_command
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     latest_failure,
     read_trainings,
-    run_probes,
-    training_command,
 )
 from deepbots_cli.learning.agents.multi_agent import SHARED
 from deepbots_cli.learning.failures import Failure

@@ -6,8 +6,6 @@ Numbers come from the files of the runs: logs, and the evaluation of the best mo
 
 from __future__ import annotations
 
-import base64
-import io
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -30,10 +28,10 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
-from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.diagnosis import causes_after, causes_of
+from deepbots_cli.insight.figure_files import data_uri, svg_uri, write_figure_files
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
@@ -72,6 +70,10 @@ AGENT_FIGURES = {
 """The figures of each of several agents, and their titles."""
 _MAX_TRACED_EPISODES = 12
 _MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
+_MEANS_CAPTION = "Moving means over 100 episodes of the training, in which the policy explores."
+_SHARES_CAPTION = (
+    "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
+)
 _VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
 OnEpisode = Callable[[int, int], object]
 
@@ -109,16 +111,15 @@ class ReportRun:
     @property
     def is_unsolved(self) -> bool:
         """Whether the task has a criterion or a success, and the run does not solve it."""
-        solved = self.verdict.solved
-        return solved is False or (solved is None and self.run.program.defines_success)
+        return self.verdict.is_unsolved(defines_success=self.run.program.defines_success)
 
 
 @dataclass(eq=False)
 class ReportEpisode:
-    """An episode of the evaluation of a run, which is repeated. `positions` are the positions of all links,
+    """An episode of the evaluation of a run, to run again. `positions` are the positions of all links,
     and `end_poses` the poses of all links in its first and in its last frame."""
 
-    run: ReportRun
+    shown: ReportRun
     number: int
     label: str = ""
     """The label `best`, `median` or `worst` by return; empty for the others."""
@@ -129,16 +130,16 @@ class ReportEpisode:
 
     @property
     def outcome(self) -> Episode:
-        return self.run.evaluation.outcomes[self.number]
+        return self.shown.evaluation.outcomes[self.number]
 
     @property
     def is_success(self) -> bool:
         """Whether the episode is a success; true if the scenario defines no success."""
-        return self.outcome.is_success or not self.run.evaluation.success_defined
+        return self.outcome.is_success or not self.shown.evaluation.success_defined
 
     @property
     def title(self) -> str:
-        seed = f"seed {self.run.run.record.seed}, " if self.label else ""
+        seed = f"seed {self.shown.run.record.seed}, " if self.label else ""
         return (
             f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f},"
             f" {self.outcome.ended_by}"
@@ -210,7 +211,7 @@ class Report:
             return Report(
                 path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else []
             )
-        group, members, notes = Group.open(path), list[ReportRun](), list[str]()
+        group, shown_runs, notes = Group.open(path), list[ReportRun](), list[str]()
         if group.best is not None:
             best = group.best.path
             attempts = [_attempt(group, number) for number in range(1, len(group.attempts) + 1)]
@@ -222,20 +223,20 @@ class Report:
             )
         for seed in group.record.seeds:
             try:
-                members.append(ReportRun.read(group.run(seed)))
+                shown_runs.append(ReportRun.read(group.run(seed)))
             except DeepbotsError as error:
                 notes.append(f"seed {seed} is left out: {' '.join(str(error).split())}")
-        if not members:
+        if not shown_runs:
             raise RunError(f"{path} contains no run that can be reported; {notes[0]}")
-        return Report(path, members, notes)
+        return Report(path, shown_runs, notes)
 
     @property
     def stages(self) -> list[tuple[str, ...]]:
         """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their
         end, and their last evaluation."""
         rows: list[tuple[str, ...]] = []
-        for member in self.runs:
-            log, result = member.log, member.run.record.result
+        for shown in self.runs:
+            log, result = shown.log, shown.run.record.result
             ends = {stage.name: f"{stage.value:.4g}" for stage in result.stages} if result else {}
             evaluations = (
                 dict(zip(log.evaluation_stages, log.evaluations[1], strict=True)) if log.evaluations else {}
@@ -243,14 +244,14 @@ class Report:
             for start in log.stages:
                 last = f"{evaluations[start.name]:.4g}" if start.name in evaluations else ""
                 rows.append(
-                    (member.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last)
+                    (shown.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last)
                 )
         return rows
 
     @property
     def result(self) -> str:
         """The result in one line, with its interval."""
-        evaluations = [member.evaluation for member in self.runs]
+        evaluations = [shown.evaluation for shown in self.runs]
         if self.attempts or folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
         text = "mean return " + _seed_statistics(
@@ -259,13 +260,11 @@ class Report:
         rates = [evaluation.success_rate for evaluation in evaluations if evaluation.success_rate is not None]
         if len(rates) == len(evaluations):
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
-        answers = [member.verdict.solved for member in self.runs]
+        answers = [shown.verdict.solved for shown in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
         remarks = in_parentheses(words for evaluation in evaluations for words in evaluation.remarks)
-        fewest, most = (
-            min(evaluation.episodes for evaluation in evaluations),
-            max(evaluation.episodes for evaluation in evaluations),
-        )
+        fewest = min(evaluation.episodes for evaluation in evaluations)
+        most = max(evaluation.episodes for evaluation in evaluations)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
         seeds = counted(len(evaluations), "seed")
         return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
@@ -273,7 +272,7 @@ class Report:
     @property
     def teacher(self) -> str:
         """The script or recording that teaches the policy, and its score, in sentences; empty without one."""
-        logs = [member.log for member in self.runs if member.log.teacher]
+        logs = [shown.log for shown in self.runs if shown.log.teacher]
         if not logs:
             return ""
         is_recording = logs[0].teacher == DEMONSTRATIONS_NAME
@@ -294,32 +293,33 @@ class Report:
     def declines(self) -> list[str]:
         """A sentence for each training that fell apart."""
         fallen = [
-            (member.run.record.seed, member.log.decline)
-            for member in self.runs
-            if member.log.decline is not None
+            (shown.run.record.seed, shown.log.decline) for shown in self.runs if shown.log.decline is not None
         ]
         return [fall.text if len(self.runs) == 1 else f"seed {seed}: {fall.text}" for seed, fall in fallen]
+
+    @property
+    def units(self) -> ShownUnits:
+        """The units in which the scenario writes its quantities."""
+        return self.runs[0].run.compiled.units
 
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Choose episodes at equal distances in the order of their returns. The first, the middle and the
         last have a label."""
         episodes = [
-            ReportEpisode(member, number)
-            for member in self.runs
-            for number in range(len(member.evaluation.outcomes))
+            ReportEpisode(shown, number)
+            for shown in self.runs
+            for number in range(len(shown.evaluation.outcomes))
         ]
         episodes.sort(key=lambda episode: -episode.outcome.total_return)
-        indices, middle = (
-            {round(index) for index in np.linspace(0, len(episodes) - 1, count)},
-            len(episodes) // 2,
-        )
+        indices = {round(index) for index in np.linspace(0, len(episodes) - 1, count)}
+        middle = len(episodes) // 2
         if middle not in indices:
             indices.remove(min(indices, key=lambda index: abs(index - middle)))
             indices.add(middle)
-        # Of equal numbers the last one counts, so that a single episode is the best one.
-        labels = dict(zip((len(episodes) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
+        # Of equal numbers the last one counts: a single episode is the best one, and two have no middle.
+        labels = dict(zip((middle, len(episodes) - 1, 0), ("median", "worst", "best"), strict=True))
         return [
-            ReportEpisode(episodes[index].run, episodes[index].number, labels.get(index, ""))
+            ReportEpisode(episodes[index].shown, episodes[index].number, labels.get(index, ""))
             for index in sorted(indices)
         ]
 
@@ -333,14 +333,12 @@ class Report:
     ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
         self.episodes = episodes
-        ordered = sorted(episodes, key=lambda episode: self.runs.index(episode.run))
-        for member, group in groupby(ordered, lambda episode: episode.run):
-            shown_run = Showing(
-                str(member.run.path), engine=member.evaluation.engine, permissions=permissions
-            )
-            with closing(open_player(shown_run.open())) as player:
+        ordered = sorted(episodes, key=lambda episode: self.runs.index(episode.shown))
+        for shown, group in groupby(ordered, lambda episode: episode.shown):
+            showing = Showing(str(shown.run.path), engine=shown.evaluation.engine, permissions=permissions)
+            with closing(open_player(showing.open())) as player:
                 for episode in group:
-                    frames = player.episode(member.evaluation.seed, episode.number)
+                    frames = player.episode(shown.evaluation.seed, episode.number)
                     first = next(frames)
                     episode.positions = trajectories.read_positions(
                         player.reader.layout,
@@ -350,7 +348,7 @@ class Report:
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - episode.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
-                            f"episode {episode.number} of seed {member.run.record.seed} has the return"
+                            f"episode {episode.number} of seed {shown.run.record.seed} has the return"
                             f" {again:.4g} when it is run again, but "
                             f"{episode.outcome.total_return:.4g} in the evaluation: the versions or the"
                             " machine differ; "
@@ -375,7 +373,7 @@ class Report:
                     player,
                     target,
                     _VIEWPOINT,
-                    seed=episode.run.evaluation.seed,
+                    seed=episode.shown.evaluation.seed,
                     episode=episode.number,
                     speed=speed,
                     rate=rate,
@@ -386,7 +384,7 @@ class Report:
             fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
             self.clips[episode.label] = (
                 f"{episode.title} after {time:.1f} s{fast}",
-                _uri("video/mp4", target.read_bytes()),
+                data_uri("video/mp4", target.read_bytes()),
             )
 
     def find_causes(self, permissions: Permissions = Permissions()) -> None:
@@ -394,12 +392,12 @@ class Report:
         if self.agents:
             self._find_causes_of_agents(permissions)
             return
-        unsolved = [member for member in self.runs if member.is_unsolved]
+        unsolved = [shown for shown in self.runs if shown.is_unsolved]
         if not unsolved:
             return
         worst = min(
             unsolved,
-            key=lambda member: (member.evaluation.success_rate or 0.0, member.evaluation.mean_return),
+            key=lambda shown: (shown.evaluation.success_rate or 0.0, shown.evaluation.mean_return),
         )
         self.diagnosed = worst.run.path.name
         try:
@@ -408,7 +406,7 @@ class Report:
             self.notes.append(f"there are no causes: {error}")
 
     def _find_causes_of_agents(self, permissions: Permissions) -> None:
-        """Find out why an agent does not succeed, in the first run."""
+        """Find out why each agent does not succeed in the first run."""
         self.diagnosed = self.runs[0].run.path.name
         try:
             for agent, training in zip(self.agents, read_trainings(self.runs[0].run), strict=True):
@@ -420,26 +418,17 @@ class Report:
 
     def agent_figures(self, agent: ReportAgent, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Yield name, caption and figure of each figure of an agent, as `figures` does."""
-        mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        yield "returns", mean, figures.returns(agent.logs, theme)
-        yield "successes", mean, figures.successes(agent.logs, theme)
-        shares = (
-            "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
-        )
-        yield "shares", shares, figures.shares(agent.logs, theme)
+        yield "returns", _MEANS_CAPTION, figures.returns(agent.logs, theme)
+        yield "successes", _MEANS_CAPTION, figures.successes(agent.logs, theme)
+        yield "shares", _SHARES_CAPTION, figures.shares(agent.logs, theme)
         actions = [action for episode in self.episodes for action in episode.actions]
         caption = f"What the policy does in {len(self.episodes)} evaluation episodes; numbers from -1 to 1."
         yield "actions", caption, figures.actions(agent.member, actions, theme)
 
-    @property
-    def units(self) -> ShownUnits:
-        """The units in which the scenario writes its quantities."""
-        return self.runs[0].run.compiled.units
-
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Yield name, caption and figure; the figure is None if there is nothing to draw."""
-        logs = [member.log for member in self.runs]
-        outcomes = [e for member in self.runs for e in member.evaluation.outcomes]
+        logs = [shown.log for shown in self.runs]
+        outcomes = [e for shown in self.runs for e in shown.evaluation.outcomes]
         defined = self.runs[0].evaluation.success_defined
         seeds = (
             ""
@@ -447,15 +436,11 @@ class Report:
             else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the"
             " highest."
         )
-        mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        mean += (
-            " The script that teaches the policy drives at first."
-            if any("driven_worlds" in log.lessons for log in logs)
-            else ""
-        )
-        mean += (
-            " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
-        )
+        mean = _MEANS_CAPTION
+        if any("driven_worlds" in log.lessons for log in logs):
+            mean += " The script that teaches the policy drives at first."
+        if any(log.stages for log in logs):
+            mean += " Each stage of the curriculum is averaged by itself."
         diamond = (
             " The diamond is the evaluation of the best model, at its step."
             if any(log.evaluation for log in logs)
@@ -473,10 +458,7 @@ class Report:
         if any("driven_worlds" in log.lessons for log in logs):
             lessons += " Driven worlds are the share that the script drives."
         yield "teacher", lessons + seeds, figures.lessons(logs, theme)
-        shares = (
-            "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
-        )
-        yield "shares", shares, figures.shares(logs, theme)
+        yield "shares", _SHARES_CAPTION, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
         effects = drawn_effects(outcomes, draw_labels(self.runs[0].run.program, self.units))
@@ -528,7 +510,7 @@ class Report:
         run = self.runs[0].run
         linted = linted_scenario(run)
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
-        notes = [*self.notes, *self.declines, *(note for member in self.runs for note in member.run.notes())]
+        notes = [*self.notes, *self.declines, *(note for shown in self.runs for note in shown.run.notes())]
         return render_template(
             "report.html.j2",
             html=True,
@@ -541,7 +523,7 @@ class Report:
             clips=clips,
             findings=[(_location(run, finding.span), finding) for finding in linted.findings],
             listings=_listings(run, linted),
-            rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
+            rows=[(shown.run.path.name, shown.run.record, shown.verdict.text) for shown in self.runs],
             command=join(run.record.command) or "(from Python)",
             version=deepbots_cli.__version__,
             python=platform.python_version(),
@@ -633,32 +615,3 @@ def _standing(player: Player, episodes: Sequence[ReportEpisode]) -> list[list[Tr
         if pose is not None and not body.variants:
             outlines.append(figures.outline(body.shape, pose))
     return outlines
-
-
-def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> list[Path]:
-    """Write figures by their names as PNG.
-
-    Raises:
-        UsageError: A file cannot be written.
-    """
-    paths = []
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in figures:
-        paths.append(folder / f"{name}.png")
-        with atomic_write(paths[-1]) as draft:
-            figure.savefig(draft, dpi=150)
-    return paths
-
-
-def svg_uri(figure: Any) -> str:
-    """Return a figure as SVG in a data URI."""
-    import matplotlib
-
-    stream = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "deepbots"}):  # the same names of clip paths each time
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return _uri("image/svg+xml", stream.getvalue())
-
-
-def _uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -14,7 +14,7 @@ from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.runs.draws import DrawLabel, DrawnBin, draw_labels, drawn_effects
+from deepbots_cli.learning.runs.draws import DrawLabel, DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
@@ -435,8 +435,8 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     drawn_value = next((value for value in differing if _is_apart(value.parts)), None)
     if drawn_value is None:
         return None
-    name, bins, label = drawn_value.name, drawn_value.parts, drawn_value.label
-    worst, best = (choose(bins, key=lambda drawn_bin: drawn_bin.success_rate) for choose in (min, max))
+    name, parts, label = drawn_value.name, drawn_value.parts, drawn_value.label
+    worst, best = (choose(parts, key=lambda part: part.success_rate) for choose in (min, max))
     rates = [
         {
             "low": b.low,
@@ -445,9 +445,9 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
             "rate": b.success_rate,
             "interval": b.success_interval,
         }
-        for b in bins
+        for b in parts
     ]
-    parts = "; ".join(f"{_range(drawn_bin, label)} {drawn_bin.success_rate:.0%}" for drawn_bin in bins)
+    shares = "; ".join(f"{_range(part, label)} {part.success_rate:.0%}" for part in parts)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
     sees = evidence.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
@@ -457,11 +457,11 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         "observed": observed,
         "drawn": name,
         "worst": _range(worst, label),
-        "failing": _bin_rate(worst),
+        "failing": _part_rate(worst),
         "best": _range(best, label),
-        "succeeding": _bin_rate(best),
+        "succeeding": _part_rate(best),
         "source": source,
-        "parts": parts,
+        "parts": shares,
         "bins": rates,
     }
 
@@ -485,36 +485,34 @@ def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Epis
     return "late episodes of the training", episodes
 
 
-def _chance(bins: Sequence[DrawnBin]) -> float:
+def _chance(parts: Sequence[DrawnPart]) -> float:
     """Return the probability that success differs as much between the parts if it does not depend on them
     (chi-squared test)."""
     from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
 
-    counts = np.array(
-        [[drawn_bin.successes, drawn_bin.episodes - drawn_bin.successes] for drawn_bin in bins], float
-    )
+    counts = np.array([[part.successes, part.episodes - part.successes] for part in parts], float)
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
     return (
-        float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
+        float(chdtrc(len(parts) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
     )
 
 
-def _is_apart(bins: Sequence[DrawnBin]) -> bool:
+def _is_apart(parts: Sequence[DrawnPart]) -> bool:
     """Return whether the worst part succeeds less than half as often as the best one, considering their
     intervals."""
-    return min(drawn_bin.success_interval[1] for drawn_bin in bins) < 0.5 * max(
-        drawn_bin.success_interval[0] for drawn_bin in bins
+    return min(part.success_interval[1] for part in parts) < 0.5 * max(
+        part.success_interval[0] for part in parts
     )
 
 
-def _range(drawn_bin: DrawnBin, label: DrawLabel) -> str:
-    text = label.range_text(drawn_bin)
+def _range(part: DrawnPart, label: DrawLabel) -> str:
+    text = label.range_text(part)
     return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
 
 
-def _bin_rate(drawn_bin: DrawnBin) -> str:
-    low, high = drawn_bin.success_interval
-    return f"{drawn_bin.success_rate:.0%} ({low:.0%} to {high:.0%}) of {drawn_bin.episodes:,} episodes"
+def _part_rate(part: DrawnPart) -> str:
+    low, high = part.success_interval
+    return f"{part.success_rate:.0%} ({low:.0%} to {high:.0%}) of {part.episodes:,} episodes"
 
 
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:

@@ -5,13 +5,9 @@ Logs are `monitor.csv`, the TensorBoard files and the evaluations during the tra
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from itertools import islice
+from functools import cached_property
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
@@ -19,44 +15,26 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli import api, engine_kinds
-from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_source
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
-from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
+from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
 from deepbots_cli.learning.runs.decline import Decline, find_decline
 from deepbots_cli.learning.runs.directories import is_training
 from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.order import measure_of
-from deepbots_cli.learning.runs.records import changed_settings
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.members import Member
-from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
-from deepbots_cli.rollout import Driver, Episode, Start, steps
-from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
+from deepbots_cli.program.task import AdaptiveRate, Schedule
+from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.training_logs import logs_of, scalars_of
-
-PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
-"""The number of short episodes of each driver (policy, random actions, no commands), the largest number of
-their steps, and the number of steps of an episode with a constant action."""
-
-SCRIPT_EPISODES = 8
-"""The number of whole episodes of each script. If all 8 succeed, the lower end of the 95 % interval (Wilson)
-of the success rate is 68 %."""
-
-FAILED_EPISODES = 6
-"""The number of episodes without success of the quoted evaluation that are repeated."""
 
 MIN_EPISODES = 8
 """The number of episodes below which the returns of a training are not meaningful."""
@@ -166,11 +144,12 @@ class TrainingEvidence:
         ends = self.run.record.result.stages if self.run.record.result else ()
         if self.stage_index and ends and ends[-1].name == self.stages[self.stage_index - 1].name:
             return ends[-1].steps
-        return (
-            int(self.episodes.steps[0] - self.episodes.lengths[0])
-            if self.stage_index and len(self.episodes)
-            else 0
-        )
+        if not self.stage_index or not len(self.episodes):
+            return 0
+        # Steps are counted over all environments, and the length of an episode in its own one.
+        training = self.run.program.agent.training
+        environments = training.environments if training is not None else 1
+        return max(0, int(self.episodes.steps[0] - self.episodes.lengths[0] * environments))
 
     @property
     def stage_steps(self) -> int:
@@ -215,9 +194,11 @@ class TrainingEvidence:
 
     @cached_property
     def late_success(self) -> EvaluationRate:
-        """The success in the evaluations of the last quarter of the present stage, at least in the last one.
+        """The success in the evaluations during the last quarter of the present stage; if there is none, in
+        the last evaluation.
 
-        It has no episodes if the scenario defines no success or nothing was evaluated.
+        The quoted evaluation after the training is not one of the last quarter: it may be of an earlier
+        policy. The rate has no episodes if the scenario defines no success or nothing was evaluated.
         """
         if not self.program.defines_success:
             return EvaluationRate([])
@@ -234,7 +215,7 @@ class TrainingEvidence:
         }
 
     def number_setting(self, name: str) -> float | None:
-        """Return a hyperparameter as a number, the first one of a schedule; None if it is none."""
+        """Return a hyperparameter as a number, of a schedule its first number; None if it is not a number."""
         value = self.settings.get(name)
         value = value.start if isinstance(value, Schedule | AdaptiveRate) else value
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
@@ -284,12 +265,11 @@ class TrainingEvidence:
         solved = self.run.program.agent.solved
         if solved is None or self.final_episodes or self.verdict.solved:
             return bool(self.verdict.solved)
-        means = [
-            (fmean(evaluation["returns"]), fmean(evaluation["successes"]))
-            for evaluation in self.evaluations
-            if self.is_last_stage
-        ]
-        return any(meets_solved(solved, *pair) for pair in means)
+        evaluations = self.evaluations if self.is_last_stage else ()
+        return any(
+            meets_solved(solved, fmean(evaluation["returns"]), fmean(evaluation["successes"]))
+            for evaluation in evaluations
+        )
 
     def curve(self, tag: str) -> Array:
         """Return the values of a curve in the present stage, or of `train/...` in all stages; empty if
@@ -338,42 +318,6 @@ def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
     }
 
 
-def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
-    """Return the command that trains the scenario of a run again, with its seed, options and `--set`, and
-    further assignments."""
-    record, settings = run.record, dict[str, str]()
-    for text in (*changed_settings(record.command), *assignments):
-        path, _, value = text.partition("=")
-        settings.pop(path, None)
-        settings[path] = value
-    words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seed)]
-    training = run.program.agent.training
-    if (
-        training is not None
-        and record.total_timesteps != training.total_timesteps
-        and "train.total_timesteps" not in settings
-    ):
-        words += ["--timesteps", str(record.total_timesteps)]
-    teacher = (
-        training.teacher
-        if training is not None and any(word.partition("=")[0] == "--teacher" for word in record.command)
-        else None
-    )
-    words += [] if teacher is None or "train.teacher" in settings else ["--teacher", teacher.script]
-    words += ["--teacher", str(run.demonstrations)] if run.demonstrations.exists() else []
-    words += ["--teacher", str(run.teacher)] if run.teacher.exists() else []
-    words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
-    is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
-    words += (
-        ["--engine", record.engine]
-        if is_given or record.engine != engine_kinds.chosen(run.program.engine)
-        else []
-    )
-    words += [] if record.first_stage is None else ["--stage", record.first_stage]
-    words += [] if record.stop_when_solved else ["--full"]
-    return [*words, *(["--allow-code"] if "--allow-code" in record.command else [])]
-
-
 def latest_failure(run: Path) -> Path | None:
     """Return the file of the last episode that raised an error."""
     return max((run / FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
@@ -398,11 +342,7 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
     episodes, evaluations = logs_of(run.path, agent)
     final_episodes = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
     if final_episodes:
-        returns, successes = (
-            [episode.total_return for episode in final_episodes],
-            [episode.is_success for episode in final_episodes],
-        )
-        evaluations.append({"stage": "", "returns": returns, "successes": successes})
+        evaluations.append(_logged(final_episodes))
     rivals = [name for name in members if run.program.has_rivals and name != agent]
     return replace(
         of_all,
@@ -424,6 +364,12 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
             for name in rivals
         },
     )
+
+
+def _logged(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Return the episodes of the quoted evaluation in the form of the logs, without steps."""
+    returns = [episode.total_return for episode in episodes]
+    return {"stage": "", "returns": returns, "successes": [episode.is_success for episode in episodes]}
 
 
 def _scalars_of_agent(of_all: Mapping[str, Any], member: Member) -> dict[str, Any]:
@@ -455,180 +401,8 @@ def read_training(run: Run) -> TrainingEvidence:
     final_episodes: Sequence[Episode] = ()
     if not running and (last := quoted_episodes(run)) is not None:
         final_episodes = last[1].outcomes
-        returns, successes = (
-            [episode.total_return for episode in final_episodes],
-            [episode.is_success for episode in final_episodes],
-        )
-        evaluations.append({"stage": "", "returns": returns, "successes": successes})
+        evaluations.append(_logged(final_episodes))
     verdict = run_verdict(run.path, run.record)
     return TrainingEvidence(
         run, episodes, evaluations, scalars_of(run.tensorboard), failure, final_episodes, verdict, running
     )
-
-
-def run_probes(
-    training: TrainingEvidence,
-    *,
-    permissions: Permissions = Permissions(),
-    on_episode: Callable[[int, int], object] | None = None,
-    seconds: float = math.inf,
-) -> None:
-    """Run the short episodes of a training, all from the same starts. No episode continues after
-    `seconds`."""
-    from deepbots_cli.learning.sb3.algorithms import torch_settings
-
-    probes = _Probes(training, time.monotonic() + seconds, permissions, on_episode)
-    with torch_settings(), closing(probes.world):
-        probes.play()
-    training.failed = _repeat_failed(training, probes.deadline, permissions)
-
-
-class _Probes:
-    """The short episodes of a training.
-
-    Args:
-        training: Takes their traces.
-        deadline: The end by the monotonic clock, in s; no episode continues after it.
-        permissions: The permissions of the scenario.
-        on_episode: Called after each episode with the number so far and in total.
-    """
-
-    def __init__(
-        self,
-        training: TrainingEvidence,
-        deadline: float,
-        permissions: Permissions,
-        on_episode: Callable[[int, int], object] | None,
-    ) -> None:
-        self._training, self.deadline, self._on_episode = training, deadline, on_episode
-        run, watch = training.run, instrument_program(training.program, include_observation=True)
-        program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
-        self.world = TraceRecorder(program, watch, run.compiled.units)
-        self._done, self._total = 0, 0
-
-    def play(self) -> None:
-        training, world = self._training, self.world
-        constant, idle = _constant(world.world), self._idle_action()
-        policy, scripts = self._policy_driver(), _teachers(training)
-        kinds = 1 + (idle is not None) + (policy is not None)
-        self._total = PROBE_EPISODES * kinds + sum(map(len, constant.values()))
-        self._total += SCRIPT_EPISODES * len(scripts)
-        seeds = self._seeds(PROBE_EPISODES)
-        random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
-            random += self._episode(seed, random_driver(world))
-            if policy is not None:
-                played += self._episode(seed, policy())
-            if idle is not None:
-                still += self._episode(seed, constant_driver(world.world.make_action(*idle)))
-        training.random, training.policy, training.idle = random, played, still
-        for part, actions in constant.items():
-            traces = {
-                name: self._episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS)
-                for name, action in actions.items()
-            }
-            training.constant_actions[part] = {
-                name: action_traces[0] for name, action_traces in traces.items() if action_traces
-            }
-        longest = training.program.truncation.max_episode_steps(training.program.period)
-        for name in scripts:
-            episodes = [
-                trace
-                for seed in self._seeds(SCRIPT_EPISODES)
-                for trace in self._episode(seed, named_driver(world, name), longest)
-            ]
-            # The deadline cut the others.
-            training.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]
-
-    def _seeds(self, count: int) -> list[int]:
-        seed = self._training.run.record.seed
-        return [derive_seed(seed, "diagnosis", number) for number in range(count)]
-
-    def _idle_action(self) -> Any:
-        """Return the action that commands zeros; None where a range has no zero."""
-        agent = self._training.program.agent
-        has_zeros = all(interval.low <= 0.0 <= interval.high for interval in agent.ranges)
-        return idle_action(agent.action) if has_zeros else None
-
-    def _policy_driver(self) -> Callable[[], Driver] | None:
-        """Make a driver of the last policy; None before there is one."""
-        from deepbots_cli.learning.evaluation import load_model
-        from deepbots_cli.rollout.policies import PolicyDriver
-
-        run = self._training.run
-        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
-
-    def _episode(self, seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
-        """Return the trace of an episode of at most `count` steps, in a list; empty after the deadline."""
-        if time.monotonic() > self.deadline:
-            return []
-        error = ""
-        try:
-            for _ in islice(steps(self.world, driver, Start(seed)), count + 1):
-                if time.monotonic() > self.deadline:
-                    break
-        except DeepbotsError as failed:
-            error = str(failed)
-        self._done += 1
-        if self._on_episode is not None:
-            self._on_episode(self._done, self._total)
-        return [self.world.trace("a short episode", error=error)]
-
-
-def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
-    """Repeat the first episodes without success of the quoted evaluation, until the deadline."""
-    quoted = (
-        quoted_episodes(evidence.run)
-        if evidence.final_episodes and evidence.run.program.defines_success
-        else None
-    )
-    if quoted is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
-        return []
-    numbers = [number for number, episode in enumerate(evidence.final_episodes) if not episode.is_success]
-    numbers = numbers[:FAILED_EPISODES]
-    traces = []
-    try:
-        for trace in trace_episodes(
-            evidence.run, numbers, **quoted[1].replay_options, permissions=permissions
-        ):
-            traces.append(trace)
-            if time.monotonic() > deadline:
-                break
-    except DeepbotsError:  # its model is missing, for example
-        pass
-    return traces
-
-
-def _teachers(evidence: TrainingEvidence) -> list[str]:
-    """Return the script that teaches the policy, or else those that could teach it; empty if no success
-    allows a comparison."""
-    agent = evidence.program.agent
-    if (
-        evidence.agent
-        or not evidence.program.defines_success
-        or agent.copies is not None
-        or agent.training is None
-    ):
-        return []
-    if agent.training.teacher is not None:
-        return [agent.training.teacher.script]
-    return [script.name for script in agent.scripts]
-
-
-def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
-    """Return, for each part of the action, constant actions in which it alone differs: the first options of a
-    choice, both ends of a range."""
-    agent = env.scenario.agent
-    picks = {
-        choice.name: {option.name: n for n, option in enumerate(choice.options[:4])}
-        for choice in agent.choices
-    }
-    values: dict[str, Mapping[str, float]] = {
-        **picks,
-        **{name: {"-1": -1.0, "1": 1.0} for name in agent.range_names[:8]},
-    }
-    return {
-        name: {word: action_from_values(env, {name: value}) for word, value in by_name.items()}
-        for name, by_name in values.items()
-    }

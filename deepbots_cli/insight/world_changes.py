@@ -24,10 +24,10 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 
 _LONGEST = 0.35
-"""The longest time that is tried, in s, unless it has fewer than three timesteps. Amounts are doubled,
-starting from one timestep."""
-_MAX_MOTORS = 12
-"""The largest number of motors whose order is tried."""
+"""The longest time that is tried, in s. Three times are always tried: those of 1, 2 and 4 timesteps. Further
+ones are twice as long as the one before."""
+_MAX_SINGLE = 12
+"""The largest number of actuators, or of numbers of an action, that are changed one by one."""
 Array = NDArray[np.float64]
 Act = Callable[[Any], Any]
 """A function that changes an action."""
@@ -40,13 +40,11 @@ def doubled_times(timestep: float) -> tuple[float, ...]:
 
 
 def friction_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Yield another friction of each object that can move."""
-    for name in (
-        body.name
-        for body in program.world.objects
-        if not body.fixed and body.name in entries_at(root, "objects")
-    ):
-        yield Plan("friction", partial(_friction_of, root, name), subject=name)
+    """Yield, for each object that can move, a plan that multiplies its friction."""
+    written_objects = entries_at(root, "objects")
+    for body in program.world.objects:
+        if not body.fixed and body.name in written_objects:
+            yield Plan("friction", partial(_friction_of, root, body.name), subject=body.name)
 
 
 def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
@@ -54,7 +52,7 @@ def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
 
 
 def latency_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Yield a larger latency of each sensor."""
+    """Yield, for each sensor, a plan that adds to its latency."""
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
             path = ("robots", robot.name, "sensors", sensor, "latency")
@@ -70,20 +68,21 @@ def command_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
         for robot in program.robots
         for name in entries_at(root, "robots", robot.name, "actuators")
     ]
-    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in motors[:_MAX_MOTORS]}
+    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in motors[:_MAX_SINGLE]}
     if len(motors) > 1:
         groups["all actuators"] = motors
     for words, actuators in groups.items():
-        paths = [("robots", robot, "apply", name) for robot, name in actuators]
-        if commands := [path for path in paths if written(root, *path)]:
+        apply_paths = [("robots", robot, "apply", name) for robot, name in actuators]
+        if commands := [path for path in apply_paths if written(root, *path)]:
             yield Plan("command", partial(_scaled_texts, root, commands), subject=words)
         for key in ("time_constant", "delay"):
-            keys = [("robots", robot, "actuators", name, key) for robot, name in actuators]
-            yield Plan(key.replace("_", " "), partial(_later, root, keys), form=DELAY, subject=words)
+            paths = [("robots", robot, "actuators", name, key) for robot, name in actuators]
+            yield Plan(key.replace("_", " "), partial(_later, root, paths), form=DELAY, subject=words)
 
 
 def torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
-    """Yield a lower limit of the torque or force of each motor, and its largest limit in N m or N."""
+    """Yield, for each motor, a plan that sets its limit of torque or force, and its largest present limit in
+    N m or N."""
     models = {robot.name: robot.model for robot in program.world.robots}
     for robot in program.robots:
         for motor in robot.actuators:
@@ -137,7 +136,7 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
             f"the action {name} has the other sign",
             _negated(np.where(is_part, -1.0, 1.0)),
         )
-    for first, second in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
+    for first, second in combinations(range(len(names)), 2) if len(names) <= _MAX_SINGLE else ():
         order = np.arange(len(names))
         order[[first, second]] = second, first
         yield (
@@ -148,7 +147,8 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
 
 
 def action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]]]:
-    """Yield actions of ranges with another gain."""
+    """Yield, for each part of an action of ranges, its name and a function that returns the change of the
+    action by a gain."""
     if program.agent.choices:
         return
     # The value of an action is its middle plus a share of its half width, so a gain also moves the share
@@ -173,27 +173,28 @@ def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
         for interval in program.agent.ranges
     }
     components = {name: np.array([name == other for other in names]) for name in names}
-    return parts | components if len(names) <= _MAX_MOTORS else parts
+    return parts | components if len(names) <= _MAX_SINGLE else parts
 
 
-def always(act: Act, _: float) -> Act:
+def without_amount(act: Act, _: float) -> Act:
+    """Return the change of an action for any amount."""
     return act
 
 
-def _swapped_options(first: int, second: int) -> Callable[[Any], Any]:
+def _swapped_options(first: int, second: int) -> Act:
     return lambda action: {first: second, second: first}.get(int(action), action)
 
 
-def _negated(signs: Array) -> Callable[[Any], Any]:
+def _negated(signs: Array) -> Act:
     return lambda action: np.asarray(action * signs, action.dtype)
 
 
-def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Callable[[Any], Any]:
+def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Act:
     factors = np.where(is_part, factor, 1.0)
     return lambda action: np.asarray(
         np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype
     )
 
 
-def _ordered(order: Any) -> Callable[[Any], Any]:
+def _ordered(order: Any) -> Act:
     return lambda action: action[order]

@@ -46,13 +46,13 @@ from deepbots_cli.insight.world_changes import (
     Act,
     Array,
     action_gains,
-    always,
     changed_actions,
     command_plans,
     doubled_times,
     friction_plans,
     latency_plans,
     torque_limits,
+    without_amount,
 )
 from deepbots_cli.learning.robustness import (
     DELAY,
@@ -371,7 +371,7 @@ def _kinds(
         )
 
     for family, name, act in changed_actions(world.program):
-        yield Kind(family, name, with_actions(partial(always, act)))
+        yield Kind(family, name, with_actions(partial(without_amount, act)))
     for name, scaled in action_gains(world.program):
         yield Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
     root, program = document.root, world.program

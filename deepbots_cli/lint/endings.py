@@ -19,7 +19,7 @@ from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
-from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
@@ -532,7 +532,7 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     """Return the initial height of the origin, m; None where it is drawn or unknown, or where the body is
     tilted."""
     start = analysis.start
-    if any(start.initial(EngineRead("orientation", (subject,), axis)) != NEVER for axis in "xy"):
+    if any(start.initial(EngineRead("orientation", (subject,), axis)) != ZERO for axis in "xy"):
         return None
     heights = start.initial(EngineRead("position", (subject,), "z"))
     if heights is None:

@@ -12,7 +12,7 @@ from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range, uses_earlier_values
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
+from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.report import SimulatedEpisode
@@ -148,7 +148,7 @@ def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Express
 
 def _total_sum(terms: Terms, ranges: Ranges, steps: float) -> float:
     """Return the largest sum of terms over the first steps of an episode."""
-    total = NEVER
+    total = ZERO
     for _, node in terms:
         total = iv.add(total, _sum_over_steps(ranges, node, steps))
     return total.high
@@ -257,7 +257,7 @@ class _StillRanges(Ranges):
     change."""
 
     def _world(self, node: EngineRead) -> Interval:
-        return NEVER if node.function in RATE_FUNCTIONS else super()._world(node)
+        return ZERO if node.function in RATE_FUNCTIONS else super()._world(node)
 
     def _state(self, node: State) -> Interval:
         match node.function:
@@ -282,7 +282,7 @@ class _StillRanges(Ranges):
             for part, factor in self._parts(self._now(node), share):
                 key = self.analysis.identity(part)
                 shares[key] = part, factor + shares.get(key, (part, 0.0))[1]
-        total = NEVER
+        total = ZERO
         for part, factor in shares.values():
             if abs(factor) > _MIN_FACTOR:
                 total = iv.add(total, iv.multiply(self.of(part), iv.single(factor)))
@@ -300,7 +300,7 @@ class _StillRanges(Ranges):
                 yield from self._parts(b, share * self.of(a).low)
             case Op("mul", (a, b)) if self.of(b).is_single:
                 yield from self._parts(a, share * self.of(b).low)
-            case Op("div", (a, b)) if self.of(b).is_single and self.of(b) != NEVER:
+            case Op("div", (a, b)) if self.of(b).is_single and self.of(b) != ZERO:
                 yield from self._parts(a, share / self.of(b).low)
             case part:
                 yield part, share

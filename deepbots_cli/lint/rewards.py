@@ -4,25 +4,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from decimal import Decimal
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import comparisons, thresholds
+from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.analysis.speeds import highest_return, speed_notes
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
-from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
+from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
-"""The ratio of a term to the payment of an ending from which on it hides the ending."""
+"""The ratio of a term to the payment of an ending above which the term hides the ending."""
 _RELATIVE_ROUNDING = 1e-9
 _MIN_STEPS = 200
 """The number of simulated steps below which nothing is concluded."""
@@ -34,12 +35,12 @@ _MAX_SHOWN_CHARACTERS = 40
 
 
 class Singularity(NamedTuple):
-    """The part of an expression that makes a term unbounded: a divisor that may be zero, or the argument of
-    an exponential."""
+    """The part of an expression that makes a term unbounded: a divisor or the argument of a logarithm, which
+    may be zero, or the argument of an exponential."""
 
     value: Expression
     node: TypedNode
-    is_divisor: bool
+    kind: Literal["divisor", "logarithm", "exponential"]
 
 
 @rule("DB701")
@@ -49,8 +50,7 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     search = _PoleSearch(analysis)
     for term in context.program.agent.reward:
         if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).is_finite:
-            singularity = search.pole(term, term.typed)
-            search.met.clear()
+            singularity = search.pole(term)
             if singularity is not None:
                 yield _unbounded(context, term, singularity)
 
@@ -60,20 +60,23 @@ def _unbounded(context: RuleContext, term: Expression, singularity: Singularity)
     span = text.part(singularity.node.start, singularity.node.end)
     part = text.text[singularity.node.start : singularity.node.end]
     also = () if singularity.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
-    if singularity.is_divisor:
-        headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
-        unit = "" if singularity.node.type.dimension == NUMBER else f" {singularity.node.type.dimension}"
-        depths = list(accumulate((character == "(") - (character == ")") for character in part))
-        # In `(a) * (b)`, the first parenthesis closes before the end.
-        divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
-        lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
+    if singularity.kind == "exponential":
+        headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
+        return Finding("DB701", span, headline, "bound the argument, as in `min(x, 3)`", labels=also)
+    headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
+    unit = "" if singularity.node.type.dimension == NUMBER else f" {singularity.node.type.dimension}"
+    depths = list(accumulate((character == "(") - (character == ")") for character in part))
+    # In `(a) * (b)`, the first parenthesis closes before the end.
+    divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
+    lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
+    if singularity.kind == "logarithm":
+        help = f"keep the argument of `log` away from zero, as in {lowest}"
+    else:
         help = (
             f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10"
             " cm)` for a length `d`"
         )
-        return Finding("DB701", span, headline, help, labels=also)
-    headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
-    return Finding("DB701", span, headline, "bound the argument, as in `min(x, 3)`", labels=also)
+    return Finding("DB701", span, headline, help, labels=also)
 
 
 class _PoleSearch:
@@ -82,44 +85,47 @@ class _PoleSearch:
     def __init__(self, analysis: Analysis) -> None:
         self._analysis = analysis
         self.ranges = analysis.ranges_in(1.0, float(analysis.last_step))
-        self.met: set[str] = set()
-        compared = [entry for ending in analysis.program.endings for entry in comparisons(analysis, ending)]
-        threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
+        compared = [
+            entry for ending in analysis.program.endings for entry in deciding_comparisons(analysis, ending)
+        ]
         self._guarded = {
-            analysis.identity(entry.quantity)
-            for entry in threshold
-            if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
+            analysis.identity(threshold.quantity)
+            for entry in compared
+            for threshold in thresholds(entry, self.ranges)
+            if (threshold.bound.high < 0.0 if threshold.above else threshold.bound.low > 0.0)
         }
         """The quantities that end the episode before they come near zero."""
 
-    def pole(self, value: Expression, node: TypedNode) -> Singularity | None:
-        """Return the first part that is infinite because of a pole or an exponential."""
+    def pole(self, term: Expression) -> Singularity | None:
+        """Return the first part of a term that is infinite because of a pole or an exponential."""
+        return self._pole(term, term.typed, set())
+
+    def _pole(self, value: Expression, node: TypedNode, met: set[str]) -> Singularity | None:
         if node.type.boolean or all(interval.is_finite for interval in self._known(value, node)):
             return None
         match node:
             case Operation(operator="div", args=(_, below)) if self._may_be_zero(value, below):
-                return Singularity(value, below, True)
+                return Singularity(value, below, "divisor")
             case Operation(operator="pow", args=(base, exponent)) if exponent.type.interval.high < 0.0:
-                return Singularity(value, base, True) if self._may_be_zero(value, base) else None
+                return Singularity(value, base, "divisor") if self._may_be_zero(value, base) else None
             case Invocation(function="log", args=(inner,)) if self._may_be_zero(value, inner):
-                return Singularity(value, inner, True)
+                return Singularity(value, inner, "logarithm")
             case Invocation(function="exp", args=(inner,)):
                 grows = any(
                     interval.low > -INF and interval.high == INF for interval in self._known(value, inner)
                 )
-                return Singularity(value, inner, False) if grows else None
+                return Singularity(value, inner, "exponential") if grows else None
             case Operation(operator="where"):
                 return None
             case Reference(symbol=symbol) if (
                 definition := self._analysis.expression_named(symbol.name)
-            ) is not None and symbol.name not in self.met:
-                self.met.add(symbol.name)
-                return (
-                    None
-                    if "." in symbol.name or definition.foreign
-                    else self.pole(definition, definition.typed)
-                )
-        return next((pole for part in children(node) if (pole := self.pole(value, part)) is not None), None)
+            ) is not None and symbol.name not in met:
+                met.add(symbol.name)
+                if "." in symbol.name or definition.foreign:
+                    return None
+                return self._pole(definition, definition.typed, met)
+        poles = (self._pole(value, part, met) for part in children(node))
+        return next((pole for pole in poles if pole is not None), None)
 
     def _known(self, value: Expression, node: TypedNode) -> list[Interval]:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
@@ -143,8 +149,9 @@ class _PoleSearch:
 
 
 @rule("DB702")
-def term_dominates(context: RuleContext) -> Iterator[Finding]:
-    """Report a term that over an episode adds up to more than a hundred times the payment of any ending."""
+def term_must_dominate(context: RuleContext) -> Iterator[Finding]:
+    """Report a term that until the time limit adds up to more than a hundred times the payment of any
+    ending."""
     reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     prize = reward.largest_final(final)
@@ -161,8 +168,10 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
-            headline = f"over an episode, `{term.name}` adds up to at least {low:.4g} in absolute value"
-            headline += f", but an ending gives at most {prize:.4g}"
+            headline = (
+                f"in an episode up to the time limit, `{term.name}` adds up to at least {low:.4g} in absolute"
+                f" value, but an ending gives at most {prize:.4g}"
+            )
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding(
                 "DB702",
@@ -174,8 +183,8 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
-    """Return the smallest size of the sum over an episode: block by block, since a term may depend on the
-    number of the step."""
+    """Return the smallest size of the sum up to the time limit: block by block, since a term may depend on
+    the number of the step."""
     first = 1
     last = reward.analysis.last_step
     total = 0.0
@@ -199,7 +208,7 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
 
 
 @rule("DB702")
-def dominating_term(simulation: Simulation) -> Iterator[Finding]:
+def term_dominated(simulation: Simulation) -> Iterator[Finding]:
     """Report a term that under every policy adds up to more than a hundred times all other terms and
     endings."""
     if not simulation.is_complete or not simulation.measured:
@@ -207,16 +216,13 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
     reward = simulation.analysis.reward
     prize = reward.largest_final(reward.split_by_end()[1])
     prize = prize if prize < INF else 0.0
-    for term, rows in simulation.terms():
+    terms = list(simulation.terms())
+    for term, rows in terms:
         ratios, notes = [], []
         for by, row in rows.items():
             episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
             other_sum = (
-                sum(
-                    statistics[by].absolute_total
-                    for name, statistics in simulation.terms()
-                    if name is not term
-                )
+                sum(statistics[by].absolute_total for other, statistics in terms if other is not term)
                 / episodes
             )
             size = row.absolute_total / episodes
@@ -243,11 +249,11 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
 
 def _short(number: float) -> str:
     """Return three digits without an exponent: `6050`, not `6.05e+03`."""
-    return f"{float(f'{number:.3g}'):g}"
+    return format(Decimal(f"{number:.3g}"), "f")
 
 
 @rule("DB704")
-def inactive_term(context: RuleContext) -> Iterator[Finding]:
+def term_must_be_zero(context: RuleContext) -> Iterator[Finding]:
     """Report a term of the reward that is zero in every step."""
     inactive = [_always_zero(analysis) for analysis in context.versions]
     touching = {
@@ -283,7 +289,7 @@ def _always_zero(analysis: Analysis) -> set[str]:
         ending.name: TRUTH for ending in analysis.program.endings
     }  # an ending that never holds is DB801
     ranges = Ranges(analysis, endings, (1.0, float(analysis.last_step)))
-    return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
+    return {term.name for term, node in analysis.reward.terms if ranges.of(node) == ZERO}
 
 
 def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
@@ -300,19 +306,21 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
             return (symbol.value is not None and not any(symbol.value)) or (
                 definition is not None and is_off(definition.typed)
             )
-        case Operation(operator="where", args=(_, paid, _)):
-            return is_off(paid)
+        case Operation(operator="where", args=(_, paid, otherwise)):
+            return is_off(paid) and is_off(otherwise)
         case Operation(operator="div", args=(above, _)):
             return is_off(above)
         case Operation(operator="add" | "sub", args=args):
             return all(map(is_off, args))
-        case Invocation(args=args) if len(args) > 1:  # the 0 in `min(x, 0)` is not a factor
-            return any(is_off(part) for part in args if not isinstance(part, Constant))
+        case Invocation(function=function, args=args) if len(args) > 1:
+            parts = [is_off(part) for part in args if not isinstance(part, Constant)]
+            # One 0 of a `max` is no factor, and the bound in `max(0 * x, -1)` keeps nothing on.
+            return bool(parts) and all(parts) if function in ("min", "max") else any(parts)
     return any(map(is_off, children(node)))
 
 
 @rule("DB704")
-def silent_term(simulation: Simulation) -> Iterator[Finding]:
+def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
     """Report a term without a condition that was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
@@ -426,9 +434,9 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
 
 STATIC_RULES = (
     reward_unbounded,
-    term_dominates,
-    inactive_term,
+    term_must_dominate,
+    term_must_be_zero,
     nothing_to_learn,
     return_out_of_reach,
 )
-SIMULATED_RULES = (dominating_term, silent_term, non_finite_reward)
+SIMULATED_RULES = (term_dominated, term_was_zero, non_finite_reward)

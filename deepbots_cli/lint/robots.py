@@ -15,7 +15,7 @@ from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE, ENGINES
 from deepbots_cli.expressions.dimensions import TIME
-from deepbots_cli.expressions.intervals import NEVER, Interval, hull
+from deepbots_cli.expressions.intervals import ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
 from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
@@ -238,7 +238,7 @@ def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | 
     if not body.fixed_base or is_tilted:
         return None
     starts = {
-        joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or NEVER
+        joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or ZERO
         for joint in body.model.moving_joints
     }
     if any(interval.high - interval.low > _MAX_KNOWN_SPREAD for interval in starts.values()):

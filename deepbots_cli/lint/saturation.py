@@ -14,7 +14,7 @@ from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_u
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
-from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
+from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import TypedNode, walk
 from deepbots_cli.lint.context import RuleContext, rule
@@ -294,7 +294,7 @@ def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     model = analysis.body(robot).model
     tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
     if rigid_root(model, sensor.subjects[0])[0] != model.root or any(
-        tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts
+        tilt not in (ZERO, SIGNED_UNIT) for tilt in tilts
     ):
         return None
     link = kinematics.link_frames(model)[sensor.subjects[0]]

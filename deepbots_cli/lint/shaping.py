@@ -18,7 +18,7 @@ from deepbots_cli.analysis.ranges import Ranges, with_unit
 from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
-from deepbots_cli.expressions.intervals import NEVER, Interval
+from deepbots_cli.expressions.intervals import ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
@@ -52,7 +52,7 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
                 for end in reward.endings_and_truncation
                 if end is None or (end.name in program.failures) != failed
             )
-            if any(reward.ranges_at(end).of(node) != NEVER for end in other_ends):
+            if any(reward.ranges_at(end).of(node) != ZERO for end in other_ends):
                 continue  # paid at ends of another kind as well, so its sign has no meaning for this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"

@@ -31,10 +31,10 @@ def own_name(agent: str, name: str) -> str:
     return f"{agent}{_SEPARATOR}{name}"
 
 
-def own_entries(of_all: Mapping[str, Any], agent: str) -> dict[str, Any]:
+def own_entries(entries: Mapping[str, Any], agent: str) -> dict[str, Any]:
     """Return the entries of an agent under their own names."""
     prefix = own_name(agent, "")
-    return {name.removeprefix(prefix): value for name, value in of_all.items() if name.startswith(prefix)}
+    return {name.removeprefix(prefix): value for name, value in entries.items() if name.startswith(prefix)}
 
 
 class _NoWorld:
@@ -50,12 +50,12 @@ class OfferedCollector(FetchingCollector):
     """A collector that returns a part of the last fragment of all agents, which is offered to it.
 
     Args:
-        of_all: The collector of the worlds.
+        collector: The collector of the worlds.
         example: The place of an agent, which has the spaces.
     """
 
-    def __init__(self, of_all: Any, example: SeatLayout) -> None:
-        self._of_all = of_all
+    def __init__(self, collector: Any, example: SeatLayout) -> None:
+        self._collector = collector
         self.times = CollectTimes()
         self.stale = {}
         self.agents = (_NoWorld(),)
@@ -65,22 +65,22 @@ class OfferedCollector(FetchingCollector):
     @property
     @abstractmethod
     def starts(self) -> Array:
-        """Whether an episode begins with the observations on which the agent acts next."""
+        """For each row, whether an episode begins with the observations on which the agent acts next."""
 
     @abstractmethod
-    def part_of(self, of_all: Fragment) -> Fragment:
+    def part_of(self, fragment: Fragment) -> Fragment:
         """Return the part of a fragment of all agents."""
 
-    def offer(self, of_all: Fragment) -> None:
+    def offer(self, fragment: Fragment) -> None:
         """Take the part of a fragment of all agents, which `fetch` then returns."""
-        self._fragment = self.part_of(of_all)
+        self._fragment = self.part_of(fragment)
 
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
     ) -> Fragment:
         fragment = self._fragment
         if fragment is None or len(fragment.rewards) != steps:
-            raise RuntimeError("an agent learns from the last fragment of all agents")
+            raise RuntimeError("no fragment of this length was offered to the agent")
         self._replay = self._steps(fragment)
         return fragment
 
@@ -115,33 +115,33 @@ class SeatCollector(OfferedCollector):
 
     Args:
         seat: Its place among the agents.
-        of_all: The collector of the worlds.
+        collector: The collector of the worlds.
     """
 
-    def __init__(self, seat: SeatLayout, of_all: Any) -> None:
-        super().__init__(of_all, seat)
+    def __init__(self, seat: SeatLayout, collector: Any) -> None:
+        super().__init__(collector, seat)
         self._seat = seat
-        self.rows = of_all.rows
+        self.rows = collector.rows
 
     @property
     def starts(self) -> Array:
-        starts: Array = self._of_all.starts
+        starts: Array = self._collector.starts
         return starts
 
     def begin(self) -> Any:
-        return self._seat.observation(self._of_all.begin())
+        return self._seat.observation(self._collector.begin())
 
-    def part_of(self, of_all: Fragment) -> Fragment:
+    def part_of(self, fragment: Fragment) -> Fragment:
         seat = self._seat
         name = self._seat.member.name
         return replace(
-            _own_course(of_all, of_all.agent_phases.get(name)),
-            observations=seat.observation(of_all.observations),
-            actions=seat.actions(of_all.actions),
-            rewards=of_all.agent_rewards[name],
-            columns=own_entries(of_all.columns, name),
-            following=seat.observation(of_all.following),
-            endings=[(number, own_ending(seat, ending)) for number, ending in of_all.endings],
+            _own_course(fragment, fragment.agent_phases.get(name)),
+            observations=seat.observation(fragment.observations),
+            actions=seat.actions(fragment.actions),
+            rewards=fragment.agent_rewards[name],
+            columns=own_entries(fragment.columns, name),
+            following=seat.observation(fragment.following),
+            endings=[(number, own_ending(seat, ending)) for number, ending in fragment.endings],
             agent_rewards={},
             agent_phases={},
         )
@@ -153,13 +153,13 @@ class SharedCollector(OfferedCollector):
 
     Args:
         seats: The places of these agents.
-        of_all: The collector of the worlds.
+        collector: The collector of the worlds.
     """
 
-    def __init__(self, seats: Sequence[SeatLayout], of_all: Any) -> None:
-        super().__init__(of_all, seats[0])
-        self._seats = [SeatCollector(seat, of_all) for seat in seats]
-        self.rows = len(seats) * of_all.rows
+    def __init__(self, seats: Sequence[SeatLayout], collector: Any) -> None:
+        super().__init__(collector, seats[0])
+        self._seats = [SeatCollector(seat, collector) for seat in seats]
+        self.rows = len(seats) * collector.rows
 
     @property
     def starts(self) -> Array:
@@ -168,26 +168,31 @@ class SharedCollector(OfferedCollector):
     def begin(self) -> Any:
         return apply_to_parts(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
 
-    def part_of(self, of_all: Fragment) -> Fragment:
-        parts = [seat.part_of(of_all) for seat in self._seats]
-        has_rests = parts[0].taking_part is not None
-        together = [part.taking_part for part in parts if part.taking_part is not None]
-        return replace(join(parts), taking_part=np.concatenate(together, axis=1) if has_rests else None)
+    def part_of(self, fragment: Fragment) -> Fragment:
+        parts = [seat.part_of(fragment) for seat in self._seats]
+        if all(part.taking_part is None for part in parts):
+            return join(parts)
+        # An agent without rests takes part in every step.
+        taking_part = [
+            np.ones(part.rewards.shape, bool) if part.taking_part is None else part.taking_part
+            for part in parts
+        ]
+        return replace(join(parts), taking_part=np.concatenate(taking_part, axis=1))
 
 
-def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:
+def _own_course(fragment: Fragment, phases: Array | None) -> Fragment:
     """Return a fragment with the episodes of an agent, which may end while others go on. The rest of the
     episode of the world is an episode in which the agent does not take part."""
     if phases is None:
-        return of_all
+        return fragment
     ends = phases == Phase.ENDS
     # A copy, because the parts of the other agents come from the same arrays.
-    starts = of_all.starts.copy()
+    starts = fragment.starts.copy()
     starts[1:] |= ends[:-1]
     return replace(
-        of_all,
+        fragment,
         starts=starts,
-        following_starts=of_all.following_starts | ends[-1],
+        following_starts=fragment.following_starts | ends[-1],
         taking_part=phases != Phase.RESTS,
     )
 
@@ -229,20 +234,20 @@ class MultiAgentActor:
         return Decision(joined_actions([decision.actions for decision in decisions.values()]), columns)
 
     def parameters(self) -> Mapping[str, Any]:
-        return self._of_all(lambda actor: actor.parameters())
+        return self._joined_entries(lambda actor: actor.parameters())
 
     def load(self, parameters: Mapping[str, Any]) -> None:
         for name, actor in self._actors.items():
             actor.load(own_entries(parameters, name))
 
     def memory(self) -> Mapping[str, Array]:
-        return self._of_all(lambda actor: actor.memory())
+        return self._joined_entries(lambda actor: actor.memory())
 
     def remember(self, memory: Mapping[str, Array]) -> None:
         for name, actor in self._actors.items():
             actor.remember(own_entries(memory, name))
 
-    def _of_all(self, entries: Any) -> dict[str, Any]:
+    def _joined_entries(self, entries: Any) -> dict[str, Any]:
         return {
             own_name(name, key): value
             for name, actor in self._actors.items()

@@ -9,11 +9,11 @@ from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model, kind_of
-from deepbots_cli.scenario.fields.base import Scalar
+from deepbots_cli.scenario.fields.base import Scalar, error
 from deepbots_cli.scenario.fields.numbers import Fraction, Number, PositiveInt, WholeNumber
 from deepbots_cli.scenario.fields.training import Schedule
 from deepbots_cli.scenario.fields.words import Bool, PlainText, Text
@@ -21,9 +21,8 @@ from deepbots_cli.scenario.fields.words import Bool, PlainText, Text
 MAX_SHARDS = 256
 AUTO = "auto"
 """The algorithm of a `train` section that names none: deepbots chooses it."""
-Weight = Annotated[float, Number(0)]
+NonNegative = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
-StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000)]
 StepsOrEpisodes = WholeNumber(
     1,
     1_000_000_000,
@@ -32,6 +31,8 @@ StepsOrEpisodes = WholeNumber(
     example="1 episode",
 )
 
+_AUTO_FROM = r"auto(?:_(?=[0-9.]*[1-9])[0-9]+(?:\.[0-9]+)?)?"
+"""`auto`, or `auto_` with a first value above 0."""
 WORD = Text(
     "a word of a name",
     r"[A-Za-z0-9](?:[A-Za-z0-9_]{0,62}[A-Za-z0-9])?",
@@ -65,6 +66,15 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
 """Hyperparameters of other tools, and where they are set here."""
 
 
+def _not_zero(value: int) -> int:
+    if value == 0:
+        raise error("DB105", "`0` has no meaning here", "write -1, or a number of at least 1")
+    return value
+
+
+StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000), AfterValidator(_not_zero)]
+
+
 class ActionNoise(Section):
     """Noise on actions during training."""
 
@@ -95,7 +105,7 @@ class Teacher(Section):
     """Name of a script of the scenario. It may use values that the policy does not observe."""
     share: Fraction = 0.3
     """Largest share of the timesteps in which the policy only imitates the script. With DQN, the script
-    drives for a third of it."""
+    drives during a third of these timesteps."""
 
 
 class SelfPlay(Section):
@@ -127,8 +137,8 @@ class AdaptiveRate(Section):
 
     kl: Positive
     """Target of the KL divergence between the policies before and after an update. After an update with more
-    than twice of it, the rate is divided by 1.5; with less than half of it, it is multiplied by 1.5; within
-    1e-5 to 1e-2."""
+    than twice the target, the rate is divided by 1.5; with less than half the target, it is multiplied by
+    1.5. It stays from 1e-5 to 1e-2."""
     start: Positive = 1e-3
     """Learning rate of the first update."""
 
@@ -247,9 +257,9 @@ class _OnPolicy(Training):
     """Lambda of generalized advantage estimation (GAE), 0 to 1: a trade-off between bias and variance."""
     normalize_advantage: Bool | None = None
     """Whether advantages are normalized."""
-    ent_coef: Weight | None = None
+    ent_coef: NonNegative | None = None
     """Weight of the entropy in the loss: a higher weight means more exploration."""
-    vf_coef: Weight | None = None
+    vf_coef: NonNegative | None = None
     """Weight of the value function in the loss."""
     max_grad_norm: Positive | None = None
     """Largest norm of a gradient; larger gradients are scaled down."""
@@ -325,7 +335,7 @@ class _Deterministic(_OffPolicy):
 class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
     """Whether to use state-dependent noise (`use_sde`) also before learning starts."""
-    ent_coef: Annotated[Scalar, Number(0, pattern=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
+    ent_coef: Annotated[Scalar, Number(0, pattern=_AUTO_FROM)] | None = None
     """Weight of the entropy in the loss. `auto` learns it; `auto_0.1` learns it from the initial value
     0.1."""
     target_update_interval: PositiveInt | None = None
@@ -396,9 +406,9 @@ class TD3(_Deterministic):
     algorithm: Literal["TD3"]
     policy_delay: PositiveInt | None = None
     """Number of critic updates per actor update."""
-    target_policy_noise: Weight | None = None
-    """Standard deviation of the noise on the target's action."""
-    target_noise_clip: Weight | None = None
+    target_policy_noise: NonNegative | None = None
+    """Standard deviation of the noise on the action of the target policy."""
+    target_noise_clip: NonNegative | None = None
     """Largest absolute value of the noise of `target_policy_noise`."""
     stats_window_size: PositiveInt | None = None
     """Episodes in the moving averages that Stable-Baselines3 logs."""
@@ -475,9 +485,9 @@ class RslPPO(Training):
     use_clipped_value_loss: Bool | None = None
     """Whether the loss of the value function is clipped by `clip_param`, in the unit of the rewards. Clipping
     suits returns of about 1, as with `normalize: reward`."""
-    value_loss_coef: Weight | None = None
+    value_loss_coef: NonNegative | None = None
     """Weight of the value function in the loss."""
-    entropy_coef: Weight | None = None
+    entropy_coef: NonNegative | None = None
     """Weight of the entropy in the loss: a higher weight means more exploration."""
     max_grad_norm: Positive | None = None
     """Largest norm of the gradient of the policy, and of that of the value function; larger gradients are
@@ -512,7 +522,7 @@ class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that o
     divergence of the policy."""
 
 
-def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
+def _checked_model(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """Yield the model that an entry point names.
 
     Raises:
@@ -529,7 +539,7 @@ _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
 ALGORITHMS: PluginTable[type[Training]] = PluginTable(
     "deepbots.algorithms",
     {model.__name__: model for model in _BUILT_IN} | {kind_of(RslPPO, "algorithm"): RslPPO},
-    _read,
+    _checked_model,
 )
 # A union of both tables would list all names, and so load the packages of all plug-ins.
 AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]

@@ -22,7 +22,7 @@ from deepbots_cli.insight.inspection import Tables
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
-from deepbots_cli.studio.files import Drafts, OpenFile, read_text
+from deepbots_cli.studio.files import Drafts, OpenFile, difference, read_text
 from deepbots_cli.studio.following import Following
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
@@ -33,7 +33,7 @@ _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
 _ROBOT_TABLES = ("links", "joints")
-"""What the page shows of `deepbots inspect --full` too."""
+"""The tables of `deepbots inspect --full` that the page also shows."""
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
@@ -50,7 +50,7 @@ class Session:
         current: The scenario that the robot shows and that commands get.
         commands: The commands that run, and the training whose curve is shown.
         runs: The runs of the folder, the newest last.
-        run_changes: The begin and the changes of each run, by its path.
+        run_changes: The start and the changes of each run, by its path.
         notice: The last message for the person.
         following: The training that the robot follows.
         training_options: The options for the next training, by name, such as `--seed`; empty texts for those
@@ -89,7 +89,7 @@ class Session:
     # Listeners
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call a function after each change, with its topic. Returns the function that ends it."""
+        """Call a function after each change, with its topic. Returns a function that removes the listener."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
@@ -263,17 +263,17 @@ class Session:
         file = self.files.get(self.current) if self.current is not None else None
         if file is None:
             raise UsageError("open a scenario first")
-        before = file.text
-        lines = []
+        draft, lines = OpenFile(file.path, file.text), list[int]()  # all values are written, or none
         for path, value in values.items():
-            edit = self.language.assignment(file, path, value)
+            edit = self.language.assignment(draft, path, value)
             if edit is None:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
-            lines += file.edit([edit])
+            lines += draft.edit([edit])
         if "train.total_timesteps" in values:
             self.training_options["--timesteps"] = ""
-        if file.text == before:
+        if draft.text == file.text:
             raise UsageError(f"{file.path.name} has these values already")
+        file.edit([difference(file.text, draft.text)])
         self.edited(file)
         return lines
 
@@ -291,7 +291,7 @@ class Session:
         return await asyncio.to_thread(brief_tables, str(self.current), self.permissions, _ROBOT_TABLES)
 
     async def picture(self) -> bytes:
-        """Return a picture (PNG) of what the robot is shown of, at the start of an episode; empty if there is
+        """Return a picture (PNG) of the shown scenario or run at the start of an episode; empty if there is
         none, for example because the scenario has errors."""
         if not self.robot.reference:
             return b""
@@ -318,7 +318,7 @@ class Session:
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name
 
-    # Time
+    # Watching
 
     async def run_forever(self) -> None:
         """Watch files, tasks and trainings until it is canceled."""

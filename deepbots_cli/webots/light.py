@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 SUN_DISTANCE_M = 1000.0
 """The distance of a DirectionalLight in the search for obstacles, m."""
+_WITHOUT_ATTENUATION = (1.0, 0.0, 0.0)
 
 
 class _Beam(NamedTuple):
@@ -53,7 +54,7 @@ class LightSensor(ScalarSensor, HasLookupTable):
             if direct and boolean(node, "occlusion") and self._is_hidden(position, beam):
                 direct = 0.0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
-            total += beam.attenuation * (number(light.node, "ambientIntensity") + direct) * color
+            total += beam.attenuation * (_ambient(light.node) + direct) * color
         return total
 
     def _frame_of(self, light: Light) -> Frame:
@@ -65,6 +66,14 @@ class LightSensor(ScalarSensor, HasLookupTable):
         return (
             self._simulation.physics.rays.cast(position, [beam.direction], beam.distance, skipped)[0][1] >= 0
         )
+
+
+def _ambient(light: Node) -> float:
+    """Return the ambient intensity of a source. As in Webots, one with an attenuation has none."""
+    has_attenuation = (
+        light.type != "DirectionalLight" and vector(light, "attenuation") != _WITHOUT_ATTENUATION
+    )
+    return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
 def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:

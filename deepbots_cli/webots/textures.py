@@ -42,15 +42,16 @@ _PATTERNS: Mapping[str, tuple[Triple, ...]] = {
     "deepbots:grass": ((0.45, 0.66, 0.32),),
     "deepbots:asphalt": ((0.5, 0.5, 0.52),),
 }
-"""The appearances of the library by their addresses."""
+"""The colors of the two squares of each pattern of the library, by its address. A single color has no
+squares."""
 _TILE_M = 0.5
 """The length of a pattern of the library: two squares."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Pixels of shape (rows, columns, 3); how often the picture repeats along x and y of a face, or its
-    length there in m."""
+    """A picture: `pixels` of shape (rows, columns, 3). It repeats `repeats` times along x and y of a face, or
+    every `length` meters unless `length` is 0."""
 
     pixels: Pixels
     repeats: tuple[float, float] = (1.0, 1.0)
@@ -98,7 +99,9 @@ def _pixels(path: Path) -> Pixels | None:
 
     try:
         data = read_at_most(path, MAX_PICTURE_BYTES + 1)
-        with Image.open(BytesIO(data[:MAX_PICTURE_BYTES]), formats=("PNG", "JPEG")) as picture:
+        if len(data) > MAX_PICTURE_BYTES:
+            return None
+        with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as picture:
             # Pillow has read the header alone, so that a huge picture is refused before it takes memory.
             if max(picture.size) > MAX_PICTURE_SIDE:
                 return None

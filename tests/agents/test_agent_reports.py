@@ -15,7 +15,8 @@ import deepbots_cli
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
-from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
+from deepbots_cli.insight.probes import run_probes
+from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings
 from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.view import recordings

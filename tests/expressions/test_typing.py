@@ -267,7 +267,7 @@ def test_a_huge_expression_is_refused_before_it_is_written_out(bench):
     assert bench.codes(deep) == ["DB005"]
 
 
-def test_every_function_is_documented_in_one_sentence():
+def test_every_function_is_documented_in_sentences():
     for function in FUNCTIONS.values():
         assert function.doc.endswith("."), function.name
         assert function.signature.startswith(function.name + "(")

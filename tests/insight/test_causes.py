@@ -19,11 +19,12 @@ from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.diagnosis import diagnose, has_learned
 from deepbots_cli.insight.linted import linted_scenario
 from deepbots_cli.insight.missed import common_miss
+from deepbots_cli.insight.probes import run_probes
 from deepbots_cli.insight.report import Report
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import Statement, quantity_text
 from deepbots_cli.insight.trace import Trace, TraceRecorder
-from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
+from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.records import BestModel

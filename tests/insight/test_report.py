@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shutil
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +114,13 @@ def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run)
     ]
 
 
+def test_of_two_episodes_the_second_is_the_worst(run):
+    (shown,) = Report.read(run).runs
+    evaluation = shown.evaluation.model_copy(update={"outcomes": shown.evaluation.outcomes[:2]})
+    report = Report(run, [replace(shown, evaluation=evaluation)])
+    assert [episode.label for episode in report.choose_episodes()] == ["best", "worst"]
+
+
 def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
     report = Report.read(run)
     assert report.stages == []
@@ -164,7 +171,7 @@ def test_a_motion_along_a_line_is_drawn_over_time(run):
     report = Report.read(run)
     report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
     (episode,) = report.episodes
-    world = episode.run.run.program.world
+    world = episode.shown.run.program.world
     episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.1], [0.3, 0.001, 0.1], [0.1, 0.002, 0.1]])}
     (panel,) = trajectories(report.episodes, report.moving, world, (), "light").axes
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("time, s", "x, m")
@@ -179,7 +186,7 @@ def test_an_object_that_reaches_into_the_picture_is_whole(run):
     episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1]])}
     bay = [(0.09, 0.05, 0.0), (0.18, 0.05, 0.0), (0.18, 0.1, 0.0), (0.09, 0.1, 0.0)]
     (panel,) = trajectories(
-        report.episodes, report.moving, episode.run.run.program.world, [bay], "light"
+        report.episodes, report.moving, episode.shown.run.program.world, [bay], "light"
     ).axes
     assert panel.get_xlim()[0] < 0.0
     assert panel.get_xlim()[1] > 0.18
@@ -192,7 +199,7 @@ def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
     at = np.linspace(0.0, 1.0, 5)
     episode.positions = {("cart", "body"): np.stack([0.1 * at, 0.2 * at, 0.3 * at], axis=1)}
     above, side = trajectories(
-        report.episodes, report.moving, episode.run.run.program.world, (), "light"
+        report.episodes, report.moving, episode.shown.run.program.world, (), "light"
     ).axes
     assert (side.get_xlabel(), side.get_ylabel()) == ("y, m", "z, m")
     assert above.get_xlabel() == "x, m"
@@ -206,12 +213,12 @@ def test_a_return_that_is_another_one_now_is_noted(run):
         **{field.name: getattr(episode.outcome, field.name) for field in fields(Episode)}
         | {"total_return": 99.0}
     )
-    outcomes = [*episode.run.evaluation.outcomes]
+    outcomes = [*episode.shown.evaluation.outcomes]
     outcomes[episode.number] = changed
-    member = type(episode.run)(
-        episode.run.run,
-        episode.run.log,
-        episode.run.evaluation.model_copy(update={"outcomes": tuple(outcomes)}),
+    member = type(episode.shown)(
+        episode.shown.run,
+        episode.shown.log,
+        episode.shown.evaluation.model_copy(update={"outcomes": tuple(outcomes)}),
     )
     report.runs = [member]
     report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)

@@ -72,6 +72,16 @@ def test_equal_values_are_in_one_quarter(values: list[float | str], parts: list[
     assert [(part.low, part.high) for part in value.parts] == parts
 
 
+def test_each_word_is_a_part_of_its_own() -> None:
+    words = ["apple", "box", "can", "disc", "egg", "fork", "glass", "hook"]
+    (value,) = _from([*words] * 4, [number % 2 == 0 for number in range(32)]).values.values()
+    assert [(part.low, part.high) for part in value.parts] == [(word, word) for word in words]
+
+
+def test_without_a_drawn_value_nothing_is_concluded() -> None:
+    assert drawn_effects([Episode(1.0, 1, True, None)] * 9).conclusion == "no drawn value varies"
+
+
 def test_noise_of_sixty_draws_names_none() -> None:
     effects = _evaluation(seed=3, low=0.8, high=0.8)
     assert _named(effects) == []

@@ -169,6 +169,10 @@ def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
             assert file.text == SCENARIO
             with pytest.raises(UsageError, match="these values already"):
                 session.write_values({"reward.bonus": ""})
+            revision = file.revision
+            with pytest.raises(UsageError, match="has no place for it"):
+                session.write_values({"reward.bonus": "0.2", "name.first": "3"})
+            assert (file.text, file.revision) == (SCENARIO, revision)
             session.training_options["--timesteps"] = "512"  # which would override the next value
             session.write_values({"train.total_timesteps": "1_024"})
             assert session.training_options["--timesteps"] == ""

@@ -14,6 +14,7 @@ import pytest
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
+from deepbots_cli.webots.textures import MAX_PICTURE_BYTES
 from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.worlds_of_webots import device, read, simulate
 
@@ -117,11 +118,15 @@ def test_a_sphere_has_the_mean_color_of_its_texture(red_and_green):
 @needs_opengl
 @pytest.mark.parametrize(
     "address",
-    ["https://example.org/tiles.png", "../../secret.png", "textures/broken.png", "textures/huge.png"],
+    [
+        "https://example.org/tiles.png",
+        *("../../secret.png", "textures/broken.png", "textures/huge.png", "textures/heavy.png"),
+    ],
 )
 def test_a_texture_that_cannot_be_read_is_squares(red_and_green, address: str):
     folder = red_and_green / "worlds" / "textures"
     (folder / "broken.png").write_bytes((folder / "tiles.png").read_bytes()[:90])
+    (folder / "heavy.png").write_bytes((folder / "tiles.png").read_bytes() + bytes(MAX_PICTURE_BYTES))
     iio.imwrite(folder / "huge.png", np.zeros((1, 5000, 3), np.uint8))
     iio.imwrite(red_and_green.parent / "secret.png", np.full((8, 8, 3), (255, 0, 0), np.uint8))
     picture = textured(red_and_green, address)

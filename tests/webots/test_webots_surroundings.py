@@ -162,6 +162,11 @@ def test_ambient_light_has_no_direction():
     assert irradiance(light) == pytest.approx(0.5)
 
 
+def test_a_light_with_an_attenuation_has_no_ambient_part():
+    light = "PointLight { location 2 0 0 attenuation 0 0 1 intensity 8 ambientIntensity 0.5 }"
+    assert irradiance(light) == pytest.approx(8 / 2.0**2)
+
+
 def test_colors_pass_a_filter():
     light = "DirectionalLight { direction -1 0 0 intensity 30 color 1 0.5 0 }"
     assert irradiance(light) == pytest.approx(30 * 1.5 / 3)

@@ -43,13 +43,15 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("level", range(LEVELS))
-def test_a_tile_is_level_along_its_edge_and_on_its_platform(kind: str, level: int) -> None:
+def test_a_tile_is_level_along_its_edge_and_on_its_platform_unless_the_ground_is_rough(
+    kind: str, level: int
+) -> None:
     whole = tile_heights(tiles(kind, **KINDS[kind]), 0, level)
     assert whole.shape == (81, 81)
     assert not np.any([whole[0], whole[-1], whole[:, 0], whole[:, -1]])
     platform = whole[33:48, 33:48]
-    if kind in ("slope", "stairs", "blocks", "stepping_stones", "gaps"):
-        assert np.ptp(platform) == 0.0
+    is_uneven = kind in ("waves", "rough") and level > 0
+    assert (np.ptp(platform) > 0.0) == is_uneven
 
 
 @pytest.mark.parametrize("inverted", [0.0, 1.0])
@@ -94,6 +96,8 @@ def test_random_heights_are_within_their_range_and_those_of_their_seed(kind: str
 def test_stones_and_gaps_have_their_widths() -> None:
     stones = along_x(tiles("stepping_stones", **KINDS["stepping_stones"]), LEVELS - 1)
     assert set(np.unique(stones)) == {-1.0, 0.0}
+    # From the edge to the platform: stones of 0.3 m with gaps of 0.2 m between.
+    assert np.flatnonzero(stones < 0.0).tolist() == [7, 8, 12, 13, 17, 18, 22, 23, 27, 28]
     trenches = along_x(tiles("gaps", **KINDS["gaps"]), LEVELS - 1)
     # Outward from the platform: 1 m of ground, then a trench of 0.3 m, twice, and ground up to the edge.
     outward = trenches[::-1][round(PLATFORM / 2 / CELL) :]

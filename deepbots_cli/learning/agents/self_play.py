@@ -74,19 +74,19 @@ class SidesCollector(OfferedCollector):
     """The part of the learning policy in the fragments of two equal agents: a row for each side that it
     plays, those of the first agent first."""
 
-    def __init__(self, of_all: Any, seats: Sequence[SeatLayout], sides: Sides) -> None:
-        super().__init__(of_all, seats[0])
+    def __init__(self, collector: Any, seats: Sequence[SeatLayout], sides: Sides) -> None:
+        super().__init__(collector, seats[0])
         self._seats = seats
         self._sides = sides
         self.rows = len(sides.first) + len(sides.second)
 
     @property
     def starts(self) -> Array:
-        starts: Array = self.rows_of(self._of_all.starts, self._of_all.starts)
+        starts: Array = self.rows_of(self._collector.starts, self._collector.starts)
         return starts
 
     def begin(self) -> Any:
-        return self.seen(self._of_all.begin())
+        return self.seen(self._collector.begin())
 
     def rows_of(self, first: Any, second: Any, axis: int = 0) -> Any:
         """Return the rows of the policy, given those of the first and of the second agent in all worlds."""
@@ -97,28 +97,28 @@ class SidesCollector(OfferedCollector):
 
         return apply_to_parts(rows, first, second)
 
-    def seen(self, of_all: Any, axis: int = 0) -> Any:
+    def seen(self, observations: Any, axis: int = 0) -> Any:
         """Return the observations of the policy, given those of all agents in all worlds."""
-        first, second = (seat.observation(of_all) for seat in self._seats)
+        first, second = (seat.observation(observations) for seat in self._seats)
         return self.rows_of(first, second, axis)
 
-    def part_of(self, of_all: Fragment) -> Fragment:
+    def part_of(self, fragment: Fragment) -> Fragment:
         first, second = self._seats
-        rewards = of_all.agent_rewards
+        rewards = fragment.agent_rewards
         return replace(
-            of_all,
-            observations=self.seen(of_all.observations, 1),
-            actions=self.rows_of(first.actions(of_all.actions), second.actions(of_all.actions), 1),
+            fragment,
+            observations=self.seen(fragment.observations, 1),
+            actions=self.rows_of(first.actions(fragment.actions), second.actions(fragment.actions), 1),
             rewards=self.rows_of(rewards[first.member.name], rewards[second.member.name], 1),
-            starts=self.rows_of(of_all.starts, of_all.starts, 1),
-            columns={name: array for name, array in of_all.columns.items() if name != _OPPONENTS},
-            following=self.seen(of_all.following),
-            following_starts=self.rows_of(of_all.following_starts, of_all.following_starts),
-            endings=[*self._endings(of_all)],
+            starts=self.rows_of(fragment.starts, fragment.starts, 1),
+            columns={name: array for name, array in fragment.columns.items() if name != _OPPONENTS},
+            following=self.seen(fragment.following),
+            following_starts=self.rows_of(fragment.following_starts, fragment.following_starts),
+            endings=[*self._endings(fragment)],
             agent_rewards={},
         )
 
-    def _endings(self, of_all: Fragment) -> Iterator[tuple[int, Any]]:
+    def _endings(self, fragment: Fragment) -> Iterator[tuple[int, Any]]:
         """Yield the endings of each side that the policy plays, in the order of steps and rows."""
         offset = len(self._sides.first)
         rows = [
@@ -127,7 +127,7 @@ class SidesCollector(OfferedCollector):
         ]
         of_rows = [
             (number, own_ending(seat, ending)._replace(row=own_rows[ending.row]))
-            for number, ending in of_all.endings
+            for number, ending in fragment.endings
             for seat, own_rows in zip(self._seats, rows, strict=True)
             if ending.row in own_rows
         ]

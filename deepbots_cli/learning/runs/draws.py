@@ -1,9 +1,9 @@
 """The effect of drawn values on episodes: one test for a trend per value, corrected for the number of values.
 
 A scenario may draw dozens of values, and some of them differ between successes and failures by chance alone.
-Each value therefore has one test, and Holm's correction limits the probability that a value without an effect
-is named to `ALPHA` over all of them (S. Holm, Scand. J. Stat. 6, 1979). The tests find trends: a value that
-is best in its middle has none.
+Each value therefore has one test. With Holm's correction, the probability that any value without an effect is
+named is at most `ALPHA` (S. Holm, Scand. J. Stat. 6, 1979). The tests find trends: a value that is best in
+its middle has none.
 """
 
 from __future__ import annotations
@@ -30,17 +30,18 @@ Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
 
 MAX_OPTIONS = 6
-"""The largest number of different outcomes of a drawn value that has a part for each of them."""
-BINS = 4
+"""The largest number of different numbers of a drawn value that has a part for each of them. Each drawn word
+has a part of its own."""
+PARTS = 4
 """The number of parts of other values; they have equally many episodes."""
 POWER = 0.9
 """The probability with which an effect of the size `DrawnEffects.detectable` is found."""
 _QUARTERS = 0.75 * math.sqrt(12)
-"""The difference of a linear trend between the means of the lowest and the highest quarter of a uniform
-value, in standard deviations of the outcome, over the coefficient of correlation."""
+"""For a linear trend over a uniform value: the difference between the mean outcomes of the lowest and the
+highest quarter, in standard deviations of the outcome, divided by the coefficient of correlation."""
 
 
-class DrawnBin(Summary, frozen=True):
+class DrawnPart(Summary, frozen=True):
     """The episodes in which a drawn value lies from `low` to `high`, both included, in SI units.
 
     For a drawn word, `low` and `high` are this word.
@@ -57,7 +58,7 @@ class DrawLabel(NamedTuple):
     unit: Unit = ONE
     is_parameter: bool = False
 
-    def range_text(self, part: DrawnBin) -> str:
+    def range_text(self, part: DrawnPart) -> str:
         """Return the range of a part in the unit of the scenario, such as `6 .. 9 cm`."""
         if isinstance(part.low, str) or isinstance(part.high, str):
             return str(part.low)
@@ -79,15 +80,15 @@ def draw_labels(program: Program, units: ShownUnits) -> dict[str, DrawLabel]:
 class DrawnValue:
     """A drawn value and the episodes by its parts.
 
-    `chance` is the probability of such a trend where no value has an effect, after the correction for all
-    values. `has_effect` holds where it is at most `ALPHA`.
+    `chance` is the probability of such a trend if no value has an effect, after the correction for all
+    values. `has_effect` is true if it is at most `ALPHA`.
     """
 
     name: str
     label: DrawLabel
     chance: float
     has_effect: bool
-    parts: tuple[DrawnBin, ...]
+    parts: tuple[DrawnPart, ...]
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,8 @@ class DrawnEffects:
         outcome: The tested outcome: success if some of the episodes succeed, else the return.
         starts: The number of different starts; episodes of several policies from one start count as one.
         detectable: The effect that is found with a probability of `POWER`: the difference of the outcome
-            between the lowest and the highest quarter of a value. None where so few episodes show no possible
-            effect.
+            between the lowest and the highest quarter of a value. None if there are too few episodes to find
+            any possible effect.
         is_constant: Whether all episodes have the same outcome.
         values: The values by name: those with an effect first, then those without; in both, parameters of the
             scenario first, the smallest `chance` first.
@@ -121,6 +122,8 @@ class DrawnEffects:
         """A sentence with the number of values that have an effect, and the size of the effect that would
         have been found."""
         count, total = len(self.effective), len(self.values)
+        if not total:
+            return "no drawn value varies"
         many = f"the {total} drawn values" if total > 1 else "the drawn value"
         if self.is_constant:
             size = "all episodes have the same one"
@@ -186,14 +189,14 @@ def drawn_effects(
     outcome: Outcome = "success" if len({episode.is_success for episode in episodes}) == 2 else "return"
     names = {name: None for episode in episodes for name in episode.drawn if not is_of_member(name)}
     chances: dict[str, float] = {}
-    parts: dict[str, tuple[DrawnBin, ...]] = {}
+    parts: dict[str, tuple[DrawnPart, ...]] = {}
     for name in names:
         drawing = [episode for episode in episodes if name in episode.drawn]
-        if _is_ordered([episode.drawn[name] for episode in drawing]):
-            bins = _parts(drawing, name, bounds)
-            if len(bins) > 1:
+        if _is_of_one_kind([episode.drawn[name] for episode in drawing]):
+            own_parts = _parts(drawing, name, bounds)
+            if len(own_parts) > 1:
                 starts, results = _mean_outcomes(drawing, outcome)
-                parts[name] = bins
+                parts[name] = own_parts
                 chances[name] = _chance([start.drawn[name] for start in starts], results)
     corrected = _holm(chances)
     values = [
@@ -214,28 +217,28 @@ def drawn_effects(
     )
 
 
-def _is_ordered(values: Sequence[object]) -> bool:
+def _is_of_one_kind(values: Sequence[object]) -> bool:
     """Return whether all are words, or all are finite numbers."""
     is_number = [isinstance(value, int | float) and math.isfinite(value) for value in values]
     return all(is_number) or all(isinstance(value, str) for value in values)
 
 
-def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
+def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnPart, ...]:
     ordered = sorted(episodes, key=lambda episode: episode.drawn[name])
     options = sorted({episode.drawn[name] for episode in ordered})
-    if len(options) <= MAX_OPTIONS:
+    if isinstance(options[0], str) or len(options) <= MAX_OPTIONS:
         parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in options]
     else:
         values = [episode.drawn[name] for episode in ordered]
         edges = [0]
-        for part in range(1, BINS):  # equal values are in one part
-            value = values[len(values) * part // BINS]
+        for part in range(1, PARTS):  # equal values are in one part
+            value = values[len(values) * part // PARTS]
             before = bisect_left(values, value)
             edges.append(before if before > edges[-1] else bisect_right(values, value))
         edges.append(len(values))
         parts = [ordered[first:end] for first, end in pairwise(edges)]
     return tuple(
-        DrawnBin.of_episodes(part, bounds, low=part[0].drawn[name], high=part[-1].drawn[name])
+        DrawnPart.of_episodes(part, bounds, low=part[0].drawn[name], high=part[-1].drawn[name])
         for part in parts
         if part
     )
@@ -309,7 +312,6 @@ def _association(first: Floats, second: Floats) -> float:
         return float(2 * ndtr(-z))
     shape = 4 / skewness**2
     upper, lower = (max(0.0, shape + side * z * math.sqrt(shape)) for side in (1, -1))
-    # The long tail and the short one.
     return min(1.0, float(gammaincc(shape, upper) + gammainc(shape, lower)))
 
 

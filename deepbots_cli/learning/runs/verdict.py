@@ -125,6 +125,10 @@ class RunVerdict:
         contradict the confirmation."""
         return self.confirmed_after if self.solved else None
 
+    def is_unsolved(self, *, defines_success: bool) -> bool:
+        """Return whether the task has a criterion or defines success, and the run does not solve it."""
+        return self.solved is False or (self.solved is None and defines_success)
+
     @property
     def text(self) -> str:
         """Mean return and success rate with their intervals, the circumstances, and the verdict."""
