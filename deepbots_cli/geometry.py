@@ -386,7 +386,7 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
         loaded = trimesh.load_mesh(
             BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True
         )
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, AttributeError) as error:  # trimesh has no exception of its own
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     return np.asarray(loaded.triangles * np.asarray(mesh.scale), np.float64)
 

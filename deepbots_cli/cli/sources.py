@@ -30,7 +30,8 @@ class OpenedSource(WrittenScenario):
     """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in,
     if any, and `model` the model of it.
 
-    `learner` are the reasons for a learner that deepbots chose, which is part of the program and of the text.
+    `learner` has the reasons for the learner, if deepbots chose it. The program and the text contain this
+    learner.
     """
 
     run: Run | None = None

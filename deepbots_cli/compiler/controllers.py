@@ -301,7 +301,7 @@ class RobotBuilder:
                 if not isinstance(node, Invocation) or node.function in _BEGIN_AT_ZERO:
                     continue
                 if (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
-                    report = self.values.report(
+                    report = self.values.reporter(
                         self.values.text((*self.path, "apply", command.name), command.target.text)
                     )
                     headline = (

@@ -79,7 +79,7 @@ class Parameters(NamespaceReader):
         if checked is None or not is_repeated_as_a_whole(checked.value, checked.redraw, text, values):
             return Symbol(name, None)
         typed = checked.value
-        unification.warn_of_degrees(typed, values.report(text))
+        unification.warn_of_degrees(typed, values.reporter(text))
         if typed.type.known is Known.FIXED:
             fixed = values.fixed(typed, text, f"`{name}`")
             return Symbol(name, typed.type if fixed is not None else None, fixed)
@@ -154,12 +154,12 @@ def is_repeated_as_a_whole(
 
 
 def _is_positive(period: TypedNode, text: SourceText, values: ValueReader) -> bool:
-    if expect_value(period, values.report(text), "the period") is None:
+    if expect_value(period, values.reporter(text), "the period") is None:
         return False
     low, high = period.type.interval.low, period.type.interval.high
     if low >= 0.0 and high > 0.0:
         return True
-    values.report(text)(
+    values.reporter(text)(
         "DB105", period.start, period.end, f"the period can be {low:g} s", "keep it above 0 s"
     )
     return False
@@ -477,7 +477,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     settle = namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if not values.is_invalid("world.timestep"):
-        values.is_whole_number_of_timesteps(settle, timestep, span, "the settling time")
+        values.check_whole_timesteps(settle, timestep, span, "the settling time")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = (
             f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps"
@@ -585,7 +585,7 @@ class Signals(NamespaceReader):
         )
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
-            typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
+            typed = expect_value(typed, self._values.reporter(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
         # Noise is normally distributed, so that a value with noise has no bounds.
@@ -630,7 +630,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
 
 
 def _reward_value(text: SourceText, namespace: Namespace) -> TypedNode | None:
-    report = namespace.values.report(text)
+    report = namespace.values.reporter(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
         help = (

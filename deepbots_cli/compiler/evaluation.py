@@ -681,7 +681,7 @@ class _Reader(NamespaceReader):
         """Return the smallest and the largest expected value; None after a finding."""
         text = self._values.field(spec, key)
         scope = self._namespace.scope(Context.FIXED)
-        report = self._values.report(text)
+        report = self._values.reporter(text)
         called = f"`{key}`"
         if ".." in text.text:
             interval = self._values.range(text, scope)

@@ -282,7 +282,7 @@ class FieldReader:
         if not relative:
             std = expect_value(
                 std,
-                self._values.report(text),
+                self._values.reporter(text),
                 "the noise",
                 dimension=of.type.dimension,
                 components=components,

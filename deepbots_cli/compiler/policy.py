@@ -591,7 +591,7 @@ class Goals(NamespaceReader):
         )
         typed = expect_value(
             typed,
-            self._values.report(text),
+            self._values.reporter(text),
             f"`{name}` of the goal",
             dimension=dimension,
             components=components,
@@ -760,7 +760,7 @@ class Decisions(NamespaceReader):
         typed = self._values.expression(text, self._scope, boolean=False)
         if typed is None or symbol is None or symbol.type is None:
             return None
-        report = self._values.report(text)
+        report = self._values.reporter(text)
         dimension = symbol.type.dimension
         fitted = expect_value(typed, report, f"`{path[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)

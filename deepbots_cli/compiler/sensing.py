@@ -624,7 +624,7 @@ def _with_period(
         return faults
     ticks = round(seconds / timestep)
     span = values.span((*spec.path, "period"))
-    if values.is_whole_number_of_timesteps(seconds, timestep, span, "the period") and ticks > MAX_TICKS:
+    if values.check_whole_timesteps(seconds, timestep, span, "the period") and ticks > MAX_TICKS:
         values.add(
             "DB105", span, f"the period is {ticks:,} timesteps", f"write at most {MAX_TICKS:,} timesteps"
         )

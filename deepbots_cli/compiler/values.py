@@ -211,8 +211,8 @@ class ValueReader:
         return key.span if key else node.span
 
     def span_of_first(self, path: NodePath, *keys: str) -> Span:
-        """Return the value of the first of these keys that the mapping at `path` has, or else the last key of
-        `path`."""
+        """Return the span of the value of the first of these keys that the mapping at `path` has, or else that
+        of the last key of `path`."""
         key = next((key for key in keys if self.is_present((*path, key))), None)
         return self.span((*path, key)) if key else self.key_span(path)
 
@@ -267,9 +267,7 @@ class ValueReader:
         """Add a finding at the last key of a path."""
         self.add(code, self.key_span(path), headline, help, notes=notes)
 
-    def is_whole_number_of_timesteps(
-        self, seconds: float, timestep: float, span: Span, description: str
-    ) -> bool:
+    def check_whole_timesteps(self, seconds: float, timestep: float, span: Span, description: str) -> bool:
         """Return whether a time is a multiple of the timestep; DB308 if it is not."""
         # 3 * 0.1 is 0.30000000000000004.
         is_multiple = abs(seconds - round(seconds / timestep) * timestep) <= 1e-9 * seconds
@@ -281,7 +279,8 @@ class ValueReader:
     # Names
 
     def report_duplicate(self, path: NodePath, name: str, definition: str, first: NodePath) -> None:
-        """Report that the key at `path` defines a `name` that is already `definition`, since `first`."""
+        """Report that the key at `path` defines a `name` that is already `definition`, defined at
+        `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
         self.add(
             "DB202",
@@ -319,7 +318,7 @@ class ValueReader:
                 help = f"define `{name}` under `{section}`"
             self.add(code, span, f"there is no {noun} `{name}`", help, fix=fix)
 
-    def report(self, text: SourceText) -> FindingReporter:
+    def reporter(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
 
         def report(
@@ -399,27 +398,27 @@ class ValueReader:
         return word_for(piece, words) or nearest_word(piece, words) if words else None
 
     def parsed(self, text: SourceText) -> syntax.Node | None:
-        return parser.parse(text.text, self.report(text))
+        return parser.parse(text.text, self.reporter(text))
 
     def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> TypedNode | None:
         """Return the typed tree of an expression; `boolean` demands a truth value (True) or a number
         (False)."""
         tree = self.parsed(text)
-        typed = check.check(tree, scope, self.report(text)) if tree else None
+        typed = check.check(tree, scope, self.reporter(text)) if tree else None
         self.readings.append(ScopedExpression(text, scope, (typed,) if typed else ()))
         if typed is None or boolean is None:
             return typed
-        return expect_kind(typed, self.report(text), boolean=boolean)
+        return expect_kind(typed, self.reporter(text), boolean=boolean)
 
     def condition(self, text: SourceText, scope: Scope) -> TypedNode | None:
         """Return the typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
-        return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
+        return typed and expect_value(typed, self.reporter(text), "a condition", boolean=True)
 
     def drawn(self, text: SourceText, scope: Scope) -> check.TypedExpression | None:
         """Return the typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
-        checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
+        checked = check.check_drawn(tree, scope, self.reporter(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
         self.readings.append(
             ScopedExpression(text, scope, tuple(filter(None, (checked and checked.value, period))))
@@ -433,7 +432,7 @@ class ValueReader:
         are repeated."""
         checked = self.drawn(text, scope)
         value = checked and expect_value(
-            checked.value, self.report(text), description, dimension=dimension, unit=text.unit
+            checked.value, self.reporter(text), description, dimension=dimension, unit=text.unit
         )
         if checked is None or value is None or not self._is_within(value, text, description):
             return None, None
@@ -441,7 +440,7 @@ class ValueReader:
 
     def range(self, text: SourceText, scope: Scope, *, falling: bool = False) -> TypedRange | None:
         tree = self.parsed(text)
-        ends = check.check_range(tree, scope, self.report(text), falling=falling) if tree else None
+        ends = check.check_range(tree, scope, self.reporter(text), falling=falling) if tree else None
         self.readings.append(ScopedExpression(text, scope, (ends.low, ends.high) if ends else ()))
         return ends
 
@@ -465,7 +464,7 @@ class ValueReader:
             return None
         value = expect_value(
             typed,
-            self.report(text),
+            self.reporter(text),
             description,
             dimension=dimension,
             components=components,
@@ -576,7 +575,7 @@ class ValueReader:
         finding."""
         interval = self.range(text, scope, falling=falling)
         bounds = interval and expect_range(
-            interval, self.report(text), description, dimension=dimension, components=components
+            interval, self.reporter(text), description, dimension=dimension, components=components
         )
         low, high = (
             (self.fixed(bounds.low, text, description), self.fixed(bounds.high, text, description))

@@ -132,10 +132,9 @@ _FUNCTION_OF_KIND = {
 }
 _MAX_LISTED = 20
 """The number of names that a message lists."""
-# Hints for unknown names besides the known ones.
+# Names that are written often, and not near to the right word.
 _NAME_HELP = {"pi": "half a turn is `180 deg`"}
 _CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
-# Functions that other languages have.
 _FOREIGN_FUNCTION_HELP = {
     "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
     "rand": "a draw is `uniform(low .. high)`",
@@ -208,7 +207,7 @@ def check_range(
 
 
 def _require_rising(typed: TypedRange, report: FindingReporter) -> None:
-    if typed.low.type.interval.low > typed.high.type.interval.high:
+    if any(low.low > high.high for low, high in _columns((typed.low.type, typed.high.type))):
         raise report_at(
             report, "DB105", typed, "a range whose low end is above its high end", "write the low end first"
         )
@@ -232,7 +231,7 @@ class _Checker:
         self._report = report
         self._fault = partial(report_at, report)
         self._occurrences = 0
-        self._paid: frozenset[int] = frozenset()
+        self._reward_sums: frozenset[int] = frozenset()
         self.draws = 0
 
     def whole(self, tree: syntax.Node) -> TypedNode:
@@ -240,7 +239,7 @@ class _Checker:
         if isinstance(tree, syntax.Range):
             raise self._fault("DB401", tree, "expected a single value, found a range")
         if self._scope.context is Context.REWARD:
-            self._paid = frozenset(map(id, _summed(tree)))
+            self._reward_sums = frozenset(map(id, _summed(tree)))
         value = self.visit(tree)
         if value.type.has_group_components:
             help = (
@@ -376,7 +375,7 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         description = subject.kind.description if subject is not None else "a value"
-        help = _known(fitting, f"the scenario does not have {expected}")
+        help = _known_names_help(fitting, f"the scenario does not have {expected}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
             help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
@@ -456,7 +455,7 @@ class _Checker:
         names = sorted(choices)
         owned = with_owner(name, names)
         suggestion = owned or suggest_replacement(name, names)
-        available = _known(names, "no name can be used here", name)
+        available = _known_names_help(names, "no name can be used here", name)
         listed = "; ".join(filter(None, (available, None if suggestion else also)))
         is_clear = (
             suggestion is not None
@@ -510,7 +509,7 @@ class _Checker:
             result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items)
         )
 
-    def _put_together(self, values: Sequence[TypedNode]) -> Components:
+    def _stacked_components(self, values: Sequence[TypedNode]) -> Components:
         """Return the components of single values side by side, or those of vectors as rows."""
         vectors = [value for value in values if value.type.components is not None]
         if not vectors:
@@ -666,7 +665,7 @@ class _Checker:
                     help,
                 )
             case _:
-                return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
+                return dimension_of((left, right), node, self._report, is_paid=id(node) in self._reward_sums)
 
     def _warn_of_domain(self, operator: str, left: TypedNode, right: TypedNode, node: syntax.Binary) -> None:
         """Report DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
@@ -720,7 +719,7 @@ class _Checker:
             values = aligned(values, node, self._report)
             bound = [(param, value) for (param, _), value in zip(bound, values, strict=True)]
         result = self._result(node, function, subjects, bound)
-        self._warn(function, bound)
+        self._check_values(function, bound)
         if not is_allowed:
             raise StopChecking
         if function.name == "vector":
@@ -841,7 +840,7 @@ class _Checker:
             members = subjects[0].components
             return RowComponents(members, function.components) if members else function.components
         if function.name == "vector":
-            return self._put_together(values)
+            return self._stacked_components(values)
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.has_group_components and function.reduction.empty is None:
@@ -865,9 +864,9 @@ class _Checker:
             )
         return groups[0] if groups else components_of(values, node, self._report)
 
-    def _warn(self, function: Function, bound: list[tuple[Param, TypedNode]]) -> None:
+    def _check_values(self, function: Function, bound: list[tuple[Param, TypedNode]]) -> None:
         """Report DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw
-        from a falling range."""
+        from a falling range or with a negative standard deviation."""
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
                 warn_of_degrees(value, self._report)
@@ -880,6 +879,10 @@ class _Checker:
             low, high = values
             with suppress(StopChecking):
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
+        if function.family is Family.DRAW and function.params[0].form is Form.SPREAD:
+            deviation = values[1]
+            if any(interval.high < 0.0 for interval in _intervals(deviation)):
+                self._fault("DB105", deviation, "a standard deviation below 0", "write it without the sign")
 
 
 def _columns_of(value: TypedNode) -> Components | None:
@@ -927,7 +930,7 @@ def with_owner(name: str, names: Sequence[str]) -> Replacement | None:
     return Replacement(f"{longer[0]}{dot}{suffix}", safe=False) if len(longer) == 1 else None
 
 
-def _known(names: list[str], none: str, like: str = "") -> str:
+def _known_names_help(names: list[str], none: str, like: str = "") -> str:
     """Return the names in their order; the most similar ones first, if there are too many to list."""
     ordered = nearest_first(like, sorted(names), _MAX_LISTED)
     return f"known names: {shortened_list((f'`{name}`' for name in ordered), _MAX_LISTED)}" if names else none

@@ -28,23 +28,23 @@ from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_cli.words import counted, sentence_list, unit_text
 
 EPISODES, MAX_STEPS = 6, 100
-"""The number of compared episodes, and the largest number of steps of each: small differences grow, and late
-steps only show that they have grown."""
+"""The number of compared episodes, and the largest number of steps of each. A small difference grows, so late
+steps say nothing more about its cause."""
 _THRESHOLD = 0.01
-"""The share of the width that a number spans in the first world by which its values must be apart to
-differ."""
-_LATEST = 8
+"""Two values of a number differ if they are further apart than this share of the width that the number spans
+in the first world."""
+_MAX_AGE = 8
 """The largest age of a number, in steps, that is tried."""
-_EXACT = 0.05
-"""The largest remaining share of the squared difference of a number that its order, sign, unit or age
-explains."""
+_MAX_UNEXPLAINED = 0.05
+"""Another order, sign, unit or age explains the difference of a number if at most this share of its square
+remains."""
 _PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
-"""The number of episodes in which most changes are simulated, those with the largest differences, and the
-largest and smallest number of steps of each."""
+"""Most changes are simulated only in this number of episodes, those with the largest differences. Each has at
+most the second and at least the third number of steps."""
 _GROWN, _FEW = 0.1, 5
 """The share of the width from which a difference has grown, and the number of further moments that are
 counted as early ones."""
-_SAME = 1e-3
+_MAX_SAME_SHARE = 1e-3
 """The share of the squared difference of an effect, and of the two worlds, below which two changes have the
 same effect."""
 REWARD = "reward."
@@ -59,7 +59,7 @@ _UNITS = {
 }
 
 
-class World(NamedTuple):
+class EngineWorld(NamedTuple):
     """A scenario and the engine in which it runs."""
 
     program: Program
@@ -97,30 +97,30 @@ class RecordedEpisode(NamedTuple):
     values: Array
 
 
-class Effect(NamedTuple):
+class ChangeEffect(NamedTuple):
     """Changes with the same effect, and the values of all episodes with one of them."""
 
     texts: list[str]
     values: list[Array]
 
 
-class Column(NamedTuple):
+class ValueColumn(NamedTuple):
     """A number of the observation, or a reward term, with its unit."""
 
     name: str
     unit: str
 
 
-def columns_of(watch: InstrumentedProgram) -> list[Column]:
+def columns_of(watch: InstrumentedProgram) -> list[ValueColumn]:
     """Return the columns of the values that `RecordingWrapper` keeps."""
     signals = _kept_signals(watch)
     return [
         *(
-            Column(number.full_name, unit_text(number.unit))
+            ValueColumn(number.full_name, unit_text(number.unit))
             for number in watch.program.agent.numbers
             if number.name in signals
         ),
-        *(Column(f"{REWARD}{term.name}", "") for term in watch.program.agent.reward),
+        *(ValueColumn(f"{REWARD}{term.name}", "") for term in watch.program.agent.reward),
     ]
 
 
@@ -134,7 +134,7 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """A world that records the actions of an episode, and its values: those of the observation in SI units,
     and the reward terms."""
 
-    def __init__(self, world: World, permissions: Permissions) -> None:
+    def __init__(self, world: EngineWorld, permissions: Permissions) -> None:
         self._watch = instrument_program(world.program, include_observation=True)
         self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=permissions)
         super().__init__(self._supervisor)
@@ -182,7 +182,7 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def record_episodes(
-    run: Run, world: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
+    run: Run, world: EngineWorld, model: ModelName, seed: int, episodes: int, permissions: Permissions
 ) -> list[RecordedEpisode]:
     """Return episodes of the policy of a run in a world, from the starts of an evaluation with this seed."""
     from deepbots_cli.learning.evaluation import load_model
@@ -200,7 +200,7 @@ def record_episodes(
 
 
 def repeat_episodes(
-    world: World, recorded: Sequence[RecordedEpisode], permissions: Permissions
+    world: EngineWorld, recorded: Sequence[RecordedEpisode], permissions: Permissions
 ) -> list[Array]:
     """Return the values of each episode with its start and actions in a world."""
     with closing(RecordingWrapper(world, permissions)) as recorder:
@@ -234,7 +234,7 @@ class ValueComparison:
 
     def __init__(
         self,
-        columns: Sequence[Column],
+        columns: Sequence[ValueColumn],
         recorded: Sequence[RecordedEpisode],
         repeated: Sequence[Array],
         width: Array | None = None,
@@ -255,8 +255,7 @@ class ValueComparison:
         return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
 
     def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
-        """Return the mean squared difference of each column from the other world, in squared widths; 1 at
-        most, since errors grow without end.
+        """Return the mean squared difference of each column from the other world, as `_squares` has it.
 
         `until` is the number of moments of each episode; by default all that both worlds have.
         """
@@ -266,7 +265,7 @@ class ValueComparison:
         ):
             length = min(len(usual), len(second), most)
             count = min(length, len(candidate))
-            squares.append(np.minimum(((candidate[:count] - second[:count]) / self._width) ** 2, 1.0))
+            squares.append(self._squares(candidate[:length], second[:length]))
             squares.append(np.ones((length - count, len(self._width))))  # an episode that ended too early
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
@@ -294,7 +293,8 @@ class ValueComparison:
         It is 0 if the effect has the other direction.
         """
         effect, difference = (
-            np.vstack([*map(self._off, self._first, world)]) for world in (values, self._second)
+            np.vstack([*map(self._clipped_difference, self._first, world)])
+            for world in (values, self._second)
         )
         along = float((effect * difference).sum())
         size = float((effect**2).sum() * (difference**2).sum())
@@ -306,26 +306,28 @@ class ValueComparison:
         if len(effects) != len(others):
             return False
         size = sum(
-            min(self._apart(self._first, values), self._apart(self._first, self._second))
+            min(
+                self._squared_distance(self._first, values), self._squared_distance(self._first, self._second)
+            )
             for values in effects
         )
-        return sum(map(self._apart, effects, others)) <= _SAME * size
+        return sum(map(self._squared_distance, effects, others)) <= _MAX_SAME_SHARE * size
 
-    def _apart(self, first: Sequence[Array], second: Sequence[Array]) -> float:
-        return sum(float(np.square(off).sum()) for off in map(self._off, first, second))
+    def _squared_distance(self, first: Sequence[Array], second: Sequence[Array]) -> float:
+        return sum(float(np.square(off).sum()) for off in map(self._clipped_difference, first, second))
 
-    def _off(self, first: Array, second: Array) -> Array:
+    def _clipped_difference(self, first: Array, second: Array) -> Array:
         """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
         worlds has ended."""
         count = min(len(first), len(second))
         off = np.clip((second[:count] - first[:count]) / self._width, -1.0, 1.0)[:, self._numbers]
         return np.pad(off, ((0, max(len(first), len(second)) - count), (0, 0)))
 
-    def part(self) -> ValueComparison:
+    def probed(self) -> ValueComparison:
         """Return the comparison of a few episodes, those with the largest differences, until these have
         grown, and of a few steps."""
         apart = [
-            np.square((first[:early] - second[:early]) / self._width)[:, self._numbers].mean()
+            self._squares(first[:early], second[:early])[:, self._numbers].mean()
             for first, second, early in self._pairs()
         ]
         numbers = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
@@ -373,7 +375,7 @@ class ValueComparison:
                 )
         return sorted(rows, key=lambda row: (row.step, -row.share))
 
-    def measured_causes(self) -> Iterator[Effect]:
+    def measured_causes(self) -> Iterator[ChangeEffect]:
         """Yield errors of measured numbers: all that are exact, together, since each explains only its own
         number."""
         texts: list[str] = []
@@ -395,11 +397,11 @@ class ValueComparison:
             for age, names in late.items()
         ]
         if texts:
-            yield Effect(["; ".join(texts)], fixed)
+            yield ChangeEffect(["; ".join(texts)], fixed)
 
     def _exact(self, index: int) -> tuple[str, int, list[Array]] | None:
-        """Return the change of a number after which hardly a difference is left: in words, its age in steps,
-        and the number."""
+        """Return the change of a number that removes nearly all of its difference: the change in words, the age
+        of the number in steps, and its changed values."""
         column, series = self._columns[index], [values[:, index] for values in self._first]
         pairs = [
             (a[: min(len(a), len(b))], b[: min(len(a), len(b)), index])
@@ -417,14 +419,14 @@ class ValueComparison:
             else:
                 words = f"is multiplied by {factor:.3g}"
             tried.append((f"{column.name} {words}", 0, [factor * values for values in series]))
-            offset = float(np.mean(y - x))
-            tried.append(
-                (
-                    f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
-                    0,
-                    [values + offset for values in series],
-                )
+        offset = float(np.mean(y - x))
+        tried.append(
+            (
+                f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
+                0,
+                [values + offset for values in series],
             )
+        )
         for other in self._numbers:
             if other != index and self._columns[other].unit == column.unit:
                 tried.append(
@@ -434,7 +436,7 @@ class ValueComparison:
                         [values[:, other] for values in self._first],
                     )
                 )
-        for age in range(1, _LATEST + 1):
+        for age in range(1, _MAX_AGE + 1):
             tried.append(
                 (
                     "",
@@ -445,15 +447,21 @@ class ValueComparison:
                     ],
                 )
             )
-        scored = [(self._left(index, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
+        scored = [
+            (self._remaining_error(index, replaced), number) for number, (_, _, replaced) in enumerate(tried)
+        ]
         left, number = min(scored, default=(inf, 0))
-        return tried[number] if left <= _EXACT * self._base[index] else None
+        return tried[number] if left <= _MAX_UNEXPLAINED * self._base[index] else None
 
-    def _left(self, index: int, replaced: Sequence[Array]) -> float:
-        squares = []
-        for candidate, second in zip(replaced, self._second, strict=True):
-            length = min(len(candidate), len(second))
-            squares.append(
-                np.minimum(((candidate[:length] - second[:length, index]) / self._width[index]) ** 2, 1.0)
-            )
-        return float(np.mean(np.concatenate(squares)))
+    def _remaining_error(self, index: int, replaced: Sequence[Array]) -> float:
+        pairs = zip(replaced, self._second, strict=True)
+        return float(
+            np.mean(np.concatenate([self._squares(one, other[:, index], index) for one, other in pairs]))
+        )
+
+    def _squares(self, one: Array, other: Array, columns: int | slice = slice(None)) -> Array:
+        """Return the squared differences of columns in the moments that both have, in squared widths; 1 at
+        most, since errors grow without end."""
+        count = min(len(one), len(other))
+        squares: Array = ((one[:count] - other[:count]) / self._width[columns]) ** 2
+        return np.minimum(squares, 1.0)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.insight.recorded_worlds import EPISODES, World
+from deepbots_cli.insight.recorded_worlds import EPISODES, EngineWorld
 from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor
@@ -166,7 +166,7 @@ def transfer(
     settings["episodes"] = first.episodes
     second = evaluate(run, scenario=scenario, engine=engine, **settings)
     program = trained_in.program if scenario is None else scenario.program
-    worlds = World(trained_in.program, run.record.engine), World(program, engine)
+    worlds = EngineWorld(trained_in.program, run.record.engine), EngineWorld(program, engine)
     watch = on_world or (lambda count, planned: None)
     comparison = compare_worlds(
         run,

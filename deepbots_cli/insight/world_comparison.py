@@ -31,12 +31,12 @@ from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.recorded_worlds import (
     EPISODES,
     REWARD,
+    ChangeEffect,
     Difference,
-    Effect,
+    EngineWorld,
     RecordedEpisode,
     RecordingWrapper,
     ValueComparison,
-    World,
     columns_of,
     record_episodes,
     repeat_episodes,
@@ -115,8 +115,8 @@ class WorldComparison:
 
 def compare_worlds(
     run: Run,
-    first: World,
-    second: World,
+    first: EngineWorld,
+    second: EngineWorld,
     document: Document,
     *,
     seed: int,
@@ -184,10 +184,10 @@ def _simulated(comparison: ValueComparison, kind: Kind, amount: float) -> list[A
 
 def _simulated_causes(
     comparison: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
-) -> list[Effect]:
+) -> list[ChangeEffect]:
     """Return the changes that explain most of a few short episodes, with the share that they explain of
     all."""
-    probe = comparison.part()
+    probe = comparison.probed()
     scores = _Scores(probe)
     groups = _groups(probe, kinds, on_world)
     likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
@@ -202,7 +202,7 @@ def _simulated_causes(
         amount = scores.best_amount(group.first)
         values = _simulated(comparison, group.first, amount)
         if values is not None:
-            effects.append(Effect([kind.text(amount) for kind in group.kinds], values))
+            effects.append(ChangeEffect([kind.text(amount) for kind in group.kinds], values))
     return effects
 
 
@@ -356,7 +356,7 @@ def tried_amounts(kinds: Iterable[Kind]) -> Iterator[str]:
 
 
 def _kinds(
-    world: World, unchanged: RecordingWrapper, document: Document, permissions: Permissions
+    world: EngineWorld, unchanged: RecordingWrapper, document: Document, permissions: Permissions
 ) -> Iterator[Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 
@@ -367,7 +367,7 @@ def _kinds(
 
     def with_plan(plan: Plan) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
         return lambda amount, recorded: repeat_episodes(
-            World(changed_program(document, plan.change(amount)), world.engine), recorded, permissions
+            EngineWorld(changed_program(document, plan.change(amount)), world.engine), recorded, permissions
         )
 
     for family, name, act in changed_actions(world.program):

@@ -52,7 +52,7 @@ _MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
-_COLLADA = ("asset", "library_geometries", "library_visual_scenes")
+_COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
     b"PK\x03\x04",
     b"PK\x05\x06",
@@ -379,8 +379,12 @@ def _stl(data: bytes) -> str | None:
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         if _NOT_FINITE_STL.search(data):
             return "the STL file contains a vertex that is not finite"
-        is_sound = len(_VERTEX_STL.findall(data)) == len(_SOUND_VERTEX_STL.findall(data))
-        return None if is_sound else "a vertex of the STL file is not three numbers"
+        corners = len(_VERTEX_STL.findall(data))
+        if corners != len(_SOUND_VERTEX_STL.findall(data)):
+            return "a vertex of the STL file is not three numbers"
+        if not corners:
+            return "the STL file contains no triangle"
+        return None if corners % 3 == 0 else "a triangle of the STL file does not have three vertices"
     if len(data) < 84:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
@@ -453,8 +457,7 @@ def _dae(data: bytes) -> str | None:
     if missing:
         return f"the COLLADA file has no <{missing}>"
     try:
-        for _ in collada_triangles(data):
-            pass
+        has_triangles = any(True for _ in collada_triangles(data))
     except FaultyColladaError as error:
         return str(error)
-    return None
+    return None if has_triangles else "the COLLADA file contains no triangle"

@@ -88,29 +88,30 @@ class Source:
         scenario that is named.
 
         Raises:
-            UsageError: `source` is none of these. A RunError if a run or a group is expected.
+            UsageError: `source` is none of these. It is a RunError if `kinds` has no scenario.
         """
-        if isinstance(source, Scenario):
-            return cls(SourceKind.SCENARIO, f"<Scenario {source.name}>", Path(), source, permissions)
         error = UsageError if not kinds or SourceKind.SCENARIO in kinds else RunError
-        opened = (
-            source
-            if isinstance(source, Source)
-            else cls._named(Path(source), str(source), permissions, error)
-        )
+        if isinstance(source, Scenario):
+            opened = cls(SourceKind.SCENARIO, f"<Scenario {source.name}>", Path(), source, permissions)
+        elif isinstance(source, Source):
+            opened = source
+        else:
+            opened = cls._named(Path(source), str(source), permissions, error)
         if kinds and opened.kind not in kinds:
             *first_kinds, final = (kind.value for kind in kinds)
             expected = f"{', '.join(first_kinds)} or {final}" if first_kinds else final
             description = (
                 "a file"
-                if opened.kind is SourceKind.SCENARIO and opened.path.suffix not in (".yaml", ".yml")
+                if opened.kind is SourceKind.SCENARIO
+                and isinstance(opened.scenario, Path)
+                and opened.path.suffix not in (".yaml", ".yml")
                 else opened.kind.value
             )
             hint = ""
             if opened.kind is SourceKind.STUDY:
-                hint = f"; name one of its trials, such as {opened.path}/trial-0"
+                hint = f"; name one of its trials, such as {quote(f'{opened.path}/trial-0')}"
             elif SourceKind.RUN in kinds and opened.kind is SourceKind.GROUP:
-                hint = f"; name one of its runs, such as {opened.path}/seed-0"
+                hint = f"; name one of its runs, such as {quote(f'{opened.path}/seed-0')}"
             elif (
                 SourceKind.RUN in kinds
                 and opened.kind is SourceKind.SCENARIO
@@ -132,9 +133,10 @@ class Source:
             if kind is not None:
                 return cls.kept(path, permissions, kind)
             if path.suffix.lower() in (".urdf", ".xacro"):
-                new = f"`deepbots new {_name_for(path)} --urdf {name}` writes a scenario for it"
+                words = quote(name)
                 raise error(
-                    f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it, {new}"
+                    f"{name} is a robot file, not a scenario; `deepbots inspect {words}` describes it,"
+                    f" `deepbots new {_name_for(path)} --urdf {words}` writes a scenario for it"
                 )
             # A folder that is named like a shipped scenario must not hide it.
             shipped_path = None if path.is_file() else shipped.scenario_path(name)
@@ -303,7 +305,7 @@ def _elsewhere(path: Path, folder: Path) -> str | None:
 
 def _scenario_files(folder: Path, path: Path) -> str:
     """Return the scenario files of a folder, the nearest in name first."""
-    names = sorted(file.name for file in folder.glob("*.y*ml"))
+    names = sorted(file.name for file in folder.glob("*.y*ml") if file.suffix in (".yaml", ".yml"))
     by_stem = {Path(name).stem: name for name in names}
     suggestion = nearest_word(path.stem, by_stem)
     if suggestion:

@@ -83,7 +83,7 @@ class JointActuator(Actuator):
     """Drives one joint, or several under their names."""
 
     sliding: ClassVar[Dimension] = NUMBER
-    """The dimension of a command where the joint slides; `dimension` is that where it turns."""
+    """The dimension of a command to a sliding joint; `dimension` is that of a command to a turning joint."""
     drive: ClassVar[str] = ""
     """`module:attribute` of the control law of a plug-in's kind: from a `runtime.actuation.Site` to a
     `ControlLaw`."""
@@ -213,7 +213,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
     if not (isinstance(kind, type) and issubclass(kind, JointActuator)):
         raise ValueError(f"{kind!r} is not a subclass of JointActuator")
     check_kind_model(name, kind, kind.drive)
-    list(kind_parameters(kind, JointActuator))
+    list(kind_parameters(kind, JointActuator))  # raises for a parameter that is not a single value
     yield name, kind
 
 

@@ -21,8 +21,10 @@ STUDIO_FOLDER = ".studio"
 _INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 _TRAINING_VERBS = ("train", "resume")
-_READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
+_PATH_VERBS = ("train", "try", "test", "eval", "render", "compare", "new", "lint", "diff")
 """The commands that have the options `--allow-path` and `--allow-code`."""
+_CODE_VERBS = (*_PATH_VERBS, "resume", "report", "diagnose")
+"""The commands that have the option `--allow-code`."""
 
 _TITLES = {
     "try": "A few episodes",
@@ -31,7 +33,7 @@ _TITLES = {
     "render": "Video",
     "report": "Report",
 }
-"""The headings of outputs."""
+"""The headings of outputs of commands, before the name of a run."""
 _RESULTS = {
     "test": re.compile(r"^\d+ passed.*|^\d+ failed.*", re.MULTILINE),
     "try": re.compile(r"^[\d,]+ (?:of [\d,]+ )?episodes?(?: succeeded)?, .*", re.MULTILINE),
@@ -61,7 +63,8 @@ def result_of(task: Task) -> str:
         return f"{task.record.output} is written"
     lines = pattern.findall(task.output()) if pattern is not None and not task.is_running else []
     text = "; ".join(" ".join(line.split()) for line in dict.fromkeys(lines))
-    return f"Random actions: {text}" if text and task.record.words[0] == "try" else text
+    is_random = task.record.words[0] == "try" and "--driver" not in task.record.words
+    return f"Random actions: {text}" if text and is_random else text
 
 
 class Commands:
@@ -103,7 +106,7 @@ class Commands:
         Raises:
             UsageError: The folder cannot be written.
         """
-        words = [*words, *self._allowed(words[0])]
+        words = [*words, *self.permission_options(words[0])]
         self.task = self.tasks.start(words, folder=self._folder, run=run, output=output)
         if run is not None and words[0] in _TRAINING_VERBS:
             self.watch(run)
@@ -120,13 +123,18 @@ class Commands:
         """Start a command that writes a file `name` into a new place beside a run."""
         stem, suffix = Path(name).stem, Path(name).suffix
         numbers = (run.with_name(f"{run.name}-{stem}{number or ''}{suffix}") for number in range(10**6))
-        output = next(path for path in numbers if not (self._folder / path).exists())
+        # A running command writes its file at its end.
+        taken = {task.record.output for task in self.tasks.running}
+        output = next(
+            path for path in numbers if str(path) not in taken and not (self._folder / path).exists()
+        )
         return self.run([*words, "-o", str(output)], run, output)
 
     async def call(self, words: Sequence[str]) -> tuple[str, int]:
-        """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
+        """Run a short command. Returns its output, or its messages if it has failed without output, and its
+        exit code."""
         process = await asyncio.create_subprocess_exec(
-            *python_command("deepbots_cli", *words, *self._allowed(words[0])),
+            *python_command("deepbots_cli", *words, *self.permission_options(words[0])),
             cwd=self._folder,
             env=python_environment(),
             stdin=asyncio.subprocess.DEVNULL,
@@ -158,16 +166,17 @@ class Commands:
     def new_run(self, stem: str) -> Path:
         """Return the name of a new run directory, relative to the folder."""
         stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)
-        names = {path.name for path in (self._folder / RUNS_FOLDER).glob(f"{stem}-*")}
+        # A training makes its directory some seconds after its start.
+        names = {Path(task.record.run).name for task in self.tasks.running}
+        names |= {path.name for path in (self._folder / RUNS_FOLDER).glob(f"{stem}-*")}
         number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in names)
         return Path(RUNS_FOLDER, f"{stem}-{number}")
 
-    def _allowed(self, verb: str) -> list[str]:
+    def permission_options(self, verb: str) -> list[str]:
         """Return the options for files and Python functions that this server was started with."""
-        if verb not in _READING_VERBS:
-            return []
-        folders = [f"--allow-path={Path(folder).absolute()}" for folder in self._permissions.folders]
-        return [*folders, "--allow-code"] if self._permissions.code else folders
+        folders = self._permissions.folders if verb in _PATH_VERBS else ()
+        options = [f"--allow-path={Path(folder).absolute()}" for folder in folders]
+        return [*options, "--allow-code"] if self._permissions.code and verb in _CODE_VERBS else options
 
     def _end_of(self, task: Task) -> str:
         """Return a sentence about a command that has ended."""

@@ -13,7 +13,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.recorded_worlds import World
+from deepbots_cli.insight.recorded_worlds import EngineWorld
 from deepbots_cli.insight.transfer import Gate, Transfer, transfer, world_names, worlds_that_work
 from deepbots_cli.insight.world_comparison import Kind, WorldComparison, compare_worlds, tried_amounts
 from deepbots_cli.learning import train
@@ -46,8 +46,8 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def compared(run: Run, change: dict[str, Any], episodes: int = 6) -> WorldComparison:
     source = Source.kept(run.path)
     document = base_document(source)
-    here = World(api.compile(source.checked()).program, run.record.engine)
-    there = World(changed_scenario(document, change).program, run.record.engine)
+    here = EngineWorld(api.compile(source.checked()).program, run.record.engine)
+    there = EngineWorld(changed_scenario(document, change).program, run.record.engine)
     return compare_worlds(run, here, there, document, seed=0, episodes=episodes)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import struct
 import zipfile
 from itertools import chain
@@ -14,12 +15,14 @@ from random import Random
 import pytest
 
 from deepbots_cli.diagnostics import Findings
+from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.coverage import mesh_coverage
 from deepbots_cli.robots.model import Mesh, to_urdf
 from deepbots_cli.robots.reader import RobotFile, read
 from tests.robots.meshes import ball
 
+COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/2 4/3\nf -1 -2 -3\n"
 
 
@@ -97,12 +100,14 @@ def sheets(name: str, count: int, *, scale: float = 1.0) -> bytes:
         ).encode()
     numbers = " ".join(f"{each:.9g}" for point in points for each in point)
     indices = " ".join(f"0 {n}" for n in range(len(points)))
-    return f"""<COLLADA><asset/><library_geometries><geometry id="g"><mesh>
+    return f"""<COLLADA xmlns="{COLLADA}" version="1.4.1"><asset/><library_geometries><geometry id="g"><mesh>
 <source id="s"><float_array id="f" count="{3 * len(points)}">{numbers}</float_array>
 <technique_common><accessor/></technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
 <triangles count="{count}"><input semantic="NORMAL" source="#s" offset="0"/><input semantic="VERTEX" source="#v" offset="1"/>
-<p>{indices}</p></triangles></mesh></geometry></library_geometries><library_visual_scenes/></COLLADA>""".encode()
+<p>{indices}</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node id="n"><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>""".encode()
 
 
 CONTENTS = {
@@ -134,6 +139,19 @@ CONTENTS = {
     "d.stl": (stl(1, 1) + b"\n", "declares 1 triangles, but it is as long as a file of 1.02"),
     "e.stl": (stl(1, 0) + struct.pack("<12f", *[math.nan] * 12) + b"\0\0", "a vertex that is not finite"),
     "f.stl": (b"solid x\nfacet normal 0 0 1\nvertex 0 nan 0\n", "a vertex that is not finite"),
+    "h.stl": (b"solid x\nfacet normal 0 0 1\nendfacet\n", "the STL file contains no triangle"),
+    "i.stl": (
+        b"solid x\nfacet normal 0 0 1\nvertex 0 0 0\nvertex 1 0 0\nendfacet\n",
+        "a triangle of the STL file does not have three vertices",
+    ),
+    "n.dae": (
+        sheets("n.dae", 1).replace(b'<scene><instance_visual_scene url="#w"/></scene>', b""),
+        "the COLLADA file has no <scene>",
+    ),
+    "o.dae": (
+        re.sub(b"<triangles.*</triangles>", b"", sheets("o.dae", 1), flags=re.DOTALL),
+        "the COLLADA file contains no triangle",
+    ),
     "a.dae": (b"<COLLADA/>", "the COLLADA file has no <asset>"),
     "b.dae": (b"hello", "the mesh is not a COLLADA file"),
     "c.dae": (b"<!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA>&a;</COLLADA>", "the mesh is not a COLLADA file"),
@@ -180,20 +198,23 @@ def test_a_mesh_that_would_hurt_an_engine_is_refused(tmp_path: Path, name):
     assert expected in headlines[0]
 
 
-def test_sound_files_of_each_format_pass(tmp_path: Path):
+def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
     contents = {
         "a.OBJ": TETRAHEDRON,
         "b.stl": stl(2, 2),
-        "c.STL": b"solid x\nfacet normal 0 0 1\nendfacet\nendsolid x\n",
-        "d.dae": b"<?xml version='1.0'?><COLLADA><asset/><library_geometries/><library_visual_scenes/></COLLADA>",
+        "c.STL": b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+        b"endloop\nendfacet\nendsolid x\n",
+        "d.dae": sheets("d.dae", 1),
     }
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
-        assert robot_with(tmp_path, name)[1] == []
+        robot, headlines = robot_with(tmp_path, name)
+        assert headlines == []
+        assert mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:] == (3, 3)
 
 
 @pytest.mark.parametrize("name", ["flat.stl", "flat.obj", "flat.dae"])
-def test_flat_triangles_over_each_other_that_no_renderer_ends_with_are_refused(tmp_path: Path, name):
+def test_flat_triangles_over_each_other_that_no_renderer_finishes_are_refused(tmp_path: Path, name):
     """PyBullet took 440 s for a picture of 640,000 triangles at random in one plane."""
     (tmp_path / name).write_bytes(sheets(name, 199))
     assert robot_with(tmp_path, name)[1] == []

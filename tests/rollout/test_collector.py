@@ -99,13 +99,12 @@ def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
         assert [episode.start for episode in restored.state().episodes] == [3, 4]
 
 
-def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
-    """However they arrive, they are what one shard with all the worlds collects."""
+def test_joined_fragments_are_what_one_shard_with_all_worlds_collects() -> None:
+    """The rows of shard 0 come first."""
     shards = [shard(number, "single") for number in (0, 1)]
     whole = LocalCollector(SingleWorlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21]))
     with closing(whole.worlds), closing(shards[0].worlds), closing(shards[1].worlds):
-        arrived = {number: collected(shards[number], 50) for number in (1, 0)}
-        assert is_equal(join([arrived[0], arrived[1]]), collected(whole, 50))
+        assert is_equal(join([collected(each, 50) for each in shards]), collected(whole, 50))
 
 
 def test_a_fragment_may_be_ended_before_its_last_step() -> None:

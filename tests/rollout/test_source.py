@@ -114,6 +114,12 @@ def test_a_folder_that_may_not_be_entered_is_refused(
         assert refusal_of(words, "empty", capsys) == "empty cannot be read: permission denied"
 
 
+def test_a_scenario_in_memory_is_no_run(folder: Path) -> None:
+    scenario = Scenario.from_yaml(Source.open("cartpole").path)
+    with pytest.raises(RunError, match="<Scenario CartPole> is a scenario, and not a run"):
+        Source.open(scenario, Permissions(), SourceKind.RUN)
+
+
 def test_a_source_says_what_it_is(folder: Path) -> None:
     kinds = {
         "cartpole": SourceKind.SCENARIO,

@@ -23,6 +23,7 @@ import pytest
 pytest.importorskip("nicegui")
 import uvicorn
 
+from deepbots_cli.cli import main
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
@@ -357,6 +358,38 @@ def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_
         assert ("--allow-code" in task.record.words) == code
         assert f"--allow-path={allowed}" in task.record.words
         await _until(lambda: not task.is_running)
+        await session.close()
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        *("train", "resume", "try", "test", "eval", "report", "render", "diagnose", "compare", "new"),
+        *("lint", "diff", "runs", "explain"),
+    ],
+)
+def test_a_command_gets_the_permissions_of_the_server_that_it_has_options_for(
+    tmp_path, verb: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main([verb, "--help"]) == 0
+    options = set(re.findall(r"--allow-(?:path|code)", capsys.readouterr().out))
+    commands = Session(tmp_path, Permissions((tmp_path / "other",), code=True)).commands
+    assert {option.partition("=")[0] for option in commands.permission_options(verb)} == options
+
+
+def test_commands_that_start_at_once_write_into_different_places(tmp_path):
+    async def run() -> None:
+        session = Session(tmp_path)
+        first, second = (session.commands.train("none.yaml") for _ in range(2))
+        assert first.record.run != second.record.run
+        videos = [
+            session.commands.run_with_output(["render", "none"], Path("runs", "a-1"), "video.mp4")
+            for _ in range(2)
+        ]
+        assert videos[0].record.output != videos[1].record.output
+        await _until(lambda: not any(task.is_running for task in (first, second, *videos)))
         await session.close()
 
     asyncio.run(run())

@@ -390,6 +390,10 @@ def test_the_remark_about_rounding_stays_with_what_is_computed_from_it(tmp_path:
             "if self.cart.getPosition()[0] > 1:\n    print('goal reached')\n    return True\nreturn False",
             ["success:", "cart_limit: position(cart).x > 1 m"],
         ),
+        (
+            "if self.cart.getPosition()[0] > 1:\n    self.goal_missed = True\n    return True\nreturn False",
+            ["failure:", "cart_limit: position(cart).x > 1 m"],
+        ),
         # What keeps an episode alive stays a condition of the endings after it.
         (
             "if self.getTime() < 1:\n    return False\nreturn self.cart.getPosition()[0] > 1",
@@ -405,6 +409,27 @@ def test_an_ending(tmp_path: Path, body: str, entries: list[str]) -> None:
     _, text = imported(tmp_path, done=body)
     for entry in entries:
         assert entry in lines_of(text)
+
+
+@pytest.mark.parametrize(
+    ("loop", "entry"),
+    [
+        ("for step in range(1, 201):\n    env.step([0])", "max_steps: 200"),
+        ("for step in range(0, 1000, 4):\n    env.step([0])", "max_steps: 250"),
+        ("for epoch in range(80):\n    optimizer.step()", "max_steps: 1000    # a placeholder"),
+    ],
+)
+def test_the_loop_that_steps_the_environment_limits_an_episode(tmp_path: Path, loop: str, entry: str) -> None:
+    _, text = imported(tmp_path, judge=JUDGE.replace("raise SystemExit", f"{loop}\nraise SystemExit"))
+    assert [line for line in lines_of(text) if "max_steps" in line] == [entry]
+
+
+def test_names_of_the_last_return_name_the_observation(tmp_path: Path) -> None:
+    early = "        if self.message is None:\n            return [wrong, other]\n        place ="
+    _, text = imported(
+        tmp_path, judge=JUDGE.replace("        place =", early).replace("angle, place]", "angle, 2 * place]")
+    )
+    assert "wrong" not in text.partition("observation:")[2]
 
 
 def test_solved(tmp_path: Path) -> None:

@@ -126,9 +126,7 @@ class BatchMember(EngineProxy):
         self._batch.has_substep_callbacks = True
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        if self._pushers == len(self._batch._pushes):
-            self._batch._pushes.append(Pushes(self._batch.count, frame))
-        pushes = self._batch._pushes[self._pushers]
+        pushes = self._batch.pushes(self._pushers, frame)
         index = self._index
         pool = self._batch.single.pool(part[0])
         self._pushers += 1
@@ -195,7 +193,7 @@ class MuJoCoBatch:
         colors, light."""
         self._stale: set[int] = set()
         """The worlds with new masses, until the first step computes the values that depend on them."""
-        self._weighed: dict[int, Column] = {}
+        self._updated_armatures: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
         self._armature: Column | None = None
@@ -230,6 +228,7 @@ class MuJoCoBatch:
     def _build(self) -> None:
         """Build the batch of MuJoCo, anew if sensors were added."""
         before, fields = self._batch, self.rows
+        readings = {name: rows.copy() for name, rows in self._outputs.items()}
         self._batch = Batch(
             model_with_sensors(self.builder, self.nominal, self._sensors), self.count, self._threads
         )
@@ -244,13 +243,15 @@ class MuJoCoBatch:
             self.state[:] = before.state
             for name, rows in fields.items():
                 self.rows[name][:] = rows
-            for index, armature in self._weighed.items():
-                self._weigh(index, armature)
+            for index, armature in self._updated_armatures.items():
+                self._update_constants(index, armature)
         for name in [
             *self._outputs,
             *["sensordata" for sensor in self._sensors if sensor.measures != "touch"][:1],
         ]:
-            self._output(name)
+            self._keep_output(name)
+        for name, rows in readings.items():
+            self._outputs[name][:, : rows.shape[1]] = rows  # new sensors come last
         self._built = len(self._sensors)
         self._touch_columns = np.array(
             [column for sensor, column in self._sensors.items() if sensor.measures == "touch"], int
@@ -273,7 +274,7 @@ class MuJoCoBatch:
         goes = np.ones(self.count, bool) if running is None else running
         for index in [index for index in self._stale if goes[index]]:
             self._stale.discard(index)
-            self._weigh(index, self.rows["dof_armature"][index].copy())
+            self._update_constants(index, self.rows["dof_armature"][index].copy())
         if len(self._touch_columns):
             self.touched[goes] = False
         waits = [part.waits for parts in (self.motors.values(), self._pushes) for part in parts]
@@ -329,7 +330,7 @@ class MuJoCoBatch:
 
     def take_commands(self) -> None:
         """Copy the changes of members to the worlds, and their commands to the motors."""
-        self._release()
+        self._write_back()
         if self.has_commands:
             self.has_commands = False
             for motor in self.motors.values():
@@ -351,7 +352,7 @@ class MuJoCoBatch:
 
     def begin(self, index: int) -> None:
         """Begin an episode of a world in the shared engine."""
-        self._release()
+        self._write_back()
         self.single.reset()
         self.attached = index
         self._has_changes = True
@@ -359,7 +360,7 @@ class MuJoCoBatch:
             rows[index] = _field(self.nominal, name)
         if self._armature is not None:
             self._armature[index] = self.nominal.dof_armature
-        if self._weighed.pop(index, None) is not None:
+        if self._updated_armatures.pop(index, None) is not None:
             self._batch.set_const([index])
         self._stale.discard(index)
         for motor in self.motors.values():
@@ -378,7 +379,7 @@ class MuJoCoBatch:
     def attach(self, index: int, *, changes: bool = False) -> MuJoCoEngine:
         """Return the shared engine with a world as it is now."""
         if self.attached != index:
-            self._release()
+            self._write_back()
             world = self._world
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
             changed = (
@@ -395,7 +396,7 @@ class MuJoCoBatch:
         self._has_changes |= changes
         return self.single
 
-    def _release(self) -> None:
+    def _write_back(self) -> None:
         """Copy the changes of the shared engine to its world."""
         index, world = self.attached, self._world
         self.attached = None
@@ -438,7 +439,7 @@ class MuJoCoBatch:
         usual = self._armature[cells(worlds, dofs)]
         return usual
 
-    def _weigh(self, index: int, armature: Column) -> None:
+    def _update_constants(self, index: int, armature: Column) -> None:
         """Recompute the constants of the model that depend on the masses of a world."""
         now = self.rows["dof_armature"][index].copy()
         self.rows["dof_armature"][index] = armature
@@ -447,7 +448,13 @@ class MuJoCoBatch:
             name: self._batch.expand(name) for name in VARIED_FIELDS if self._batch.expanded(name) is not None
         }
         self.rows["dof_armature"][index] = now
-        self._weighed[index] = armature
+        self._updated_armatures[index] = armature
+
+    def pushes(self, number: int, frame: Literal["world", "link"]) -> Pushes:
+        """Return the pushes with this number, which are new if no member has bound them yet."""
+        if number == len(self._pushes):
+            self._pushes.append(Pushes(self.count, frame))
+        return self._pushes[number]
 
     # Readers
 
@@ -457,18 +464,18 @@ class MuJoCoBatch:
         column = self._columns.get(key)
         if column is None:
             rows = part()
-            column = self._columns[key] = np.ascontiguousarray(rows.reshape(self.count, -1).T)
+            column = self._columns[key] = np.array(rows.reshape(self.count, -1).T, order="C")
             column.flags.writeable = False  # several readers share it
         return column
 
-    def _state(self, name: str) -> Column:
+    def _state_columns(self, name: str) -> Column:
         return self._column(name, lambda: self._batch.bind(name))
 
     def _observed(self, name: str, number: int) -> Column:
         """Return an array of a link in the present state of the worlds."""
         return self._column((name, number), lambda: self._observer.read(name)[:, number])
 
-    def _output(self, name: str) -> None:
+    def _keep_output(self, name: str) -> None:
         """Read an array after each step; a reset sets it to 0."""
         self._outputs[name] = self._batch.bind(name)
         self._outputs[name].flags.writeable = True
@@ -480,7 +487,7 @@ class MuJoCoBatch:
         )
 
         def read() -> Any:
-            qpos, qvel = self._state("qpos"), self._state("qvel")
+            qpos, qvel = self._state_columns("qpos"), self._state_columns("qvel")
             return tuple(
                 (qpos[position], qvel[velocity])
                 for position, velocity in zip(positions, velocities, strict=True)
@@ -492,12 +499,12 @@ class MuJoCoBatch:
         """See `motors.Motors.torques`."""
         dofs = self.nominal.jnt_dofadr[list(self.single.joint_numbers(robot, joints))]
         for name in ("qfrc_actuator", "qacc"):
-            self._output(name)
+            self._keep_output(name)
 
         def read() -> Any:
             armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
             added = armature - self.usual_armature(slice(None), dofs).T
-            return self._state("qfrc_actuator")[dofs] - added * self._state("qacc")[dofs]
+            return self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
 
         return read
 
@@ -505,7 +512,7 @@ class MuJoCoBatch:
         """See `Engine.joint_wrench`."""
         link = link_number(self.single.pool(part[0]).current, part[1])
         force, torque = (
-            self._sensor(Sensor((link, False), None, kind)) for kind in ("joint_force", "joint_torque")
+            self._sensor_number(Sensor((link, False), None, kind)) for kind in ("joint_force", "joint_torque")
         )
         return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
 
@@ -518,7 +525,7 @@ class MuJoCoBatch:
             at = form.position_index
 
             def read_free() -> Any:
-                px, py, pz, w, x, y, z = self._state("qpos")[at : at + 7]
+                px, py, pz, w, x, y, z = self._state_columns("qpos")[at : at + 7]
                 return (px, py, pz), (x, y, z, w)
 
             return read_free
@@ -539,7 +546,7 @@ class MuJoCoBatch:
             at = form.velocity_index
 
             def read_free() -> Any:
-                numbers = self._state("qvel")[at : at + 6]
+                numbers = self._state_columns("qvel")[at : at + 6]
                 return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
 
             return read_free
@@ -586,12 +593,12 @@ class MuJoCoBatch:
         if others is not None or not ground:
             others = self.single.others(one[0], ground=False) if others is None else others
             met = [link for part in others for link in self._links(part)]
-        columns = [self._sensor(Sensor(link, target)) for link in links for target in met]
+        columns = [self._sensor_number(Sensor(link, target)) for link in links for target in met]
         return lambda: cast("Column", self.touched[:, columns].any(axis=1))
 
     def contact_force(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force`. Forces are added up in the order of contacts."""
-        numbers = [self._sensor(Sensor(link, None, "forces")) for link in self._links(one)]
+        numbers = [self._sensor_number(Sensor(link, None, "forces")) for link in self._links(one)]
 
         def read() -> Column:
             total = np.zeros(self.count)
@@ -623,7 +630,7 @@ class MuJoCoBatch:
         links = self._links(one)
         if one[1] is None and body.self_collision:  # forces between its own links then cancel
             links = [(number, False) for number in body.links.values()]
-        numbers = [self._sensor(Sensor(link, None, "force")) for link in links]
+        numbers = [self._sensor_number(Sensor(link, None, "force")) for link in links]
 
         def read() -> Column:
             total = np.zeros((3, self.count))
@@ -693,7 +700,8 @@ class MuJoCoBatch:
 
         return read
 
-    def _sensor(self, sensor: Sensor) -> int:
+    def _sensor_number(self, sensor: Sensor) -> int:
+        """Return the number of a sensor, after it is added if it is new."""
         if sensor not in self._sensors:
             self._sensors[sensor] = len(self._sensors)
             self.touched = np.hstack([self.touched, np.zeros((self.count, 1), bool)])
@@ -702,7 +710,7 @@ class MuJoCoBatch:
     def _links(self, part: Part) -> list[tuple[int, bool]]:
         """Return the links of a part in all its forms, and whether the links that they carry belong to it."""
         pool = self.single.pool(part[0])
-        self.single.geoms_of(part)
+        self.single.geoms_of(part)  # raises where the part does not exist
         if part[1] is None and part[0] != GROUND:
             return [(body.root_id, True) for body in pool]
         return [(link_number(body, part[1]), False) for body in pool]

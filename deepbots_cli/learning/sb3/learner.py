@@ -33,7 +33,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, critics, internals, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.asymmetric import widened
-from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
+from deepbots_cli.learning.sb3.environment import CollectorEnvironment, spaces_only, with_library_infos
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
     agreement,
@@ -383,7 +383,7 @@ class OnPolicyLearner(StableLearner):
         model = self.model
         model.num_timesteps += len(step.ended)
         if self._followers:
-            observations, rewards, dones, infos = as_returned(step)
+            observations, rewards, dones, infos = with_library_infos(step)
             self._callback.update_locals(
                 {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
             )

@@ -27,8 +27,8 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
     """Return the likeliest actions for rows of observations, equal to the bit to those of `policy.predict`.
 
     `predict` sets the mode of every module, checks every observation and makes a distribution: 0.36 ms for 8
-    rows, where this takes 0.07. None for a policy that is more than layers over an array, and if an output is
-    not finite, which `predict` then reports.
+    rows, where this takes 0.07. Returns None for a policy that has more than layers over an array, and for an
+    output that is not finite. The caller then calls `predict`, which reports it.
     """
     space = policy.action_space
     if not _is_layers(policy):
@@ -59,8 +59,8 @@ def sampled_actions(
     to those of `policy(observations)`.
 
     The random numbers are the same, too. A call of the policy makes modules and distributions ready: 0.32 ms
-    for 8 rows, where this takes 0.17. None for a policy that is more than layers over an array, and if an
-    output is not finite, which the policy then reports.
+    for 8 rows, where this takes 0.17. Returns None for a policy that has more than layers over an array, and
+    for an output that is not finite. The caller then calls the policy, which reports it.
     """
     if not _is_layers(policy) or observations.ndim != 2 or observations.dtype != torch.float32:
         return None

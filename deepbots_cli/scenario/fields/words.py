@@ -44,8 +44,8 @@ _MAX_LISTED = 24
 
 
 def choices_help(word: str, words: Sequence[str]) -> str:
-    """Return the help for an unknown word: the probable word, and all known words; a long list is left out
-    beside a word that is hardly wrong."""
+    """Return the help for an unknown word: the probable word, and all known words. A long list is left out
+    if the word is probably a typing error."""
     line = line_for(word, words)
     if line is not None:
         return f"write `{line}`"
@@ -76,8 +76,8 @@ class Flag(FieldType):
     accepted_types = (bool,)
 
     def help_for(self, value: object) -> str | None:
-        if value in ("true", "false"):
-            return f"write `{value}` without quotes"
+        if isinstance(value, str) and value.lower() in ("true", "false"):
+            return f"write `{value.lower()}` without quotes"
         near = self.replacement_for(value)
         return f"write `{near.text}`" if near else None
 

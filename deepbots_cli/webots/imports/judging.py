@@ -37,6 +37,7 @@ _NO_NAMES = frozenset(
 _TIME = re.compile(r"time (>=?) (\S+) s")
 _STEP = re.compile(r"step (>=?) (\d+)")
 _SUCCESS = re.compile(r"solved|success|reached|goal|escaped", re.IGNORECASE)
+_NO_SUCCESS = re.compile(r"unsolved|unreached|miss|fail|lost|not_|= False", re.IGNORECASE)
 _RETURN = re.compile(r"episode_return >=? \S+")
 
 
@@ -60,15 +61,16 @@ def read_observation(task: Task, reader: Reader, space: Value, names: Names) -> 
     keys: set[str] = set()
     for position, item in enumerate(value):
         label = labels[position] if len(labels) == len(value) else ""
-        _observe(task, item, label, position, space, names, keys)
+        _add_observation(task, item, label, position, space, names, keys)
     task.observation = _joined_vectors(task.observation)
 
 
 def _labels(reader: Reader) -> list[str]:
     """Return the names in the list that `get_observations` returns last, "" for anything else."""
     _, function = reader.cls.methods["get_observations"]
-    for node in reversed(list(ast.walk(function))):
-        value = node.value if isinstance(node, ast.Return) else None
+    returns = [node for node in ast.walk(function) if isinstance(node, ast.Return)]
+    for node in sorted(returns, key=lambda node: node.lineno, reverse=True):
+        value = node.value
         if isinstance(value, ast.Call) and value.args:
             value = value.args[0]
         if isinstance(value, ast.List | ast.Tuple):
@@ -76,7 +78,7 @@ def _labels(reader: Reader) -> list[str]:
     return []
 
 
-def _observe(
+def _add_observation(
     task: Task, item: Value, label: str, position: int, space: Value, names: Names, keys: set[str]
 ) -> None:
     note, extra = "", ""
@@ -190,7 +192,7 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
                 continue
             for part in condition.parts:
                 if part.text:
-                    _end(task, part, names, is_success=_names_success(reader, part.location))
+                    _add_ending(task, part, names, is_success=_names_success(reader, part.location))
                 else:
                     task.failure.append(Todo(part.location, "an ending"))
 
@@ -242,16 +244,17 @@ def _names_success(reader: Reader, location: CodeLocation) -> bool:
     for module in reader.code.modules.values():
         for node in ast.walk(module.tree) if module.file == location.file else ():
             if isinstance(node, ast.If) and node.test.lineno == location.line:
-                return _SUCCESS.search(" ".join(map(ast.unparse, node.body))) is not None
+                lines = map(ast.unparse, node.body)
+                return any(_SUCCESS.search(line) and not _NO_SUCCESS.search(line) for line in lines)
     return False
 
 
-def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
+def _add_ending(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
     if match := _TIME.fullmatch(part.text):
-        _limit(task, "max_time", f"{match.group(2)} s")
+        _add_limit(task, "max_time", f"{match.group(2)} s")
     elif match := _STEP.fullmatch(part.text):
         # `>` is true a step later than `>=`.
-        _limit(task, "max_steps", str(int(match.group(2)) + (match.group(1) == ">")))
+        _add_limit(task, "max_steps", str(int(match.group(2)) + (match.group(1) == ">")))
     elif _RETURN.fullmatch(part.text):
         task.success.append(Entry(names.new("enough", "ending"), part.text, part.note))
     else:
@@ -260,7 +263,7 @@ def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
         (task.success if is_success else task.failure).append(Entry(key, part.text, part.note))
 
 
-def _limit(task: Task, key: str, value: str) -> None:
+def _add_limit(task: Task, key: str, value: str) -> None:
     if not any(isinstance(item, Entry) and item.key == key for item in task.truncation):
         task.truncation.append(Entry(key, value))
 
@@ -302,12 +305,22 @@ def read_limits(task: Task, code: Code, reader: Reader) -> None:
                 continue
             if not (isinstance(node.iter.func, ast.Name) and node.iter.func.id == "range"):
                 continue
-            if _steps_environment(node) and node.iter.args:
-                bound = node.iter.args[-1] if len(node.iter.args) < 3 else node.iter.args[1]
-                limit = _constant(bound, module, reader)
-                if isinstance(limit, int) and 0 < limit < 1_000_000:
-                    _limit(task, "max_steps", str(limit))
-                    return
+            if not _steps_environment(node):
+                continue
+            ends = [_constant(argument, module, reader) for argument in node.iter.args]
+            limit = _count(ends)
+            if 0 < limit < 1_000_000:
+                _add_limit(task, "max_steps", str(limit))
+                return
+
+
+def _count(ends: Sequence[Value]) -> int:
+    """Return how often a loop over `range(*ends)` runs; 0 if that is unknown."""
+    numbers = [end for end in ends if type(end) is int]
+    try:
+        return len(range(*numbers)) if len(numbers) == len(ends) else 0
+    except (TypeError, ValueError, OverflowError):  # the wrong number of arguments, or a step of 0
+        return 0
 
 
 def _steps_environment(loop: ast.For) -> bool:
@@ -315,7 +328,12 @@ def _steps_environment(loop: ast.For) -> bool:
     waiting: list[ast.AST] = list(loop.body)
     while waiting:
         node = waiting.pop()
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "step":
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr == "step"
+            and (node.args or node.keywords)  # `optimizer.step()` has none
+        ):
             return True
         if not isinstance(node, ast.For | ast.While):
             waiting += ast.iter_child_nodes(node)
@@ -323,7 +341,8 @@ def _steps_environment(loop: ast.For) -> bool:
 
 
 def _constant(node: ast.expr, module: ModuleCode, reader: Reader) -> Value:
-    """Return a constant, or an attribute of the supervisor of another name."""
+    """Return the value of a constant of the module, or of an attribute of the supervisor that another
+    variable has, as in `env.limit`."""
     if isinstance(node, ast.Attribute) and node.attr in reader.attributes:
         return reader.attributes[node.attr]
     if isinstance(node, ast.Name):
