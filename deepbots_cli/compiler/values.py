@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
-from functools import cached_property
 from typing import Any, NamedTuple
 
+from deepbots_cli.compiler.text_findings import TextFindings
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics.nearest import suggest_replacement
 from deepbots_cli.document.nodes import (
     MappingNode,
     Node,
@@ -23,14 +22,11 @@ from deepbots_cli.document.nodes import (
     SequenceNode,
     descend,
     to_data,
-    walk,
 )
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dimension
+from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
-    CORRECTED_LINE,
-    NO_NAMES,
     Components,
     FindingReporter,
     Known,
@@ -46,17 +42,8 @@ from deepbots_cli.scenario.base import Section, section_fields
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.quantities import Quantity
 from deepbots_cli.scenario.fields.words import choices_help
-from deepbots_cli.scenario.isaac_lab import term_help
 from deepbots_cli.scenario.keys import replacement_for
-from deepbots_cli.scenario.synonyms import word_for
 
-_HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
-"""The comment behind a value on its line, if it contains a closing parenthesis."""
-_BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
-"""A word that is not the unit of a number."""
-_WORD = re.compile(r"[A-Za-z_]\w*")
-_LEADING_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
-_COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 _DEFINED_UNDER = {
     "case": "evaluation.cases",
@@ -196,6 +183,7 @@ class ValueReader:
         self.readings: list[ScopedExpression] = []
         self._kinds = kinds
         self._invalid = set(invalid)
+        self._text_findings = TextFindings(root, findings, self._invalid)
 
     def span(self, path: NodePath) -> Span:
         """Return the span of the value at `path`, or of the nearest node around it."""
@@ -320,82 +308,7 @@ class ValueReader:
 
     def reporter(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
-
-        def report(
-            code: str,
-            start: int,
-            end: int,
-            headline: str,
-            help: str | None = None,
-            replacement: Replacement | None = None,
-            names: Table[str, str | None] = NO_NAMES,
-            corrected: Callable[[str], str] | None = None,
-        ) -> None:
-            span = text.part(start, end)
-            piece = text.text[start:end]
-            if code == "DB502" and any(
-                finding.code == "DB106" and finding.span == span for finding in self.findings
-            ):
-                return  # the help for too few numbers shows the unit
-            if code == "DB503" and any(
-                word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
-            ):
-                return  # a definition has the name of a unit, which is not a name
-            is_insertion = replacement is not None and replacement.at is not None
-            if (
-                code == "DB401"
-                and (help is None or is_insertion)
-                and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
-            ):
-                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
-                replacement = None
-                help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
-            if code == "DB402" and "_" in piece:
-                help = term_help(piece) or help
-            word = self._word_replacement(text, piece) if code == "DB402" else None
-            if word and not (help or "").startswith("did you mean"):
-                help = f"write the word `{word}`, or a value; {help}"
-                replacement = Replacement(word, safe=False)
-            if corrected is not None:
-                key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
-                help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
-            fix = None if replacement is None else _fix(text, start, end, replacement, corrected)
-            paths = [("parameters", name) for name in names if self.is_present(("parameters", name))]
-            labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
-            if fix is None and len(paths) == 1:
-                fix = self._definition_fix(paths[0], names[paths[0][1]])
-                definition = labels[0].span
-                if fix is not None and _is_as_near(definition, span):
-                    span, labels = definition, (Label(span, "used here"),)
-            self.add(code, span, headline, help, labels=labels, fix=fix)
-
-        return report
-
-    def _definition_fix(self, path: NodePath, replacement: str | None) -> Fix | None:
-        """Return the fix that gives a number another unit where it is defined; None for a formula, and for a
-        unit that other uses of the name may need."""
-        node = descend(self.root, path)[0]
-        if replacement is None or not isinstance(node, ScalarNode):
-            return None
-        number = _LEADING_NUMBER.match(node.text)
-        if number is None or float(number[0]) != float(replacement.split()[0]):
-            return None
-        has_unit = number[0].strip() != node.text.strip()
-        if has_unit and self._use_counts[str(path[-1])] > 1:
-            return None
-        return Fix.replacing(node.part(0, len(node.text)), node.text, replacement, safe=False)
-
-    @cached_property
-    def _use_counts(self) -> Counter[str]:
-        """How often each word is in the values of the document."""
-        texts = [node.text for _, node in walk(self.root) if isinstance(node, ScalarNode)]
-        return Counter(word for text in texts for word in _WORD.findall(text))
-
-    @staticmethod
-    def _word_replacement(text: SourceText, piece: str) -> str | None:
-        """Return the probable word for an unknown name, if the field takes words beside numbers."""
-        words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return word_for(piece, words) or nearest_word(piece, words) if words else None
+        return self._text_findings.reporter(text)
 
     def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.reporter(text))
@@ -596,29 +509,3 @@ class ValueReader:
 
 def _with_unit(number: float, unit: str) -> str:
     return f"{number:g}" if unit == "1" else f"{number:g} {unit}"
-
-
-def _fix(
-    text: SourceText,
-    start: int,
-    end: int,
-    replacement: Replacement,
-    corrected: Callable[[str], str] | None,
-) -> Fix | None:
-    """Return the fix that writes a replacement for `[start, end)` of a text; None if the source has it in
-    another form, such as over several lines."""
-    old, new = text.text[start:end], replacement.text
-    if replacement.at is not None:
-        start, end = replacement.at - 1, replacement.at
-        old = text.text[start:end]
-        new = f"{old}{new}"
-    elif new == CORRECTED_LINE and corrected is not None:
-        start, end, old = 0, len(text.text), text.text
-        new = corrected(old)
-    return Fix.replacing(text.part(start, end), old, new, safe=replacement.safe)
-
-
-def _is_as_near(definition: Span, use: Span) -> bool:
-    """Return whether a definition is in the file of its use, or in one that includes that file."""
-    depths = [sum(1 for _ in span.source.inclusion_chain) for span in (definition, use)]
-    return depths[0] <= depths[1]
