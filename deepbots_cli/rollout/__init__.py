@@ -2,6 +2,7 @@
 
 episode.py            `steps`, an episode of one environment; the result of an episode
 source.py             the resolution of a name, path or object to a scenario
+source_hints.py       the ends of its messages: what was probably meant, or what exists
 drivers.py            drivers: a script, random or zero actions, a list of actions, a person
 recordings.py         the episodes in a recording
 robot_logs.py         the episodes in the log of a robot, with its scenario
