@@ -18,13 +18,11 @@ import os
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partialmethod
-from math import inf
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from mujoco.batch import Batch
 
-from deepbots_cli import frames
 from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
@@ -34,16 +32,14 @@ from deepbots_cli.engines.mujoco.batch_motors import (
     CurvedMotor,
     Pushes,
     TrackingMotor,
-    cells,
 )
-from deepbots_cli.engines.mujoco.batch_sensors import FORCE_SLOTS, Observer, Sensor, model_with_sensors
+from deepbots_cli.engines.mujoco.batch_readers import BatchReaders
+from deepbots_cli.engines.mujoco.batch_sensors import Observer, model_with_sensors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
-from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
-from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, LinkMotions
-from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
+from deepbots_cli.engines.mujoco.model import ModelBuilder
+from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import EngineProxy
-from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -161,7 +157,7 @@ class BatchMember(EngineProxy):
     torque_motor = partialmethod(_motor, "torque")
 
 
-class MuJoCoBatch:
+class MuJoCoBatch(BatchReaders):
     """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers
     use."""
 
@@ -196,7 +192,7 @@ class MuJoCoBatch:
         self._updated_armatures: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
-        self._armature: Column | None = None
+        self._armature = None
         """The armature of each world without the part that velocity motors add, from the first episode on
         that sets one."""
         self.has_substep_callbacks = False
@@ -208,14 +204,14 @@ class MuJoCoBatch:
         """Whether members have commanded motors since the last step."""
         self.write_mask: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
-        self._sensors: dict[Sensor, int] = {}
+        self._sensors = {}
         """The sensors of the model by number, which is also their column in `touched`."""
-        self.touched: Column = np.zeros((count, 0), bool)
-        self._outputs: dict[str, Column] = {}
+        self.touched = np.zeros((count, 0), bool)
+        self._outputs = {}
         """The arrays that a step computes and that are read after it."""
-        self._columns: dict[Any, Column] = {}
+        self._columns = {}
         self._observer = Observer(self, self._threads)
-        self.rows: dict[str, Column] = dict.fromkeys(MOTOR_FIELDS, np.zeros(0))
+        self.rows = dict.fromkeys(MOTOR_FIELDS, np.zeros(0))
         """The fields of the model that differ between worlds."""
         if any(pool.pooled for pool in self._world.pools.values()):
             self.rows |= dict.fromkeys(("body_gravcomp", "geom_group"), np.zeros(0))
@@ -429,16 +425,6 @@ class MuJoCoBatch:
         if self._armature is not None:
             self._armature[index] = self.rows["dof_armature"][index] = usual
 
-    def usual_armature(self, worlds: Any, dofs: Any) -> Column:
-        """Return the armature of these degrees of freedom without the part that velocity motors add: a row
-        per world of these, or one for all."""
-        usual: Column
-        if self._armature is None:
-            usual = self.nominal.dof_armature[dofs][None]
-            return usual
-        usual = self._armature[cells(worlds, dofs)]
-        return usual
-
     def _update_constants(self, index: int, armature: Column) -> None:
         """Recompute the constants of the model that depend on the masses of a world."""
         now = self.rows["dof_armature"][index].copy()
@@ -455,282 +441,6 @@ class MuJoCoBatch:
         if number == len(self._pushes):
             self._pushes.append(Pushes(self.count, frame))
         return self._pushes[number]
-
-    # Readers
-
-    def _column(self, key: Any, part: Callable[[], Column]) -> Column:
-        """Return a part of an array of all worlds with a column per world. Each step creates new columns, so
-        earlier readings do not change."""
-        column = self._columns.get(key)
-        if column is None:
-            rows = part()
-            column = self._columns[key] = np.array(rows.reshape(self.count, -1).T, order="C")
-            column.flags.writeable = False  # several readers share it
-        return column
-
-    def _state_columns(self, name: str) -> Column:
-        return self._column(name, lambda: self._batch.bind(name))
-
-    def _observed(self, name: str, number: int) -> Column:
-        """Return an array of a link in the present state of the worlds."""
-        return self._column((name, number), lambda: self._observer.read(name)[:, number])
-
-    def _keep_output(self, name: str) -> None:
-        """Read an array after each step; a reset sets it to 0."""
-        self._outputs[name] = self._batch.bind(name)
-        self._outputs[name].flags.writeable = True
-
-    def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
-        numbers = list(self.single.joint_numbers(robot, joints))
-        positions, velocities = (
-            adr[numbers].tolist() for adr in (self.nominal.jnt_qposadr, self.nominal.jnt_dofadr)
-        )
-
-        def read() -> Any:
-            qpos, qvel = self._state_columns("qpos"), self._state_columns("qvel")
-            return tuple(
-                (qpos[position], qvel[velocity])
-                for position, velocity in zip(positions, velocities, strict=True)
-            )
-
-        return read
-
-    def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
-        """See `motors.Motors.torques`."""
-        dofs = self.nominal.jnt_dofadr[list(self.single.joint_numbers(robot, joints))]
-        for name in ("qfrc_actuator", "qacc"):
-            self._keep_output(name)
-
-        def read() -> Any:
-            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
-            added = armature - self.usual_armature(slice(None), dofs).T
-            return self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
-
-        return read
-
-    def joint_wrench(self, part: Part) -> Callable[[], Column]:
-        """See `Engine.joint_wrench`."""
-        link = link_number(self.single.pool(part[0]).current, part[1])
-        force, torque = (
-            self._sensor_number(Sensor((link, False), None, kind)) for kind in ("joint_force", "joint_torque")
-        )
-        return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
-
-    def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        form_and_link = self.form_and_link(body, link)
-        if form_and_link is None:
-            return self._read_each(lambda member: member.pose(body, link))
-        form, number = form_and_link
-        if number == form.root_id and form.position_index >= 0:
-            at = form.position_index
-
-            def read_free() -> Any:
-                px, py, pz, w, x, y, z = self._state_columns("qpos")[at : at + 7]
-                return (px, py, pz), (x, y, z, w)
-
-            return read_free
-
-        def read() -> Any:
-            w, x, y, z = self._observed("xquat", number)
-            return tuple(self._observed("xpos", number)), (x, y, z, w)
-
-        return read
-
-    def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        form_and_link = self.form_and_link(body, link)
-        if form_and_link is None:
-            return self._read_each(lambda member: member.velocity(body, link))
-        form, number = form_and_link
-        if number == form.root_id and form.position_index >= 0:
-            pose = self.pose(body, link)
-            at = form.velocity_index
-
-            def read_free() -> Any:
-                numbers = self._state_columns("qvel")[at : at + 6]
-                return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
-
-            return read_free
-        root = int(self.nominal.body_rootid[number])
-
-        def read() -> Any:
-            """Read the velocity of the link's origin from that of the body at the center of mass of its tree,
-            in the order of `MuJoCoEngine._velocity`, so that both round alike."""
-            wx, wy, wz, vx, vy, vz = self._observed("cvel", number)
-            px, py, pz = self._observed("xpos", number) - self._observed("subtree_com", root)
-            return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
-
-        return read
-
-    def angular_momentum(self, robot: str) -> Callable[[], Column]:
-        """See `Engine.angular_momentum`."""
-        body = self.single.pool(robot).current
-        links = list(body.links.values())
-
-        def read() -> Column:
-            masses, moments = (
-                self.rows[name][:, links] if name in self.rows else getattr(self.nominal, name)[None, links]
-                for name in ("body_mass", "body_inertia")
-            )
-            velocities = self._observer.read("cvel")[:, links]
-            positions, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
-            origins = self._observer.read("subtree_com")[:, body.root_id]
-            motions = LinkMotions(masses, moments, positions, axes, velocities, origins)
-            return motions.angular_momentum().T
-
-        return read
-
-    def motion(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        pose = self.pose(body, link)
-        velocity = self.velocity(body, link)
-        return lambda: (pose(), velocity())
-
-    def contact(
-        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
-    ) -> Callable[[], Column]:
-        """See `Engine.contact`."""
-        links = self._links(one)
-        met: list[tuple[int, bool] | None] = [None]
-        if others is not None or not ground:
-            others = self.single.others(one[0], ground=False) if others is None else others
-            met = [link for part in others for link in self._links(part)]
-        columns = [self._sensor_number(Sensor(link, target)) for link in links for target in met]
-        return lambda: cast("Column", self.touched[:, columns].any(axis=1))
-
-    def contact_force(self, one: Part) -> Callable[[], Column]:
-        """See `Engine.contact_force`. Forces are added up in the order of contacts."""
-        numbers = [self._sensor_number(Sensor(link, None, "forces")) for link in self._links(one)]
-
-        def read() -> Column:
-            total = np.zeros(self.count)
-            for number in numbers if self._built == len(self._sensors) else ():
-                at = self._batch.model.sensor_adr[number]
-                # The fields of a slot: the number of contacts, and the force with the normal first.
-                counts, forces = (
-                    self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS]
-                    .reshape(self.count, FORCE_SLOTS, 4)
-                    .T[:2]
-                )
-                if (counts[0] > FORCE_SLOTS).any():
-                    where = (
-                        f"world {int(counts[0].argmax())}: a link of '{one[0]}' has"
-                        f" {int(counts[0].max())} contacts"
-                    )
-                    raise EngineError(
-                        f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes"
-                    )
-                for force, is_present in zip(forces, counts > 0.0, strict=True):
-                    total += np.where(is_present, force, 0.0)
-            return total
-
-        return read
-
-    def contact_force_vector(self, one: Part) -> Callable[[], Column]:
-        """See `Engine.contact_force_vector`."""
-        body = self.single.pool(one[0]).current
-        links = self._links(one)
-        if one[1] is None and body.self_collision:  # forces between its own links then cancel
-            links = [(number, False) for number in body.links.values()]
-        numbers = [self._sensor_number(Sensor(link, None, "force")) for link in links]
-
-        def read() -> Column:
-            total = np.zeros((3, self.count))
-            for number in numbers:  # the force of the link on the others
-                total -= self._reading(number, 3)
-            return total
-
-        return read
-
-    def _reading(self, number: int, width: int) -> Column:
-        """Return the reading of a sensor in the last step, of shape (width, worlds); 0 before the first
-        one."""
-        if self._built != len(self._sensors):
-            return np.zeros((width, self.count))
-        at = self._batch.model.sensor_adr[number]
-        reading: Column = self._outputs["sensordata"][:, at : at + width].T
-        return reading
-
-    def clearance(self, one: Part, other: Part) -> Callable[[], Column]:
-        """See `Engine.clearance`."""
-        self.single.clearance(one, other)  # raises where there is none
-        pools = [self.single.pool(name) for name, _ in (one, other)]
-        if any(len(list(pool)) > 1 for pool in pools):
-            return self._read_each(lambda member: member.clearance(one, other))
-        first_geoms, second_geoms = (
-            pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True)
-        )
-        kinds = self.nominal.geom_type
-        numbers = self._observer.distances(
-            [(a, b) for a in first_geoms for b in second_geoms if ELLIPSOID not in (kinds[a], kinds[b])]
-        )
-        absent = [
-            index for index, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools
-        ]
-
-        def read() -> Column:
-            # `initial` stands for bodies without a pair of geoms, such as those that are only seen.
-            apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
-            apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
-            for index in absent:
-                apart[[not memory[0][index][0] for memory in self._memories]] = inf
-            return apart
-
-        return read
-
-    def rays(
-        self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False
-    ) -> Callable[[], Column]:
-        """See `Engine.rays`."""
-        form_and_link = self.form_and_link(*part)
-        if form_and_link is None:
-            return self._read_each(lambda member: member.rays(part, rays, reach, upright=upright))
-        form, link = form_and_link
-        starts = np.array([origin for origin, _ in rays])
-        ways = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in rays])
-        geoms = form.geoms_of(None)
-
-        def read() -> Column:
-            """Cast the rays of all worlds in one call, which takes a quarter of the time of a call for each
-            ray."""
-            matrix = self._observed("xmat", link).T.reshape(-1, 3, 3)
-            axes = level_axes(matrix[:, 0, 0], matrix[:, 1, 0]) if upright else matrix
-            axes = axes.transpose(0, 2, 1)
-            position = self._observed("xpos", link).T
-            free = self._observer.cast(position[:, None] + starts @ axes, ways @ axes, geoms)
-            return np.where((free < 0.0) | (free > reach), reach, free).T
-
-        return read
-
-    def _sensor_number(self, sensor: Sensor) -> int:
-        """Return the number of a sensor, after it is added if it is new."""
-        if sensor not in self._sensors:
-            self._sensors[sensor] = len(self._sensors)
-            self.touched = np.hstack([self.touched, np.zeros((self.count, 1), bool)])
-        return self._sensors[sensor]
-
-    def _links(self, part: Part) -> list[tuple[int, bool]]:
-        """Return the links of a part in all its forms, and whether the links that they carry belong to it."""
-        pool = self.single.pool(part[0])
-        self.single.geoms_of(part)  # raises where the part does not exist
-        if part[1] is None and part[0] != GROUND:
-            return [(body.root_id, True) for body in pool]
-        return [(link_number(body, part[1]), False) for body in pool]
-
-    def form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
-        """Return the form of a body and the number of the link; None if it has several forms."""
-        pool = self.single.pool(body)
-        return (pool.current, link_number(pool.current, link)) if len(list(pool)) == 1 else None
-
-    def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
-        """Return a reader that reads the members in turn, for bodies with several forms."""
-        readers = [bind(member) for member in self.members]
-
-        def read() -> Any:
-            values = [reader() for reader in readers]
-            if isinstance(values[0], tuple):
-                return tuple(np.array(part).T for part in zip(*values, strict=True))
-            return np.array(values).T
-
-        return read
 
     # Motors
 
