@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from deepbots_cli.compiler.text_findings import TextFindings
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import suggest_replacement
+from deepbots_cli.diagnostics.nearest import suggest_replacement, with_owner
 from deepbots_cli.document.nodes import (
     MappingNode,
     Node,
@@ -295,7 +295,7 @@ class ValueReader:
     ) -> None:
         """Report that `name` is none of the `names`, unless its definition had a finding."""
         if not self.is_invalid(name):
-            owned = check.with_owner(name, names)
+            owned = with_owner(name, names)
             suggestion = owned or suggest_replacement(name, names)
             fix = Fix.replacing(span, name, suggestion.text, safe=suggestion.safe) if suggestion else None
             section = _DEFINED_UNDER.get(noun)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import NamedTuple
 
@@ -90,6 +90,13 @@ def suggest_replacement(
     if near is None:
         return None
     return Replacement(near, of_language and [other for other in words if is_typo(word, other)] == [near])
+
+
+def with_owner(name: str, names: Sequence[str]) -> Replacement | None:
+    """Return `cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
+    first, dot, suffix = name.partition(".")
+    longer = [full_name for full_name in names if full_name.endswith(f".{first}")]
+    return Replacement(f"{longer[0]}{dot}{suffix}", safe=False) if len(longer) == 1 else None
 
 
 def is_typo(word: str, other: str) -> bool:

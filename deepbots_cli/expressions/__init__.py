@@ -12,6 +12,7 @@ code.py         pieces of Python, and how strongly they bind
 functions/      the table of functions and operators; intervals of scalar trees; functions of other packages
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
+help_texts.py   the help in its findings
 scalar.py       scalar trees: one tree per SI number, as in the compiled scenario
 world_trees.py  scalar trees of functions of the world
 lower.py        typed tree to scalar trees, with constants folded

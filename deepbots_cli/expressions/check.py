@@ -17,8 +17,8 @@ from deepbots_cli.diagnostics.nearest import (
     MAX_BESIDE,
     Replacement,
     is_typo,
-    nearest_first,
     suggest_replacement,
+    with_owner,
 )
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
@@ -30,6 +30,19 @@ from deepbots_cli.expressions.functions import (
     Form,
     Function,
     Param,
+)
+from deepbots_cli.expressions.help_texts import (
+    CONTEXT_HELP,
+    CONTEXT_NAME_HELP,
+    FAMILY_HELP,
+    FOREIGN_FUNCTION_HELP,
+    FUNCTION_OF_KIND,
+    NAME_HELP,
+    keep_above_help,
+    known_names_help,
+    no_zero_help,
+    one_of,
+    usage,
 )
 from deepbots_cli.expressions.intervals import TRUTH, Interval, hull, single
 from deepbots_cli.expressions.types import (
@@ -55,7 +68,6 @@ from deepbots_cli.expressions.types import (
     TypedRange,
     ValueType,
     Vector,
-    shortened_list,
     size,
 )
 from deepbots_cli.expressions.unification import (
@@ -69,7 +81,6 @@ from deepbots_cli.expressions.unification import (
     require_kind,
     warn_of_degrees,
 )
-from deepbots_cli.words import sentence_list
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -87,66 +98,6 @@ _MAX_EXPONENT = 12
 # Physical formulas contain halves, thirds and quarters as exponents. A float counts as such a fraction if it
 # is the nearest float to it.
 _MAX_DENOMINATOR = 4
-_STATIC_HELP = (
-    "use a number or a parameter; the state of the world and messages are known only during an episode"
-)
-_FAMILY_HELP = {
-    Family.DRAW: "define the draw under `parameters`, and use its name here",
-    Family.STATEFUL: "define it under `signals`, and use the signal where signals are available",
-    Family.MESSAGE: "define the value under `receive`, and use its name here; only the supervisor receives"
-    " messages of robots",
-    Family.WORLD: "define the value under `receive`, and use its name here; a robot knows only its sensors"
-    " and the values that it receives",
-}
-_STATIC_PLACES = (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
-_CONTEXT_HELP = {
-    **{
-        (Context.FORBID, family): "define the value under `augment`, and use its name here"
-        for family in Family
-    },
-    **{
-        (context, family): _STATIC_HELP
-        for context in _STATIC_PLACES
-        for family in (Family.WORLD, Family.MESSAGE)
-    },
-    (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
-    (
-        Context.EMIT,
-        Family.MESSAGE,
-    ): "define the value under `augment`; only the supervisor receives messages of robots",
-    (Context.FIXED, Family.DRAW): "write one number for all episodes",
-    (Context.SCRIPT, Family.STATEFUL): "define the value under `signals`, and use its name here",
-    (Context.TEST, Family.STATEFUL): "define the value under `signals`, and use its name here",
-    (Context.TEST, Family.MESSAGE): "define the value under `signals`, and use its name here",
-    (Context.GOAL, Family.MESSAGE): "define the value under `signals`, and use its name here",
-    (Context.REQUIRE, Family.MESSAGE): "remove it: no message has arrived when the start is drawn",
-}
-# A common question about a part of the world that has no position.
-_FUNCTION_OF_KIND = {
-    Kind.JOINT: "joint_position",
-    Kind.JOINTS: "joint_position",
-    Kind.WALLS: "collided",
-    Kind.LINE: "length",
-    Kind.SENSOR: "age",
-    Kind.CAMERA: "age",
-}
-_MAX_LISTED = 20
-"""The number of names that a message lists."""
-# Names that are written often, and not near to the right word.
-_NAME_HELP = {"pi": "half a turn is `180 deg`"}
-_CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
-_FOREIGN_FUNCTION_HELP = {
-    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
-    "rand": "a draw is `uniform(low .. high)`",
-    "randn": "a draw is `normal(mean +- std)`",
-    "gauss": "a draw is `normal(mean +- std)`",
-    "randint": "a draw of whole numbers is `integer(low .. high)`",
-    "clip": "write `clamp(x, low .. high)`",
-    "pow": "a power is `a ^ b`",
-    "square": "a power is `a ^ b`: `x ^ 2`",
-    "radians": "write the unit: `30 deg`",
-    "degrees": "divide by the unit: `angle / deg`",
-}
 
 
 class TypedExpression(NamedTuple):
@@ -354,7 +305,7 @@ class _Checker:
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
         """Return the part of the world that an argument names; DB203 for one of another kind, DB402 for
         none."""
-        expected = _one_of(kinds)
+        expected = one_of(kinds)
         if not isinstance(node, syntax.Name):
             help = "write the name of one, as in `position(cart.tip)`"
             raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", help)
@@ -375,7 +326,7 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         description = subject.kind.description if subject is not None else "a value"
-        help = _known_names_help(fitting, f"the scenario does not have {expected}")
+        help = known_names_help(fitting, f"the scenario does not have {expected}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
             help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
@@ -397,7 +348,7 @@ class _Checker:
         name = node.dotted
         subject = scope.subject(name)
         if subject is not None:
-            help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
+            help = f"use one of its values, as in `{FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return (
                 StopChecking()
@@ -420,7 +371,7 @@ class _Checker:
             name,
             scope.names(),
             node,
-            also=_NAME_HELP.get(name.lower(), _CONTEXT_NAME_HELP.get(scope.context)),
+            also=NAME_HELP.get(name.lower(), CONTEXT_NAME_HELP.get(scope.context)),
         )
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
@@ -455,7 +406,7 @@ class _Checker:
         names = sorted(choices)
         owned = with_owner(name, names)
         suggestion = owned or suggest_replacement(name, names)
-        available = _known_names_help(names, "no name can be used here", name)
+        available = known_names_help(names, "no name can be used here", name)
         listed = "; ".join(filter(None, (available, None if suggestion else also)))
         is_clear = (
             suggestion is not None
@@ -674,7 +625,7 @@ class _Checker:
         if operator == "/" and b is not None:
             between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
             self._fault(
-                "DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right)
+                "DB405", node.right, "a division by zero" if b.is_single else between, no_zero_help(right)
             )
         if operator == "^":
             powers = [(a, b) for a, b in columns if a.is_finite]
@@ -684,11 +635,11 @@ class _Checker:
                     "DB406",
                     node.left,
                     f"a fractional power of a value that can be as low as {low:g}",
-                    _keep_above(0.0),
+                    keep_above_help(0.0),
                 )
             if any(0.0 in a and b.high < 0.0 for a, b in powers):
                 self._fault(
-                    "DB405", node.left, "a negative power of a value that can be zero", _no_zero(left)
+                    "DB405", node.left, "a negative power of a value that can be zero", no_zero_help(left)
                 )
 
     # calls
@@ -697,7 +648,7 @@ class _Checker:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
-            if help := _FOREIGN_FUNCTION_HELP.get(node.function):
+            if help := FOREIGN_FUNCTION_HELP.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None
@@ -708,7 +659,7 @@ class _Checker:
         context = self._scope.context
         is_allowed = function.family in ALLOWED_FAMILIES[context]
         if not is_allowed:
-            help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
+            help = CONTEXT_HELP.get((context, function.family)) or FAMILY_HELP.get(function.family)
             headline = f"`{function.name}` cannot be used in {context.value}"
             if context is Context.FIXED and function.family is Family.DRAW:
                 headline = f"this value must be fixed, but `{function.name}` draws a random number"
@@ -741,7 +692,7 @@ class _Checker:
             )
             noun = "argument" if expected == "1" else "arguments"
             raise self._fault(
-                "DB401", node, f"`{function.name}` takes {expected} {noun}, not {count}", _usage(function)
+                "DB401", node, f"`{function.name}` takes {expected} {noun}, not {count}", usage(function)
             )
 
         def argument(index: int) -> tuple[list[Subject], list[tuple[Param, TypedNode]]]:
@@ -761,7 +712,7 @@ class _Checker:
         match param.form, arg:
             case Form.VALUE, syntax.Range() | syntax.Spread() | syntax.Options():
                 raise self._fault(
-                    "DB401", arg, "expected a single value, found a range or a draw", _usage(function)
+                    "DB401", arg, "expected a single value, found a range or a draw", usage(function)
                 )
             case Form.VALUE, _:
                 return (arg,)
@@ -771,7 +722,7 @@ class _Checker:
                 | (Form.OPTIONS, syntax.Options())
             ):
                 return syntax.children(arg)
-        raise self._fault("DB401", arg, f"`{function.name}` needs `{param}` here", _usage(function))
+        raise self._fault("DB401", arg, f"`{function.name}` needs `{param}` here", usage(function))
 
     def _result(
         self,
@@ -848,7 +799,7 @@ class _Checker:
                 raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", help)
             if vector.type.components is None:
                 raise self._fault(
-                    "DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function)
+                    "DB404", vector, f"`{function.name}` needs a vector, not a single value", usage(function)
                 )
             if isinstance(vector.type.components, RowComponents):
                 rows, columns = vector.type.components.rows, vector.type.components.columns
@@ -874,7 +825,7 @@ class _Checker:
         interval = values[0].type.interval if values else TRUTH
         if interval.is_finite and interval.low < function.domain.low:
             headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
-            self._fault("DB406", values[0], headline, _keep_above(function.domain.low))
+            self._fault("DB406", values[0], headline, keep_above_help(function.domain.low))
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
             with suppress(StopChecking):
@@ -914,46 +865,6 @@ def _ranged(
     return result.with_intervals(rule(*column) for column in _columns(arguments))
 
 
-def _usage(function: Function) -> str:
-    return f"`{function.signature}`: {function.doc}"
-
-
 def _positions(count: int) -> Components:
     """Return the component names: two numbers are x y, three are x y z; longer lists are numbered from 1."""
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
-
-
-def with_owner(name: str, names: Sequence[str]) -> Replacement | None:
-    """Return `cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
-    first, dot, suffix = name.partition(".")
-    longer = [full_name for full_name in names if full_name.endswith(f".{first}")]
-    return Replacement(f"{longer[0]}{dot}{suffix}", safe=False) if len(longer) == 1 else None
-
-
-def _known_names_help(names: list[str], none: str, like: str = "") -> str:
-    """Return the names in their order; the most similar ones first, if there are too many to list."""
-    ordered = nearest_first(like, sorted(names), _MAX_LISTED)
-    return f"known names: {shortened_list((f'`{name}`' for name in ordered), _MAX_LISTED)}" if names else none
-
-
-def _one_of(kinds: frozenset[Kind]) -> str:
-    descriptions = [kind.description for kind in Kind if kind in kinds]
-    if kinds >= {Kind.WALL, Kind.WALLS}:
-        descriptions.remove(Kind.WALLS.description)
-        descriptions[descriptions.index(Kind.WALL.description)] = "a wall"
-    return sentence_list(descriptions, "or")
-
-
-def _keep_above(low: float) -> str:
-    """Return the help for a value that can be below a domain, which begins at 0 or just above it."""
-    return (
-        "keep it above 0 with `max(..., 0.001)`" if low > 0.0 else "keep it at or above 0 with `max(..., 0)`"
-    )
-
-
-def _no_zero(value: TypedNode) -> str:
-    """Return the help for a value that can be zero: a bound in its unit."""
-    dimension = value.type.dimension
-    return (
-        f"keep it away from zero, as in `max(..., {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"
-    )
