@@ -1,4 +1,4 @@
-"""The word that was meant: the candidates word that is most like a misspelled one."""
+"""The word that was meant: the candidate that is most like a misspelled word."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class _PoleSearch:
 
 
 @rule("DB702")
-def term_must_dominate(context: RuleContext) -> Iterator[Finding]:
+def term_dominates(context: RuleContext) -> Iterator[Finding]:
     """Report a term that until the time limit adds up to more than a hundred times the payment of any
     ending."""
     reward = context.analysis.reward
@@ -253,7 +253,7 @@ def _short(number: float) -> str:
 
 
 @rule("DB704")
-def term_must_be_zero(context: RuleContext) -> Iterator[Finding]:
+def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """Report a term of the reward that is zero in every step."""
     inactive = [_always_zero(analysis) for analysis in context.versions]
     touching = {
@@ -434,8 +434,8 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
 
 STATIC_RULES = (
     reward_unbounded,
-    term_must_dominate,
-    term_must_be_zero,
+    term_dominates,
+    inactive_term,
     nothing_to_learn,
     return_out_of_reach,
 )

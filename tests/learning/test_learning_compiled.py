@@ -63,8 +63,13 @@ train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_ep
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", few(KINDS, ["stages"]))
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "goal",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in few(KINDS, ["stages"]) if kind != "goal"),
+    ],
+)
 def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> None:
     base = shipped.scenario_path("cartpole")
     assert base is not None
