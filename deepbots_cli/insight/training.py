@@ -140,16 +140,16 @@ class TrainingEvidence:
 
     @cached_property
     def first_step(self) -> int:
-        """The step in which the present stage began."""
+        """The step in which the present stage began; a little too late for a running stage of several
+        environments."""
         ends = self.run.record.result.stages if self.run.record.result else ()
         if self.stage_index and ends and ends[-1].name == self.stages[self.stage_index - 1].name:
             return ends[-1].steps
-        if not self.stage_index or not len(self.episodes):
-            return 0
-        # Steps are counted over all environments, and the length of an episode in its own one.
-        training = self.run.program.agent.training
-        environments = training.environments if training is not None else 1
-        return max(0, int(self.episodes.steps[0] - self.episodes.lengths[0] * environments))
+        return (
+            int(self.episodes.steps[0] - self.episodes.lengths[0])
+            if self.stage_index and len(self.episodes)
+            else 0
+        )
 
     @property
     def stage_steps(self) -> int:
