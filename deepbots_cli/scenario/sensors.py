@@ -489,10 +489,29 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
 
 
 _KINDS = (
-    *(JointPosition, JointVelocity, JointTorque),
-    *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
-    *(ReactionForce, ReactionTorque),
-    *(Touch, Force, Infrared, Sonar, Laser, Lidar, HeightScan, Reflectance, Radar, Camera),
+    JointPosition,
+    JointVelocity,
+    JointTorque,
+    Gyro,
+    Accelerometer,
+    ProjectedGravity,
+    Compass,
+    Position,
+    Velocity,
+    Orientation,
+    AngularVelocity,
+    ReactionForce,
+    ReactionTorque,
+    Touch,
+    Force,
+    Infrared,
+    Sonar,
+    Laser,
+    Lidar,
+    HeightScan,
+    Reflectance,
+    Radar,
+    Camera,
 )
 SENSORS: PluginTable[type[Sensor]] = PluginTable(
     "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read
