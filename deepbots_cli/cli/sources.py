@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
@@ -15,11 +16,13 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.runs.run import ModelName, Run
 
 STDIN = "-"
 """The argument for standard input."""
@@ -60,6 +63,8 @@ def open_source(
             " training"
         )
     if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
+        from deepbots_cli.learning.runs.run import ModelRef  # `lint` of a file needs no records of runs
+
         ref = ModelRef.open(opened)
         return OpenedSource(
             ref.run.program, opened.document().root, ref.run, ref.name, learner=ref.run.record.learner

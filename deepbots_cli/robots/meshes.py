@@ -52,6 +52,7 @@ _MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
+_COLLADA_FACE = re.compile(rb"<(?:\w+:)?(?:triangles|polylist|polygons|trifans|tristrips)[\s/>]")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
     b"PK\x03\x04",
@@ -456,8 +457,11 @@ def _dae(data: bytes) -> str | None:
     missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
     if missing:
         return f"the COLLADA file has no <{missing}>"
+    if not _COLLADA_FACE.search(data):
+        return "the COLLADA file contains no triangle or polygon"
     try:
-        has_triangles = any(True for _ in collada_triangles(data))
+        for _ in collada_triangles(data):
+            pass
     except FaultyColladaError as error:
         return str(error)
-    return None if has_triangles else "the COLLADA file contains no triangle"
+    return None

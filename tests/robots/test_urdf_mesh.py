@@ -150,7 +150,7 @@ CONTENTS = {
     ),
     "o.dae": (
         re.sub(b"<triangles.*</triangles>", b"", sheets("o.dae", 1), flags=re.DOTALL),
-        "the COLLADA file contains no triangle",
+        "the COLLADA file contains no triangle or polygon",
     ),
     "a.dae": (b"<COLLADA/>", "the COLLADA file has no <asset>"),
     "b.dae": (b"hello", "the mesh is not a COLLADA file"),
@@ -211,6 +211,13 @@ def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
         robot, headlines = robot_with(tmp_path, name)
         assert headlines == []
         assert mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:] == (3, 3)
+
+
+def test_a_collada_file_of_polygons_is_sound(tmp_path: Path):
+    """PyBullet leaves them out, and MuJoCo has them."""
+    polygons = sheets("p.dae", 1).replace(b"triangles", b"polylist").replace(b"<p>", b"<vcount>3</vcount><p>")
+    (tmp_path / "p.dae").write_bytes(polygons)
+    assert robot_with(tmp_path, "p.dae")[1] == []
 
 
 @pytest.mark.parametrize("name", ["flat.stl", "flat.obj", "flat.dae"])
