@@ -37,7 +37,7 @@ _NO_NAMES = frozenset(
 _TIME = re.compile(r"time (>=?) (\S+) s")
 _STEP = re.compile(r"step (>=?) (\d+)")
 _SUCCESS = re.compile(r"solved|success|reached|goal|escaped", re.IGNORECASE)
-_NO_SUCCESS = re.compile(r"unsolved|unreached|miss|fail|lost|not_|= False", re.IGNORECASE)
+_NO_SUCCESS = re.compile(r"unsolved|unreached|missed|fail|lost|not_|= False", re.IGNORECASE)
 _RETURN = re.compile(r"episode_return >=? \S+")
 
 
