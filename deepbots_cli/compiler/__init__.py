@@ -2,8 +2,8 @@
 
     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
-values.py       texts to typed trees, findings at their places
-text_findings.py  findings at offsets of a text, with their help and fixes
+texts.py        texts of the scenario with their places, and findings at offsets of them
+values.py       texts to typed trees
 namespace.py    one flat namespace, each name typed on first use; the names that an expression may use
 fields.py       fields of the scenario, read by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files

@@ -17,7 +17,8 @@ from deepbots_cli.compiler.namespace import (
 )
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, report_follower, warn_beyond_limits
-from deepbots_cli.compiler.values import SourceText, ValueReader
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification

@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TypedDict, TypeVar, Unpack
 
-from deepbots_cli.compiler.values import RangeEnds, SourceText, ValueReader
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import RangeEnds, ValueReader
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.types import (
     Components,

@@ -10,7 +10,7 @@ from math import atan2, degrees, hypot, pi
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin
-from deepbots_cli.compiler.values import SourceText
+from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension

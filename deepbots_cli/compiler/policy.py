@@ -19,7 +19,7 @@ from deepbots_cli.compiler.namespace import (
     Origin,
     SupervisorScope,
 )
-from deepbots_cli.compiler.values import SourceText
+from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.document.edits import move_to_augment_fix
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax

@@ -12,7 +12,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.values import SourceText, ValueReader
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, files, shipped

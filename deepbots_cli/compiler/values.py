@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as Table
 from typing import Any, NamedTuple
 
-from deepbots_cli.compiler.text_findings import TextFindings
+from deepbots_cli.compiler.texts import SourceText, TextFindings
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import suggest_replacement, with_owner
 from deepbots_cli.document.nodes import (
@@ -24,7 +24,7 @@ from deepbots_cli.document.nodes import (
     to_data,
 )
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, Dimension
+from deepbots_cli.expressions.dimensions import ACCELERATION, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -37,7 +37,6 @@ from deepbots_cli.expressions.types import (
     is_bare_zero,
 )
 from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
-from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, section_fields
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.quantities import Quantity
@@ -90,58 +89,6 @@ def _names(node: Node) -> Iterator[str]:
         case SequenceNode():
             for item in node.items:
                 yield from [item.text] if isinstance(item, ScalarNode) else _names(item)
-
-
-class SourceText(NamedTuple):
-    """A text of the scenario: its content, the place of each part of it, and the kind of its field."""
-
-    text: str
-    part: Callable[[int, int], Span]
-    kind: FieldType | None = None
-    path: NodePath = ()
-
-    @property
-    def owner(self) -> str:
-        """The path in one text; streams of draws are named after it."""
-        return ".".join(map(str, self.path))
-
-    def expression(
-        self,
-        typed: TypedNode,
-        name: str | None = None,
-        *,
-        per_component: Components | None = None,
-        redraw: Redraw | None = None,
-        noise: Noise | None = None,
-    ) -> Expression:
-        """Return the expression of which `typed` is the tree, called like the key unless it has a `name`."""
-        return Expression(
-            name or str(self.path[-1]),
-            self.span,
-            self.text,
-            typed,
-            self.owner,
-            per_component,
-            redraw,
-            noise=noise,
-        )
-
-    @property
-    def span(self) -> Span:
-        return self.part(0, len(self.text))
-
-    @property
-    def unit(self) -> str | None:
-        """The probable unit of a number without a unit."""
-        return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
-
-    def noun(self, dimension: Dimension | None) -> str | None:
-        """Return the noun of a torque, which in an expression may be an energy; None for all else."""
-        return (
-            "a torque"
-            if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.measure
-            else None
-        )
 
 
 class RangeEnds(NamedTuple):
@@ -199,8 +146,8 @@ class ValueReader:
         return key.span if key else node.span
 
     def span_of_first(self, path: NodePath, *keys: str) -> Span:
-        """Return the span of the value of the first of these keys that the mapping at `path` has, or else that
-        of the last key of `path`."""
+        """Return the span of the value of the first of these keys that the mapping at `path` has; otherwise
+        that of the last key of `path`."""
         key = next((key for key in keys if self.is_present((*path, key))), None)
         return self.span((*path, key)) if key else self.key_span(path)
 

@@ -1,16 +1,20 @@
-"""The figures of a report, each drawn for a light or a dark background."""
+"""The figures of a report, each drawn for a light or a dark background; figures as files and in pages."""
 
 from __future__ import annotations
 
+import base64
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.expressions.dimensions import ONE, Unit
+from deepbots_cli.files import atomic_write, check_folder
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.runs.draws import DrawnEffects
 from deepbots_cli.program.members import Member
@@ -439,3 +443,37 @@ def outline(shape: Any, pose: Frame) -> list[Triple]:
         ]
     points = [frames.add(pose[0], frames.rotate(pose[1], corner)) for corner in corners]
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]
+
+
+# Files
+
+
+def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> list[Path]:
+    """Write figures by their names as PNG.
+
+    Raises:
+        UsageError: A file cannot be written, or the folder is a file.
+    """
+    check_folder(folder)
+    paths = []
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures:
+        paths.append(folder / f"{name}.png")
+        with atomic_write(paths[-1]) as draft:
+            figure.savefig(draft, dpi=150)
+    return paths
+
+
+def svg_uri(figure: Any) -> str:
+    """Return a figure as SVG in a data URI."""
+    import matplotlib
+
+    stream = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "deepbots"}):  # the same names of clip paths each time
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return data_uri("image/svg+xml", stream.getvalue())
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    """Return data as a URI that contains it; `kind` is its media type."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

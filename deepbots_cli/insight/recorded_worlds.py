@@ -400,8 +400,8 @@ class ValueComparison:
             yield ChangeEffect(["; ".join(texts)], fixed)
 
     def _exact(self, index: int) -> tuple[str, int, list[Array]] | None:
-        """Return the change of a number that removes nearly all of its difference: the change in words, the age
-        of the number in steps, and its changed values."""
+        """Return the change of a number that removes nearly all of its difference: the change in words, the
+        age of the number in steps, and its changed values."""
         column, series = self._columns[index], [values[:, index] for values in self._first]
         pairs = [
             (a[: min(len(a), len(b))], b[: min(len(a), len(b)), index])

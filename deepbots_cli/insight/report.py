@@ -31,7 +31,6 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.diagnosis import causes_after, causes_of
-from deepbots_cli.insight.figure_files import data_uri, svg_uri, write_figure_files
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
@@ -384,7 +383,7 @@ class Report:
             fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
             self.clips[episode.label] = (
                 f"{episode.title} after {time:.1f} s{fast}",
-                data_uri("video/mp4", target.read_bytes()),
+                figures.data_uri("video/mp4", target.read_bytes()),
             )
 
     def find_causes(self, permissions: Permissions = Permissions()) -> None:
@@ -495,7 +494,7 @@ class Report:
             for agent in self.agents
             for name, _, figure in self.agent_figures(agent, "light")
         )
-        return write_figure_files(
+        return figures.write_figure_files(
             folder, ((name, figure) for name, figure in chain(of_all, of_agents) if figure is not None)
         )
 
@@ -543,7 +542,12 @@ def _drawn(draw: Callable[[str], Iterable[tuple[str, str, Figure | None]]]) -> l
     """Return figures for the page, each for a light and a dark background."""
     dark = {name: figure for name, _, figure in draw("dark")}
     return [
-        {"name": name, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
+        {
+            "name": name,
+            "caption": caption,
+            "light": figures.svg_uri(figure),
+            "dark": figures.svg_uri(dark[name]),
+        }
         for name, caption, figure in draw("light")
         if figure is not None
     ]

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import deepbots_cli
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.figure_files import svg_uri, write_figure_files
-from deepbots_cli.insight.figures import new_figure
+from deepbots_cli.insight.figures import new_figure, svg_uri, write_figure_files
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.campaigns.study import Journal, Study, StudyTrial
 from deepbots_cli.learning.runs.statistics import mean_interval

@@ -11,8 +11,8 @@ from deepbots_cli.learning.runs.records import changed_settings
 from deepbots_cli.learning.runs.run import Run
 
 _KEPT_OPTIONS = (
-    *("--agent", "--against", "--shards", "--initialize-from"),
-    *("--keep-checkpoints", "--callback", "--logger", "--allow-path"),
+    *("--agent", "--against", "--initialize-from", "--keep-checkpoints"),
+    *("--callback", "--logger", "--allow-path"),
 )
 """The options of `train` whose values only the command line of a run has as they were written."""
 
@@ -45,6 +45,8 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
         words += ["--set", f"{path}={value}"]
     if "--engine" in options or record.engine != engine_kinds.chosen(run.program.engine):
         words += ["--engine", record.engine]
+    if training is not None and "--shards" in options:
+        words += ["--shards", str(training.shards)]  # which `auto` may have chosen
     if record.first_stage is not None:
         words += ["--stage", record.first_stage]
     if not record.stop_when_solved:

@@ -11,7 +11,8 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.values import SourceText, ValueReader
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
 from deepbots_cli.lint.simulation import simulation_plan

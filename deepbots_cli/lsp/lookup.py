@@ -13,7 +13,8 @@ from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
-from deepbots_cli.compiler.values import ScopedExpression, SourceText
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document import Entry, MappingNode, descend, shipped
 from deepbots_cli.document.files import resolve_reference

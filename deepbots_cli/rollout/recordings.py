@@ -152,8 +152,8 @@ def _content(
                     or size > _MAX_CONTENT
                 ):
                     raise RecordingError(
-                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, has a chunk"
-                        f" of more than {_MAX_RECORD >> 20} MiB, or uses an unknown compression"
+                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, has a"
+                        f" chunk of more than {_MAX_RECORD >> 20} MiB, or uses an unknown compression"
                     )
                 inner = breakup_chunk(record, validate_crc=True)
                 size += _RECORD_OVERHEAD_BYTES * len(inner)

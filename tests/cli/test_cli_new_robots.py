@@ -281,7 +281,8 @@ def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(dee
     for name in ("urdf", "meshes"):
         (tmp_path / "my_arm" / name).mkdir(parents=True)
     (tmp_path / "my_arm" / "meshes" / "foot.stl").write_text(
-        "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+        "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n"
+        "endfacet\nendsolid x\n"
     )
     mesh = '<mesh filename="package://my_arm/meshes/foot.stl"/>'
     robot = f'<robot name="r">{link("base", mesh)}{tall_foot()}{joint("bolt", "base", "pillar", "0 0 0", limit="")}</robot>'

@@ -126,3 +126,36 @@ def test_wrenches_of_a_batch_are_those_of_single_worlds(watched):
         np.testing.assert_allclose(np.array(together)[..., 1], alone, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(of_member(), np.array(together)[..., 2])
     assert np.abs(alone[0]).max() > 1.0
+
+
+def test_a_waiting_world_keeps_its_wrench_when_another_sensor_is_added():
+    pytest.importorskip("mujoco")
+    batch = create_batch("mujoco", stand(0.1), 2)
+    read = batch.joint_wrench(("robot", "leg"))
+    for engine in batch.members:
+        engine.reset()
+        engine.velocity_motor("robot", ["knee"], [100.0])([0.4])
+    batch.begin_episodes()
+    for _ in range(5):
+        batch.step(4)
+    before = np.array(read())[..., 1].copy()
+    batch.contact(("robot", "leg"), [("ground", None)])
+    batch.step(1, np.array([True, False]))
+    assert np.any(before)
+    np.testing.assert_array_equal(np.array(read())[..., 1], before)
+
+
+def test_a_reading_of_a_batch_of_one_stays_as_it_was():
+    pytest.importorskip("mujoco")
+    batch = create_batch("mujoco", stand(0.1), 1)
+    read = batch.joint_states("robot", ["knee"])
+    (member,) = batch.members
+    member.reset()
+    member.velocity_motor("robot", ["knee"], [100.0])([0.4])
+    batch.begin_episodes()
+    batch.step(4)
+    positions = read()
+    first = np.array(positions)
+    batch.step(4)
+    np.testing.assert_array_equal(positions, first)
+    assert np.any(np.array(read()) != first)

@@ -37,7 +37,6 @@ def test_it_has_the_seed_the_settings_and_further_values(short_copy):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("--shards", "4"),
         ("--initialize-from", "runs/a"),
         ("--keep-checkpoints", "5"),
         ("--callback", "own"),
@@ -49,6 +48,11 @@ def test_an_option_of_the_run_is_kept(short_copy, name: str, value: str):
     for words in ([name, value], [f"{name}={value}"]):
         command = command_of(short_copy, *words)
         assert command[command.index(name) + 1] == value
+
+
+def test_the_shards_are_those_that_were_chosen(short_copy):
+    words = command_of(short_copy, "--shards", "auto")
+    assert words[words.index("--shards") + 1] == "1"
 
 
 def test_permissions_for_code_are_kept_and_the_folder_of_the_run_is_not(short_copy):

@@ -1,4 +1,4 @@
-"""Findings at offsets of a text: their places, help and fixes in the scenario."""
+"""Texts of the scenario with their places, and findings at offsets of them, with help and fixes."""
 
 from __future__ import annotations
 
@@ -7,20 +7,26 @@ from collections import Counter
 from collections.abc import Callable, Set
 from collections.abc import Mapping as Table
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word
 from deepbots_cli.document.nodes import MappingNode, NodePath, ScalarNode, descend, walk
 from deepbots_cli.expressions import parser
-from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.expressions.types import CORRECTED_LINE, NO_NAMES, FindingReporter
+from deepbots_cli.expressions.dimensions import TORQUE, UNITS, Dimension
+from deepbots_cli.expressions.types import (
+    CORRECTED_LINE,
+    NO_NAMES,
+    Components,
+    FindingReporter,
+    Redraw,
+    TypedNode,
+)
+from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.quantities import Quantity
 from deepbots_cli.scenario.isaac_lab import term_help
 from deepbots_cli.scenario.synonyms import word_for
-
-if TYPE_CHECKING:
-    from deepbots_cli.compiler.values import SourceText
 
 _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, if it contains a closing parenthesis."""
@@ -29,6 +35,58 @@ _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _LEADING_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
 _COPY = re.compile(r"#\d")
+
+
+class SourceText(NamedTuple):
+    """A text of the scenario: its content, the place of each part of it, and the kind of its field."""
+
+    text: str
+    part: Callable[[int, int], Span]
+    kind: FieldType | None = None
+    path: NodePath = ()
+
+    @property
+    def owner(self) -> str:
+        """The path in one text; streams of draws are named after it."""
+        return ".".join(map(str, self.path))
+
+    def expression(
+        self,
+        typed: TypedNode,
+        name: str | None = None,
+        *,
+        per_component: Components | None = None,
+        redraw: Redraw | None = None,
+        noise: Noise | None = None,
+    ) -> Expression:
+        """Return the expression of which `typed` is the tree, called like the key unless it has a `name`."""
+        return Expression(
+            name or str(self.path[-1]),
+            self.span,
+            self.text,
+            typed,
+            self.owner,
+            per_component,
+            redraw,
+            noise=noise,
+        )
+
+    @property
+    def span(self) -> Span:
+        return self.part(0, len(self.text))
+
+    @property
+    def unit(self) -> str | None:
+        """The probable unit of a number without a unit."""
+        return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
+
+    def noun(self, dimension: Dimension | None) -> str | None:
+        """Return the noun of a torque, which in an expression may be an energy; None for all else."""
+        return (
+            "a torque"
+            if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.measure
+            else None
+        )
 
 
 class TextFindings:
