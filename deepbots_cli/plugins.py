@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
@@ -62,6 +62,17 @@ def unavailable_message(entry: EntryPoint, reason: object) -> str:
     return f"the {noun} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
 
 
+def packages_used(words: Collection[str]) -> dict[str, str]:
+    """Return the packages of the plug-ins that have one of these names, with their versions. Only tables that
+    are loaded are searched: no other one has had to look up a name of a plug-in."""
+    entries = {entry for table in _TABLES for name, entry in table.origins.items() if name in words}
+    entries |= {entry for entry in entry_points_of("deepbots.engines") if entry.name in words}
+    return {entry.dist.name: entry.dist.version for entry in entries if entry.dist is not None}
+
+
+_TABLES: list[PluginTable[Any]] = []
+
+
 def import_attribute(place: str) -> Any:
     """Import and return the object at `module:attribute`.
 
@@ -86,6 +97,9 @@ class PluginTable(Mapping[str, T], Generic[T]):
         self.built_in = built_in
         self._read = read
         self._all: dict[str, T] | None = None
+        self.origins: dict[str, EntryPoint] = {}
+        """The entry points of the entries of plug-ins, once these are loaded."""
+        _TABLES.append(self)
 
     __hash__ = object.__hash__  # a field type that has a table is a key of caches
 
@@ -101,6 +115,7 @@ class PluginTable(Mapping[str, T], Generic[T]):
                         if name in self._all:
                             raise ValueError(f"the name {name!r} is taken")
                         self._all[name] = plugin
+                        self.origins[name] = entry
                 except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
                     warn_unavailable(entry, error)
         return self._all

@@ -1,6 +1,11 @@
 """The size of packages, whatever their layout, and what makes code hard to read.
 
     python -m tools.sizes deepbots_cli deepbots_robot tests tools
+    python -m tools.sizes --budget
+
+The second command compares each package with its budget, the table `tool.deepbots.budget` of pyproject.toml, and
+fails if one has more logical lines than its budget and 1 %. It then prints which modules have grown since the commit
+that set this budget.
 
 Logical lines are statements without docstrings. The other columns are lines over 110 columns, conditional
 expressions within others, functions with a body of more than 60 lines, classes with more than 30 methods, and
@@ -11,13 +16,17 @@ from __future__ import annotations
 
 import ast
 import io
+import subprocess
 import sys
 import tokenize
+import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 LONG_LINE, LONG_BODY, MANY_METHODS = 110, 60, 30
+TOLERANCE = 0.01
+"""The share by which a package may be larger than its budget."""
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 _DOCUMENTED = (*_FUNCTIONS, ast.ClassDef, ast.Module)
 
@@ -54,8 +63,59 @@ def _marks(tree: ast.Module) -> Iterator[str]:
                 yield "large_classes"
 
 
-def main(roots: list[str]) -> None:
-    """Print a line for each package."""
+def over_budget() -> list[str]:
+    """Return a text for each package that is more than 1 % over its budget, with the modules that have grown."""
+    table = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["tool"]["deepbots"]["budget"]
+    texts = []
+    for package, budget in table.items():
+        sizes = {
+            path.as_posix(): measured(path.read_text(encoding="utf-8"))["logical"]
+            for path in _modules(package, table)
+        }
+        if (total := sum(sizes.values())) > budget * (1 + TOLERANCE):
+            grown = [f"  {more:+} {module}" for module, more in _grown(package, sizes)]
+            heading = f"{package} has {total:,} logical lines; its budget is {budget:,} and {TOLERANCE:.0%}"
+            texts.append("\n".join([heading, *grown]))
+    return texts
+
+
+def _modules(package: str, packages: Iterable[str]) -> list[Path]:
+    """Return the modules of a package, without those of packages within it that have a budget of their own."""
+    inner = [Path(name) for name in packages if name.startswith(f"{package}/")]
+    return [
+        path
+        for path in sorted(Path(package).rglob("*.py"))
+        if not any(folder in path.parents for folder in inner)
+    ]
+
+
+def _grown(package: str, sizes: Mapping[str, int]) -> list[tuple[str, int]]:
+    """Return the modules with more logical lines than in the commit that set the budget of their package, the one
+    that has grown most first; empty without the history of git."""
+    commit = _git("log", "-1", "--format=%H", "-G", f'^"{package}" = ', "--", "pyproject.toml").strip()
+    if not commit:
+        return []
+    changed = _git("diff", "--name-only", commit, "--", package).split()
+    before = {
+        module: measured(_git("show", f"{commit}:{module}"))["logical"]
+        for module in changed
+        if module in sizes
+    }
+    more = [(module, sizes[module] - size) for module, size in before.items() if sizes[module] > size]
+    return sorted(more, key=lambda entry: -entry[1])
+
+
+def _git(*words: str) -> str:
+    """Return the output of git; empty if it fails, such as for a file that the commit does not have."""
+    return subprocess.run(["git", *words], capture_output=True, text=True, check=False).stdout
+
+
+def main(roots: list[str]) -> int:
+    """Print a line for each package, or compare the packages with their budgets."""
+    if roots == ["--budget"]:
+        texts = over_budget()
+        print("\n".join(texts) or "no package is over its budget")
+        return 1 if texts else 0
     columns = ("modules", "logical", "lines", "wide", "nested", "long_functions", "large_classes", "comments")
     print("package".ljust(16), *(name.rjust(14) for name in columns))
     for root in roots:
@@ -64,7 +124,8 @@ def main(roots: list[str]) -> None:
             total += measured(path.read_text(encoding="utf-8"))
         share = f"{total['comments'] / total['lines']:.2%}"
         print(root.ljust(16), *(str(total[name]).rjust(14) for name in columns[:-1]), share.rjust(14))
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["deepbots_cli", "deepbots_robot", "tests", "tools"])
+    sys.exit(main(sys.argv[1:] or ["deepbots_cli", "deepbots_robot", "tests", "tools"]))

@@ -17,7 +17,7 @@ from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.rollout.episode import own_episode
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.runs.records import EvaluationWithEpisodes
+    from deepbots_cli.learning.runs.evaluations import EvaluationResult
 
 FAILED_EPISODES = "failed"
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
@@ -32,7 +32,7 @@ def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) 
     return text if text == FAILED_EPISODES else whole_number(minimum, maximum)(text)
 
 
-def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
+def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationResult]:
     """Return the last evaluation of a run, or of a named model of it, in its own scenario and engine, with
     its episodes.
 
@@ -50,7 +50,7 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
     return evaluation
 
 
-def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int], EvaluationWithEpisodes]:
+def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int], EvaluationResult]:
     """Return the numbers of the failed episodes of the last evaluation, of one of several agents with
     `agent`, and the evaluation.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.runs.episodes import check_common_measure
-from deepbots_cli.learning.runs.records import in_parentheses
+from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.words import counted
 

@@ -18,13 +18,8 @@ from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.runs.episodes import Scores, Summary, agents_text
-from deepbots_cli.learning.runs.records import (
-    PATIENCE,
-    EvaluationRecord,
-    RunRecord,
-    TrainingResult,
-    in_parentheses,
-)
+from deepbots_cli.learning.runs.evaluations import in_parentheses
+from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
 from deepbots_cli.learning.runs.verdict import run_verdict
@@ -33,9 +28,9 @@ from deepbots_cli.words import counted
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness, Side
+    from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
@@ -353,7 +348,7 @@ def case_rows(results: Sequence[EvaluationResult]) -> list[Row]:
     return evaluation_rows("case", ((case_label(result) or itself, result) for result in results))
 
 
-def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
+def case_label(result: EvaluationResult) -> str | None:
     """Return the case or stage that an evaluation is in."""
     return f"stage {result.stage}" if result.stage else result.case
 

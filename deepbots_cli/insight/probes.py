@@ -161,9 +161,7 @@ def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Per
     numbers = numbers[:_FAILED_EPISODES]
     traces = []
     try:
-        for trace in trace_episodes(
-            evidence.run, numbers, **quoted[1].replay_options, permissions=permissions
-        ):
+        for trace in trace_episodes(evidence.run, numbers, **quoted.replay_options, permissions=permissions):
             traces.append(trace)
             if time.monotonic() > deadline:
                 break

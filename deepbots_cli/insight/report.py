@@ -36,9 +36,8 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.campaigns.group import Group
-from deepbots_cli.learning.runs.directories import is_training
 from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
-from deepbots_cli.learning.runs.records import EvaluationWithEpisodes, in_parentheses
+from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, mean_interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
@@ -83,7 +82,7 @@ class ReportRun:
 
     run: Run
     log: TrainingLog
-    evaluation: EvaluationWithEpisodes
+    evaluation: EvaluationResult
 
     @staticmethod
     def read(path: Path) -> ReportRun:
@@ -100,7 +99,7 @@ class ReportRun:
                 f" deepbots eval {quote(str(path))}"
             )
         (log,) = training_logs.read_logs([path])
-        return ReportRun(run, log, quoted[1])
+        return ReportRun(run, log, quoted)
 
     @property
     def verdict(self) -> RunVerdict:
@@ -207,9 +206,9 @@ class Report:
         """
         source = Source.open(path, Permissions(), SourceKind.RUN, SourceKind.GROUP)
         if source.kind is SourceKind.RUN:
-            return Report(
-                path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else []
-            )
+            shown = ReportRun.read(path)
+            is_running = shown.run.record.state(path) == "training"
+            return Report(path, [shown], ["the training is still running"] if is_running else [])
         group, shown_runs, notes = Group.open(path), list[ReportRun](), list[str]()
         if group.best is not None:
             best = group.best.path

@@ -14,7 +14,8 @@ from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.runs.draws import DrawLabel, DrawnPart, draw_labels, drawn_effects
+from deepbots_cli.learning.runs.draws import DrawnPart, draw_labels, drawn_effects
+from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode

@@ -23,7 +23,6 @@ from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
 from deepbots_cli.learning.runs.decline import Decline, find_decline
-from deepbots_cli.learning.runs.directories import is_training
 from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
@@ -397,10 +396,10 @@ def read_training(run: Run) -> TrainingEvidence:
     file = latest_failure(run.path)
     failure = read_failure(file)[0] if file is not None else None
     episodes, evaluations = logs_of(run.path)
-    running = is_training(run.path)
+    running = run.record.state(run.path) == "training"
     final_episodes: Sequence[Episode] = ()
     if not running and (last := quoted_episodes(run)) is not None:
-        final_episodes = last[1].outcomes
+        final_episodes = last.outcomes
         evaluations.append(_logged(final_episodes))
     verdict = run_verdict(run.path, run.record)
     return TrainingEvidence(

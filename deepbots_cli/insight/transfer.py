@@ -15,7 +15,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.recorded_worlds import EPISODES, EngineWorld
 from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.robustness import (
     SHARE_OF_NOMINAL,
@@ -24,6 +24,7 @@ from deepbots_cli.learning.robustness import (
     evaluate_robustness,
 )
 from deepbots_cli.learning.runs.episodes import meets_solved
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.episode import Episode

@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import resume_group, train_group
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
     from deepbots_cli.learning.evaluation import (
-        EvaluationResult,
         evaluate,
         evaluate_baselines,
         evaluate_cases,
@@ -61,22 +60,18 @@ if TYPE_CHECKING:
     )
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
+    from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.learning.runs.records import TrainingResult
     from deepbots_cli.learning.training import checked_settings, resume, train
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
-    "evaluation": (
-        "EvaluationResult",
-        "evaluate",
-        "evaluate_baselines",
-        "evaluate_cases",
-        "evaluate_trained",
-    ),
+    "evaluation": ("evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
     "campaigns.group": ("resume_group", "train_group"),
     "agents.matches": ("MatchTable", "play_matches"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
+    "runs.evaluations": ("EvaluationResult",),
     "runs.records": ("TrainingResult",),
     "training": ("checked_settings", "resume", "train"),
 }

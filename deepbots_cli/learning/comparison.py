@@ -19,11 +19,12 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
+from deepbots_cli.learning.evaluation import evaluate, until_enough
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.runs.changes import written_scenario
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.order import Measure, measure_of
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.runs.statistics import (

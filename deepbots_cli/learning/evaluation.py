@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -12,7 +12,6 @@ from shlex import quote
 from typing import Any, NamedTuple
 
 import gymnasium as gym
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
@@ -29,9 +28,9 @@ from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.model_files import steps_of
 from deepbots_cli.learning.runs.confirmation_rule import error_level
-from deepbots_cli.learning.runs.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary, agent_scores
-from deepbots_cli.learning.runs.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.runs.draws import draw_labels
+from deepbots_cli.learning.runs.episodes import agent_scores
+from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED
 from deepbots_cli.learning.runs.verdict import quoted_episodes, solved_verdict
@@ -52,52 +51,6 @@ from deepbots_cli.scenario import Scenario
 MAX_BATCH_WORLDS = 32
 """The number of worlds of a batch. The array operations of a batch take as long per step as 5 single worlds,
 and worlds that end early are idle at the end."""
-
-
-class EvaluationResult(Summary, Evaluation, frozen=True):
-    """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes
-    themselves.
-
-    Its JSON has the effects of drawn values in place of `draws`. Statistics of a success that is not defined
-    are None.
-
-    Attributes:
-        answer: `solved` in words.
-        verdict: The answer with the circumstances in parentheses.
-        return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from
-            rewards and time limit. Confidence intervals are cut at them.
-        outcomes: The episodes, in the order of their seeds.
-        draws: The labels of the values that the scenario draws, by name.
-    """
-
-    run: Path
-    scenario: str
-    answer: str = Field(repr=False, exclude=True)
-    verdict: str
-    notes: tuple[str, ...]
-    return_bounds: tuple[float | None, float | None]
-    outcomes: tuple[Episode, ...] = Field(repr=False)
-    draws: Mapping[str, DrawLabel] = Field(repr=False, exclude=True)
-
-    @property
-    def possible_returns(self) -> tuple[float, float]:
-        """The limits of `return_bounds`, infinite where a bound is None."""
-        low, high = self.return_bounds
-        return -math.inf if low is None else low, math.inf if high is None else high
-
-    @property
-    def by_drawn_value(self) -> DrawnEffects:
-        """The effects of drawn values, and success and return in a few parts of the range of each."""
-        return drawn_effects(self.outcomes, self.draws, self.possible_returns)
-
-    @model_serializer(mode="wrap")
-    def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        hidden = () if self.success_defined else SUCCESS_STATISTICS
-        return {
-            **fields(self),
-            **dict.fromkeys(hidden),
-            "by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined),
-        }
 
 
 def evaluate(
@@ -276,14 +229,13 @@ def evaluate_trained(
     and so few may do so by luck, more are played.
     """
     quoted = quoted_episodes(run)
-    if quoted is None or quoted[1].confirmation is None:
+    if quoted is None or quoted.confirmation is None:
         result = evaluate(run, permissions=permissions, on_episode=on_episode)
         required = result.required_episodes or 0
         if result.solved is None and required > result.episodes:
             return evaluate(run, episodes=required, permissions=permissions, on_episode=on_episode)
         return result
-    record = quoted[1]
-    return confirmation_result(run, record.confirmation or 1, record.seed, record.outcomes)
+    return confirmation_result(run, quoted.confirmation or 1, quoted.seed, quoted.outcomes)
 
 
 def until_enough(

@@ -140,7 +140,8 @@ def keep(
         if is_same:  # the evaluations and the confirmation of this model stay
             run.update(updated=run.record.updated, result=result.model_copy(update={"best": best}))
         else:
-            run.update(result=result.model_copy(update={"best": best, "confirmed_seed": None}))
+            result = result.model_copy(update={"best": best, "confirmed_seed": None})
+            run.update(result=result, quoted=None)
     return KeptModel(run, name, best, earlier, tuple(played))
 
 

@@ -32,9 +32,10 @@ from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_p
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.program import Program

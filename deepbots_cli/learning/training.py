@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -35,16 +36,18 @@ from deepbots_cli.learning.runs.episodes import MAX_STEPS, Summary
 from deepbots_cli.learning.runs.records import (
     FORMAT,
     RunRecord,
+    TaskRecord,
     TrainingOptions,
     TrainingResult,
     timestamp,
     versions,
 )
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER, ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.teaching.demonstrations import demonstrate, read_recording
 from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher, copy_teacher
 from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
+from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout.collector import LocalCollector
@@ -157,6 +160,8 @@ def train(
         callbacks=tuple(callbacks),
         loggers=tuple(loggers),
         command=tuple(command),
+        task=_task(compiled.program, _teacher_copy(demonstrations)),
+        plugins=packages_used({*re.findall(r"[\w.]+", compiled.resolved), *callbacks, *loggers, engine}),
     )
     with run_lock(path):
         new = Run.create(path, record, compiled)
@@ -190,6 +195,7 @@ def _provenance(compiled: Compiled) -> dict[str, Any]:
         "scenario": compiled.program.name,
         "source": str(compiled.source),
         "digest": compiled.digest,
+        "physics": engine_kinds.PHYSICS,
         "interface": identity.interface(compiled.program),
         "inputs": {name: hashlib.sha256(content).hexdigest() for name, content in compiled.inputs.items()},
         "learner": compiled.learner,
@@ -200,6 +206,22 @@ def _provenance(compiled: Compiled) -> dict[str, Any]:
         "resumed_at": (),
         "result": None,
     }
+
+
+def _task(program: Program, teacher: str | None) -> TaskRecord:
+    """Return the record of a task. `teacher` is the copy of what teaches in place of a script."""
+    training = program.agent.training
+    script = None if training is None or training.teacher is None else training.teacher.script
+    return TaskRecord(
+        defines_success=program.defines_success, solved=program.agent.solved, teacher=teacher or script
+    )
+
+
+def _teacher_copy(demonstrations: str | Path | None) -> str | None:
+    """Return the name of the copy of a recording or of a policy that teaches, in the folder of a run."""
+    if demonstrations is None:
+        return None
+    return DEMONSTRATIONS_NAME if str(demonstrations).endswith(RECORDING_SUFFIX) else f"{TEACHER_FOLDER}/"
 
 
 def _derived_seeds(seed: int, environments: int) -> dict[str, int]:
@@ -252,7 +274,7 @@ def checked_settings(
 
 def _teaching_run(demonstrations: str | Path | None) -> ModelRef | None:
     """Return the run whose policy teaches; None where a recording teaches, or nothing."""
-    if demonstrations is None or str(demonstrations).endswith(RECORDING_SUFFIX):
+    if demonstrations is None or _teacher_copy(demonstrations) == DEMONSTRATIONS_NAME:
         return None
     return ModelRef.open(demonstrations)
 
@@ -346,6 +368,8 @@ def resume(
             "resumed_at": (*record.resumed_at, steps),
             "total_timesteps": training.total_timesteps,
             "stop_when_solved": stop_when_solved and not _stopped_as_solved(record),
+            "quoted": None,  # of an earlier model
+            "task": record.task or _task(resumed.program, None),
             "callbacks": callbacks,
             "loggers": loggers,
         }

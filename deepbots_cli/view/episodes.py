@@ -197,7 +197,7 @@ class RunDriver(Driver):
         self.begin(Start())
 
     def begin(self, start: Start) -> None:
-        running = RunRecord.read(self._run.path).status == "running"
+        running = RunRecord.read(self._run.path).state(self._run.path) == "training"
         names = {"best": ("best", "last"), "last": ("last", "best")}.get(self._model, (self._model,))
         stamps = {
             name: stamp

@@ -409,7 +409,7 @@ class TrainingTab:
             training_logs.stage_starts(record, episodes), evaluations, success=run.program.defines_success
         )
         self.text.content = panel_html.table(rows)
-        if record.status == "running":
+        if record.state(run.path) == "training":
             self._read_at = time.monotonic()
 
 

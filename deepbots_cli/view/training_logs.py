@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError
-from deepbots_cli.learning.campaigns.listing import teacher_of
 from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
-from deepbots_cli.learning.runs.records import EvaluationRecord, RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
@@ -61,7 +61,7 @@ class TrainingLog:
     `stages` are the stages of a curriculum that have begun. A curve has a nan where one of them begins,
     because the next stage is another task. `model_steps` are the steps after which the model of `evaluation`
     was saved, None if they are unknown. `evaluation_stages` are the stages in which the policy acted in
-    `evaluations`, empty for none. `teacher` is the result of `teacher_of`, and `lessons` are its curves:
+    `evaluations`, empty for none. `teacher` is that of the `TaskRecord`, and `lessons` are its curves:
     `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
     `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
     several agents; `agent` is the one whose log this is, empty for one agent or all.
@@ -79,7 +79,7 @@ class TrainingLog:
     stages: Sequence[StageStart] = ()
     terms: dict[str, Curve] = field(default_factory=dict)
     endings: dict[str, Curve] = field(default_factory=dict)
-    evaluation: EvaluationRecord | None = None
+    evaluation: EvaluationResult | None = None
     model_steps: float | None = None
     teacher: str | None = None
     lessons: dict[str, Curve] = field(default_factory=dict)
@@ -149,7 +149,7 @@ def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog
 
 def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
-    teacher = teacher_of(path)
+    teacher = record.task.teacher if record.task else None
     # A recording is not part of the scenario.
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
     settings = short_settings(changed_settings(record.command))
@@ -170,9 +170,10 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
         if share.any()
     }
     if quoted := quoted_evaluation(path, record):
-        log.evaluation = quoted[1] if member is None else quoted[1].of_agent(member.name)
+        evaluation = quoted.evaluation
+        log.evaluation = evaluation if member is None else evaluation.of_agent(member.name)
         best = record.result.best_model if record.result else None
-        steps = quoted[1].model_steps if quoted[1].model_steps is not None or best is None else best.steps
+        steps = evaluation.model_steps if evaluation.model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
     log.successes = (
         _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None

@@ -31,7 +31,7 @@ from deepbots_cli.learning import train
 from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import SolvedAt
-from deepbots_cli.learning.runs.records import EvaluationRecord
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
@@ -307,23 +307,15 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
             "result": record.result.model_copy(update={"solved_at": met, "steps": 24_000}),
         }
     )
-    evaluation = EvaluationRecord(
-        evaluated="2026-01-01T00:00:00+00:00",
-        model="best",
-        seed=0,
-        episodes=100,
-        mean_return=4.0,
-        return_interval=None,
-        success_defined=True,
-        success_rate=0.87,
-        success_interval=(0.79, 0.92),
-        solved=False,
+    episodes = [Episode(4.0, 100, number < 87, None) for number in range(100)]
+    evaluation = EvaluationResult.of_episodes(
+        episodes, model="best", seed=0, success_defined=True, solved=False
     )
     (statement,) = diagnose(replace(training, verdict=RunVerdict(False, evaluation)))
     assert statement.cause == "stopped_early"
     assert statement.settings == {"train.total_timesteps": "48_000"}
     assert statement.command == f"deepbots resume {carriage} --timesteps 48_000"
-    assert "success rate 87.0% (95 % interval 79.0% .. 92.0%)" in statement.text
+    assert "success rate 87.0% (95 % interval 79.0% .. 92.2%)" in statement.text
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
 
@@ -607,7 +599,7 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert main(["eval", str(run), "--episodes", "10", "--json"]) == 0
     outcomes = json.loads(capsys.readouterr().out)["outcomes"]
     opened = Run.open(run)
-    _, kept = quoted_episodes(opened)
+    kept = quoted_episodes(opened)
     assert kept.failed(opened.program) == list(range(10))
     for trace, number in zip(trace_episodes(opened, (9, 3), **kept.replay_options), (9, 3), strict=True):
         outcome = outcomes[number]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from deepbots_cli import compile
-from deepbots_cli.learning.runs.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
+from deepbots_cli.learning.runs.draws import DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.runs.episodes import Summary
+from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.rollout import Episode
 
 RISE = {"rise": DrawLabel(is_parameter=True)}

@@ -10,6 +10,7 @@ import stand_in
 
 from deepbots_cli.cli import main
 from deepbots_cli.cli.records import evaluation_text, interval_text, scores
+from deepbots_cli.engine_kinds import PHYSICS
 from deepbots_cli.learning import evaluate
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.runs.run import ModelRef, Run
@@ -28,16 +29,43 @@ SOLVED_AT = {
 def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
     long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
-    path = run.write_evaluation(long.model_dump(mode="json"))
+    run.write_evaluation(long.model_dump(mode="json"))
     quick_path = run.write_evaluation(quick.model_dump(mode="json"))
     quoted = quoted_episodes(run)
     last = last_episodes(ModelRef(run))
     assert quoted is not None
     assert last is not None
-    assert (quoted[0], len(quoted[1].outcomes), last[0]) == (path, 12, quick_path)
-    assert run_verdict(run_copy, run.record).text.startswith(quoted[1].text)
+    assert (len(quoted.outcomes), last[0]) == (12, quick_path)
+    assert run_verdict(run_copy, run.record).text.startswith(quoted.text)
     latest = run.write_evaluation(long.model_dump(mode="json"))
-    assert quoted_episodes(run)[0] == latest  # type: ignore[index]
+    assert quoted_evaluation(run_copy, run.record).number == int(latest.stem)  # type: ignore[union-attr]
+
+
+def test_a_run_quotes_another_evaluation_where_the_file_of_the_quoted_one_was_removed(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
+    path = run.write_evaluation(long.model_dump(mode="json"))
+    run.write_evaluation(quick.model_dump(mode="json"))
+    path.unlink()
+    assert read_listed(run_copy).evaluated_episodes == 3
+
+
+def test_a_run_of_other_physics_says_so_where_it_is_evaluated(run_copy: Path) -> None:
+    record = json.loads((run_copy / "run.json").read_text()) | {"physics": PHYSICS + 1}
+    (run_copy / "run.json").write_text(json.dumps(record))
+    (note,) = evaluate(run_copy, episodes=3, build=stand_in.build).notes
+    assert f"was trained with physics {PHYSICS + 1} of deepbots, and this version simulates" in note
+
+
+def test_a_run_of_before_is_quoted_from_the_files_of_its_evaluations(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    run.write_evaluation(evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json"))
+    listed = read_listed(run_copy)
+    record = json.loads((run_copy / "run.json").read_text())
+    for name in ("task", "physics", "plugins", "quoted"):
+        del record[name]
+    (run_copy / "run.json").write_text(json.dumps(record))
+    assert read_listed(run_copy) == listed
 
 
 def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:

@@ -276,6 +276,16 @@ except UsageError as error:
     assert not (site / "refused").exists()
 
 
+def test_a_run_names_the_package_that_its_scenario_needs(site, tmp_path):
+    deepbots(site, "train", "acme_spin", "--timesteps", "64", "--run", str(tmp_path / "run"))
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["plugins"] == {"acme": "1.0"}
+    refused = subprocess.run(
+        [sys.executable, "-m", "deepbots_cli", "eval", "run"],
+        capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
+    )  # fmt: skip
+    assert "its training used acme 1.0, so install that" in refused.stderr
+
+
 KILLED = """
 import os, signal, sys
 from acme.cem import CrossEntropyMethod

@@ -16,7 +16,8 @@ from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.runs.records import EvaluationRecord, short_settings
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import short_settings
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 
@@ -176,7 +177,9 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     run = read_listed(folder)
     entries = evaluations(folder)
     data = [
-        {"number": number, **({"problem": entry} if isinstance(entry, str) else entry.model_dump())}
+        {"number": number, "problem": entry}
+        if isinstance(entry, str)
+        else {"number": number, **entry.model_dump(exclude={"outcomes"})}
         for number, entry in entries
     ]
     rows = [_evaluation(folder, number, entry) for number, entry in entries if not isinstance(entry, str)]
@@ -190,7 +193,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
             terminal.note(note)
 
 
-def _evaluation(folder: Path, number: int, record: EvaluationRecord) -> Row:
+def _evaluation(folder: Path, number: int, record: EvaluationResult) -> Row:
     return {
         "number": number,
         "evaluated": record.evaluated[:16].replace("T", " "),
@@ -199,6 +202,6 @@ def _evaluation(folder: Path, number: int, record: EvaluationRecord) -> Row:
         "remarks": "; ".join(record.remarks) or record.elsewhere or records.case_label(record),
         "episodes": record.episodes,
         "seed": str(record.seed),
-        **records.scores(record),
+        **records.scores(record.own_scores),
         "solved": record.solved,
     }

@@ -140,11 +140,7 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     result = verdict.evaluation
     evaluation = None
     if result is not None:
-        fields = {
-            key: getattr(result, key)
-            for key in model.Evaluation.__struct_fields__
-            if key not in ("text", "solved")
-        }
+        fields = result.model_dump(include={*model.Evaluation.__struct_fields__} - {"text", "solved"})
         evaluation = model.Evaluation(text=verdict.text, solved=verdict.solved, **fields)
     return model.BundleInfo(
         format=model.FORMAT,

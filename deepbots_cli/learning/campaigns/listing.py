@@ -12,8 +12,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.document import MappingNode, ScalarNode
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaigns.campaign import Campaign
@@ -22,10 +20,10 @@ from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import is_training, numbered_files
 from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
-from deepbots_cli.learning.runs.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
-from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import ChosenBy, RunRecord, changed_settings
 from deepbots_cli.learning.runs.verdict import run_verdict
-from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
@@ -47,7 +45,7 @@ class ListedRun:
     solved, if the run is solved; `best_steps` are those of the best model, and `chosen_by` is how it was
     chosen. `mean_level` is the mean level of its worlds at its end, None without levels. `decline` is the
     decline of its evaluations since then; None if there is none. `settings` are the assignments of `--set`,
-    `teacher` is the result of `teacher_of`. `success_rate` is None if the scenario defines no success.
+    `teacher` is that of the `TaskRecord`. `success_rate` is None if the scenario defines no success.
     `solved` is that of `run_verdict`. While a run trains, `cpu_seconds` is as old as its last checkpoint.
     `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
     """
@@ -108,9 +106,7 @@ def read_listed(path: Path) -> ListedRun:
 def _listed_run(path: Path) -> ListedRun:
     record = RunRecord.read(path)
     result = record.result
-    state: State = "interrupted" if record.status == "running" else record.status
-    if record.status == "running" and is_training(path):
-        state = "training"
+    state: State = record.state(path)
     recent = _recent(path / "monitor.csv") if result is None or state == "training" else []
     mean: float | None
     success: float | None
@@ -131,7 +127,7 @@ def _listed_run(path: Path) -> ListedRun:
         mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
     else:
         mean, success = (result.mean_return, result.success_rate) if result else (None, None)
-    if evaluation is None and not _defines_success(path):
+    if record.task is not None and not record.task.defines_success:
         success = None
     best = result.best_model if result else None
     steps_of_best = evaluation.model_steps if evaluation is not None else None
@@ -145,7 +141,7 @@ def _listed_run(path: Path) -> ListedRun:
         source=record.source,
         digest=record.digest,
         settings=changed_settings(record.command),
-        teacher=teacher_of(path),
+        teacher=record.task.teacher if record.task else None,
         engine=record.engine,
         seeds=(record.seed,),
         steps=steps,
@@ -241,12 +237,12 @@ def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> Listed
     )
 
 
-def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
+def evaluations(run: Path) -> list[tuple[int, EvaluationResult | str]]:
     """Return the evaluations of a run by number, or the reason why one cannot be read."""
-    numbered: list[tuple[int, EvaluationRecord | str]] = []
+    numbered: list[tuple[int, EvaluationResult | str]] = []
     for number, path in numbered_files(run / "evaluations"):
         try:
-            numbered.append((number, EvaluationRecord.read(path)))
+            numbered.append((number, EvaluationResult.read(path)))
         except RunError as error:
             numbered.append((number, str(error)))
     return numbered
@@ -277,45 +273,6 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
         TypeError,
     ):
         # There is no checkpoint yet, or it has just been replaced.
-        return None
-
-
-def _defines_success(run: Path) -> bool:
-    """Return whether the scenario of a run has a goal or an ending that is a success."""
-    root = _scenario(run)
-    endings = root.get("termination") if root is not None else None
-    return root is not None and (
-        root.get("goal") is not None
-        or (isinstance(endings, MappingNode) and endings.get("success") is not None)
-    )
-
-
-def teacher_of(run: Path) -> str | None:
-    """Return the script that teaches the policy of a run, or the file of a recording or the folder of a
-    policy that does."""
-    if (run / DEMONSTRATIONS_NAME).is_file():
-        return DEMONSTRATIONS_NAME
-    if (run / TEACHER_FOLDER).is_dir():
-        return f"{TEACHER_FOLDER}/"
-    file = run / RESOLVED_NAME
-    try:
-        # Reading all of the file takes 5 ms.
-        if not file.is_file() or b"teacher" not in read_at_most(file, _MAX_SCENARIO_BYTES):
-            return None
-    except OSError:
-        return None
-    root = _scenario(run)
-    training = root.get("train") if root is not None else None
-    teacher = training.get("teacher") if isinstance(training, MappingNode) else None
-    script = teacher.get("script") if isinstance(teacher, MappingNode) else teacher
-    return script.text if isinstance(script, ScalarNode) and script.value is not None else None
-
-
-def _scenario(run: Path) -> MappingNode | None:
-    """Return the scenario of a run as nodes; None if it cannot be read."""
-    try:
-        return Source.kept(run).document().root
-    except DeepbotsError:
         return None
 
 

@@ -352,8 +352,8 @@ def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) ->
     quoted = quoted_evaluation(path, run) if run is not None else None
     if run is None or run.result is None or quoted is None:
         return SeedScore(seed, UNSOLVED)
-    evaluation = quoted[1]
-    rate = quoted[1].success_rate or 0.0
+    evaluation = quoted.evaluation
+    rate = evaluation.success_rate
     met = (
         evaluation.solved
         if evaluation.solved is not None
@@ -369,7 +369,7 @@ def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) ->
         rate,
         None if steps is None else steps / record.total_timesteps,
     )
-    return SeedScore(seed, value, steps, evaluation.mean_return, evaluation.success_rate)
+    return SeedScore(seed, value, steps, evaluation.mean_return, evaluation.own_scores.success_rate)
 
 
 def score(

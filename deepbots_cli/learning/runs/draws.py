@@ -13,14 +13,14 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.analysis.shown_units import ShownUnits
-from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary
+from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import is_of_member, without_copy
@@ -49,22 +49,6 @@ class DrawnPart(Summary, frozen=True):
 
     low: float | str
     high: float | str
-
-
-class DrawLabel(NamedTuple):
-    """The unit in which a scenario writes a drawn value, and whether the value is a parameter of the
-    scenario."""
-
-    unit: Unit = ONE
-    is_parameter: bool = False
-
-    def range_text(self, part: DrawnPart) -> str:
-        """Return the range of a part in the unit of the scenario, such as `6 .. 9 cm`."""
-        if isinstance(part.low, str) or isinstance(part.high, str):
-            return str(part.low)
-        ends = dict.fromkeys(f"{self.unit.from_si(end):.4g}" for end in (part.low, part.high))
-        unit = "" if self.unit.text == ONE.text else f" {self.unit.text}"
-        return " .. ".join(ends) + unit
 
 
 def draw_labels(program: Program, units: ShownUnits) -> dict[str, DrawLabel]:

@@ -489,7 +489,7 @@ def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> boo
 
 # Of an evaluation
 
-SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
+SUCCESS_STATISTICS = frozenset({"successes", "success_rate", "success_interval"})
 """The fields of `Summary` that have no meaning if the scenario defines no success."""
 
 

@@ -1,9 +1,13 @@
-"""The records of a run: `run.json`, with its inputs and its result, and `evaluations/NNNN.json`."""
+"""The record of a run: `run.json`, with its inputs and its result.
+
+The training and each evaluation write into it what other commands show: the task, the state, the best model,
+and the evaluation that is quoted.
+"""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -11,25 +15,25 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self, TypedDict
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.curriculum import CompletedStage, LevelSpread
-from deepbots_cli.learning.runs.directories import RecordFormat, read_json, write_text
-from deepbots_cli.learning.runs.episodes import Scores, SolvedAt
-from deepbots_cli.program import Program
-from deepbots_cli.program.task import ONLY_AGENT
-from deepbots_cli.rollout import Episode
+from deepbots_cli.learning.runs.directories import RecordFormat, is_training, read_json, write_text
+from deepbots_cli.learning.runs.episodes import SolvedAt
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import RECORD_NAME
 
 FORMAT = 5
 """The format of the run directory as a whole. It is raised when an older deepbots could no longer read it."""
 Status = Literal["running", "finished", "interrupted", "failed"]
+State = Literal["training", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
 """The value of `stopped_by` for a training that did not improve."""
 ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand", "newest"]
 _MAX_RECORD_BYTES = 4_000_000
-_MAX_EVALUATION_BYTES = 200_000_000
+_NOT_INSTALLED = "not installed"
 _VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 
 
@@ -204,6 +208,33 @@ class TrainingOptions(TypedDict, total=False):
     engine: str | None
 
 
+class TaskRecord(BaseModel):
+    """The task of a run, as its scenario defines it.
+
+    Attributes:
+        defines_success: Whether an episode can be a success.
+        solved: The criterion for a solved task; None without one.
+        teacher: The script that teaches the policy, or the file of a recording or the folder of a policy that
+            does; None without a teacher.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    defines_success: bool
+    solved: Solved | None
+    teacher: str | None
+
+
+class QuotedEvaluation(BaseModel):
+    """The evaluation of the best model that is quoted everywhere, without its episodes, which the file
+    `evaluations/NNNN.json` of this number has."""
+
+    model_config = ConfigDict(frozen=True)
+
+    number: int = Field(ge=1, lt=10**9, strict=True)
+    evaluation: EvaluationResult
+
+
 class RunRecord(BaseModel):
     """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it
     went.
@@ -211,6 +242,9 @@ class RunRecord(BaseModel):
     Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent
     and item (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training
     began in, where it was not the first. `learner` are the reasons for a learner that deepbots chose.
+    `physics` is the version of the simulated physics (`engine_kinds.PHYSICS`), and `plugins` are the packages
+    of other authors that the scenario uses, with their versions. `quoted` is None if no evaluation of the
+    best model is quoted. Versions before 0.2 wrote neither `task` nor `quoted`.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -241,6 +275,53 @@ class RunRecord(BaseModel):
     updated: str
     resumed_at: tuple[int, ...]
     result: RunResult | None
+    task: TaskRecord | None = None
+    physics: int = Field(default=1, ge=1, lt=2**31)
+    plugins: Mapping[str, str] = {}
+    quoted: QuotedEvaluation | None = None
+
+    def state(self, folder: Path) -> State:
+        """Return the state of the training in `folder`. One that was killed is interrupted."""
+        if self.status != "running":
+            return self.status
+        return "training" if is_training(folder) else "interrupted"
+
+    def with_evaluation(self, number: int, evaluation: EvaluationResult) -> Self:
+        """Return the record after an evaluation, which it quotes if it is one of the best model, in the
+        scenario and the engine of the training, without sampled actions.
+
+        Of several, the one with the most episodes is quoted; of equals, the confirmation that ended the
+        training, else the latest. One in a scenario that was changed since the training is quoted only where
+        there is no other, and its `solved` is None: the criterion may be another one.
+        """
+        best = None if self.result is None else self.result.best_model
+        # `eval --keep` may have replaced the best model.
+        models = {evaluation.model_steps, None if best is None else best.steps} - {None}
+        is_of_best = evaluation.model == "best" and evaluation.deterministic and len(models) <= 1
+        before = self.quoted
+        if not (self.is_own(evaluation) and is_of_best):
+            return self
+        if before is not None and self._weight(evaluation) < self._weight(before.evaluation):
+            return self
+        changes: dict[str, Any] = {"outcomes": ()}
+        if not self._is_of_training(evaluation):
+            changes["solved"] = None
+        quoted = QuotedEvaluation(number=number, evaluation=evaluation.model_copy(update=changes))
+        return self.model_copy(update={"quoted": quoted})
+
+    def is_own(self, evaluation: EvaluationResult) -> bool:
+        """Return whether an evaluation was made in the scenario and the engine of the run."""
+        elsewhere = evaluation.set or evaluation.elsewhere or evaluation.case or evaluation.stage
+        return not elsewhere and evaluation.engine in (None, self.engine)
+
+    def _weight(self, evaluation: EvaluationResult) -> tuple[bool, int, bool]:
+        is_confirmation = evaluation.confirmation is not None
+        return self._is_of_training(evaluation), evaluation.episodes, is_confirmation
+
+    def _is_of_training(self, evaluation: EvaluationResult) -> bool:
+        """Return whether an evaluation was made in the scenario of the training. Evaluations of older
+        versions have no digest."""
+        return evaluation.digest in (None, self.digest)
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -292,164 +373,13 @@ def versions(*further: str) -> dict[str, str]:
     return {"python": platform.python_version(), **{name: _version(name) for name in packages}}
 
 
+def is_installed(package: str) -> bool:
+    return _version(package) != _NOT_INSTALLED
+
+
 @cache  # reading the metadata of all packages takes 5 % of a training of 256 steps
 def _version(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:
-        return "not installed"
-
-
-class Evaluation(Scores, frozen=True):
-    """The scores of a policy in held-out episodes, and the circumstances.
-
-    Attributes:
-        agent: Name of the agent whose return is reported.
-        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`,
-            `script NAME`.
-        model_steps: The steps of the training after which the model was saved; None for a baseline.
-        confirmation: The number of the confirmation that ended the training, if these are its episodes. The
-            intervals then cover all confirmations of the training together.
-        case: Name of the case; None for the scenario itself. The same holds for `stage`.
-        success_defined: Whether the scenario defines success; if not, the success rate has no meaning.
-        solved: None if the scenario has no `solved`, or if its criterion needs more episodes
-            (`required_episodes`) than were run.
-        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of
-            `--set`, `digest` is its digest.
-        engine: None if `build` made the worlds.
-        circumstances: Differences from an evaluation of the best model in the scenario of the training, in
-            words.
-        agents: The scores of each of several agents, by name; empty for one agent.
-        against: The other agents, and who acts for them, such as `prey (flee)`; None without other agents.
-        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
-            early.
-    """
-
-    agent: str = ONLY_AGENT
-    model: str
-    model_steps: int | None = None
-    confirmation: int | None = None
-    case: str | None = None
-    stage: str | None = None
-    seed: int
-    deterministic: bool = True
-    success_defined: bool
-    solved: bool | None
-    set: tuple[str, ...] = ()
-    elsewhere: str | None = None
-    engine: str | None = None
-    digest: str | None = None
-    circumstances: tuple[str, ...] = ()
-    agents: Mapping[str, Scores] = Field(default={}, exclude_if=lambda agents: not agents)
-    against: str | None = Field(default=None, exclude_if=lambda against: against is None)
-    planned: int | None = None
-    required_episodes: int | None = None
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """The circumstances, and remarks on the number of episodes."""
-        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
-
-
-class EvaluationRecord(Evaluation, frozen=True):
-    """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
-
-    `evaluated` is a time in UTC. Evaluations of older versions have no `digest` and no `model_steps`.
-    """
-
-    evaluated: str
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Return an evaluation that was kept.
-
-        Raises:
-            RunError: The file is damaged.
-        """
-        return read_json(path, cls, _MAX_EVALUATION_BYTES)
-
-    @property
-    def text(self) -> str:
-        """Mean return and success rate with their intervals, and the circumstances."""
-        scores = [f"{name} {_scores_text(entry)}" for name, entry in self.agents.items()] or [
-            _scores_text(self)
-        ]
-        suffix = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
-        against = "" if self.against is None else f" against {self.against}"
-        return (
-            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{suffix}, from evaluation"
-            f" seed {self.seed}{in_parentheses(self.remarks)}"
-        )
-
-    def of_agent(self, agent: str) -> Self:
-        """Return the evaluation as it was for one of several agents."""
-        agent_scores = self.agents.get(agent)
-        if agent_scores is None:
-            return self
-        scores = {name: getattr(agent_scores, name) for name in Scores.model_fields}
-        opponents = ", ".join(
-            f"{name} (its policy of the same model)" for name in self.agents if name != agent
-        )
-        changes = {"agents": {}, "agent": agent, "against": opponents}
-        return self.model_copy(
-            update={**scores, **changes, "success_defined": agent_scores.success_rate is not None}
-        )
-
-
-def _scores_text(scores: Scores) -> str:
-    text = f"mean return {scores.mean_return:.4g}"
-    if scores.return_interval is not None:
-        equal = "; all returns are equal" * (scores.std_return == 0)
-        text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*scores.return_interval)
-    if scores.success_rate is not None and scores.success_interval is not None:
-        text += f", success rate {scores.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
-            *scores.success_interval
-        )
-    return text
-
-
-class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False):
-    """An evaluation that a run keeps, with its episodes."""
-
-    outcomes: tuple[Episode, ...] = Field(min_length=1)
-
-    @field_validator("outcomes")
-    @classmethod
-    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
-        """Figures sort episodes by each drawn value."""
-        kinds: dict[str, type] = {}
-        for episode in outcomes:
-            if any(
-                kinds.setdefault(name, type(value)) is not type(value)
-                for name, value in episode.drawn.items()
-            ):
-                raise ValueError("a drawn value is a number in one episode and a name in another")
-        return outcomes
-
-    def failed(self, program: Program) -> list[int]:
-        """Return the numbers of the episodes that failed: without a success, or where none is defined, ended
-        by a failure."""
-        bad = [
-            not outcome.is_success if self.success_defined else outcome.ended_by in program.failures
-            for outcome in self.outcomes
-        ]
-        return [number for number, is_bad in enumerate(bad) if is_bad]
-
-    @property
-    def replay_options(self) -> dict[str, Any]:
-        """The arguments with which `trace_episodes` repeats its episodes."""
-        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
-
-
-def in_parentheses(remarks: Iterable[str]) -> str:
-    """Return remarks in parentheses, each once: ` (a; b)`. Empty without a remark."""
-    joined = "; ".join(dict.fromkeys(remarks))
-    return f" ({joined})" if joined else ""
-
-
-def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
-    """Return remarks on the number of episodes of an evaluation. `required` is the number that `solved`
-    requires."""
-    if planned is not None and episodes < planned:
-        return (f"stopped by a requirement after {episodes} of {planned} episodes",)
-    return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
+        return _NOT_INSTALLED

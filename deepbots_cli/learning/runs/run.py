@@ -34,14 +34,15 @@ from pathlib import Path
 from typing import Any
 
 import deepbots_cli
-from deepbots_cli import api
+from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.directories import write_numbered, write_text
-from deepbots_cli.learning.runs.records import RunRecord, timestamp, write_record
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import RunRecord, is_installed, timestamp, write_record
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import ONLY_AGENT
@@ -152,15 +153,24 @@ class Run:
         write_record(self.path, self.record)
 
     def write_evaluation(self, content: Mapping[str, Any]) -> Path:
-        """Write an evaluation under the next free number.
+        """Write an evaluation under the next free number, and quote it in the record if it is preferred to
+        the one there (`RunRecord.with_evaluation`).
+
+        Args:
+            content: The JSON of an `EvaluationResult`, and further entries.
 
         Raises:
             RunError: The run cannot be written to, or its disk is full.
         """
-        return write_numbered(
-            self.evaluations,
-            json.dumps({"evaluated": timestamp(), **content}, indent=1, allow_nan=False) + "\n",
-        )
+        entries = {"evaluated": timestamp(), **content}
+        path = write_numbered(self.evaluations, json.dumps(entries, indent=1, allow_nan=False) + "\n")
+        record = RunRecord.read(self.path)  # another process may have changed it
+        # A training writes its record at its end, and evaluations until then are of older models.
+        if record.task is not None and record.status != "running":
+            record = record.with_evaluation(int(path.stem), EvaluationResult.model_validate(entries))
+            write_record(self.path, record)
+            self.record = self.record.model_copy(update={"quoted": record.quoted})
+        return path
 
     def notes(self) -> list[str]:
         """Notes on the use of this run, one sentence each."""
@@ -172,6 +182,12 @@ class Run:
             if trained_version == version
             else [f"{self.path} was trained by deepbots {trained_version}, but this is deepbots {version}"]
         )
+        if self.record.physics != engine_kinds.PHYSICS:
+            texts.append(
+                f"{self.path} was trained with physics {self.record.physics} of deepbots, and this version"
+                f" simulates physics {engine_kinds.PHYSICS}, in which the same actions move the robot"
+                " differently"
+            )
         if self.digest != self.record.digest:
             cause = "with this version of deepbots" if texts else "because it was changed after the training"
             texts.append(
@@ -227,9 +243,13 @@ class Run:
             # whether they may.
             compiled = api.compile(source)
         except DeepbotsError as error:
+            missing = [
+                f"{name} {version}" for name, version in record.plugins.items() if not is_installed(name)
+            ]
+            needed = f"; its training used {', '.join(missing)}, so install that" if missing else ""
             raise RunError(
                 f"{path} cannot be used, since its scenario does not compile:"
-                f" {' '.join(str(error).split())[:500]}"
+                f" {' '.join(str(error).split())[:500]}{needed}"
             ) from error
         differences = identity.compare_interfaces(
             record.interface, identity.interface(compiled.program), words=("trained", "now")

@@ -7,16 +7,18 @@ exported policy. Nothing is compiled, and torch is not imported.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.runs.directories import is_training, numbered_files
+from deepbots_cli.learning.runs.directories import numbered_files
 from deepbots_cli.learning.runs.episodes import meets_solved
-from deepbots_cli.learning.runs.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import QuotedEvaluation, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
@@ -108,7 +110,7 @@ class RunVerdict:
     """
 
     solved: bool | None
-    evaluation: EvaluationRecord | None
+    evaluation: EvaluationResult | None
     confirmed_after: int | None = None
     """The steps after which a confirmation showed that the task is solved."""
 
@@ -139,109 +141,67 @@ class RunVerdict:
 
 
 def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
-    """Return the verdict about a run, from its files. While the run trains, its evaluations are those of
+    """Return the verdict about a run from its record. While the run trains, its evaluations are those of
     older models and are ignored."""
-    quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
+    quoted = None if record.state(path) == "training" else quoted_evaluation(path, record)
     if quoted is None:
         return RunVerdict(None, None)
-    _, evaluation = quoted
     confirmed_at = record.result.confirmed_at if record.result is not None else None
-    return RunVerdict(evaluation.solved, evaluation, confirmed_at.steps if confirmed_at is not None else None)
+    steps = confirmed_at.steps if confirmed_at is not None else None
+    return RunVerdict(quoted.evaluation.solved, quoted.evaluation, steps)
 
 
-def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
-    """Return the evaluation of the best model that is quoted everywhere, and its file: the one with the most
-    episodes.
+def quoted_evaluation(path: Path, record: RunRecord) -> QuotedEvaluation | None:
+    """Return the evaluation of the best model that is quoted everywhere: the one in the record.
 
-    Of equals, it is the confirmation that ended the training, else the latest. It is one in the scenario and
-    engine of the training, since the training ended. One in a scenario that was changed since the training is
-    taken only where there is no other, and its `solved` is None.
+    The record of a version before 0.2 has none, and the file of an evaluation may have been removed. It is
+    then chosen from the files since the training ended, as `RunRecord.with_evaluation` chooses it.
     """
-    evaluations = own_evaluations(path, record)
+    quoted = record.quoted
+    if record.task is not None and (quoted is None or evaluation_file(path, quoted.number).is_file()):
+        return quoted
+    record = record.model_copy(update={"quoted": None})
+    for number, evaluation in _evaluations(path, record):
+        record = record.with_evaluation(number, evaluation)
+    return record.quoted
 
-    def weight(entry: tuple[Path, EvaluationRecord]) -> tuple[bool, int, bool]:
-        _, evaluation = entry
-        return _is_of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
 
-    return max(reversed(evaluations), key=weight, default=None)
-
-
-def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
+def quoted_episodes(run: Run) -> EvaluationResult | None:
     """Return `quoted_evaluation` with its episodes.
 
     Raises:
         RunError: It is damaged.
     """
-    return _with_episodes(quoted_evaluation(run.path, run.record))
-
-
-def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """Return the last evaluation in the scenario and engine of the training, since the training ended,
-    including evaluations with sampled actions.
-
-    It is one of the named model, or of any model if a run was named.
-
-    Raises:
-        RunError: It is damaged.
-    """
-    evaluations = own_evaluations(ref.run.path, ref.run.record, best_deterministic=False)
-    if ref.is_named:
-        evaluations = [(path, evaluation) for path, evaluation in evaluations if evaluation.model == ref.name]
-    return _with_episodes(evaluations[-1] if evaluations else None)
-
-
-def own_evaluations(
-    path: Path, record: RunRecord, *, best_deterministic: bool = True
-) -> list[tuple[Path, EvaluationRecord]]:
-    """Return the evaluations in the scenario and engine of the training, since it ended, by number;
-    unreadable ones are left out.
-
-    Args:
-        best_deterministic: Only evaluations of the best model without sampled actions. Otherwise those of all
-            models that the run still has, including checkpoints.
-    """
-    evaluations = []
-    best = None if record.result is None else record.result.best_model
-    steps_of_best = None if best is None else best.steps
-    for _, file in numbered_files(path / "evaluations"):
-        try:
-            evaluation = EvaluationRecord.read(file)
-        except RunError:
-            continue
-        is_own = not (
-            evaluation.set or evaluation.elsewhere or evaluation.case or evaluation.stage
-        ) and evaluation.engine in (None, record.engine)
-        if best_deterministic:
-            # `eval --keep` may have replaced the best model.
-            is_present = (
-                None in (evaluation.model_steps, steps_of_best) or evaluation.model_steps == steps_of_best
-            )
-            acts = evaluation.model == "best" and evaluation.deterministic and is_present
-        else:
-            acts = has_model(path, evaluation.model)
-        if is_own and acts and evaluation.evaluated >= record.updated:
-            # The criterion of a changed scenario may be another one.
-            evaluations.append(
-                (
-                    file,
-                    evaluation
-                    if _is_of_training(evaluation, record)
-                    else evaluation.model_copy(update={"solved": None}),
-                )
-            )
-    return evaluations
-
-
-def _is_of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
-    """Return whether an evaluation was made in the scenario of the training. Evaluations of older versions
-    have no digest."""
-    return evaluation.digest in (None, record.digest)
-
-
-def _with_episodes(
-    quoted: tuple[Path, EvaluationRecord] | None,
-) -> tuple[Path, EvaluationWithEpisodes] | None:
+    quoted = quoted_evaluation(run.path, run.record)
     if quoted is None:
         return None
-    path, evaluation = quoted
-    return path, EvaluationWithEpisodes.read(path).model_copy(update={"solved": evaluation.solved})
+    evaluation = EvaluationResult.read(evaluation_file(run.path, quoted.number))
+    return evaluation.model_copy(update={"solved": quoted.evaluation.solved})
+
+
+def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationResult] | None:
+    """Return the last evaluation in the scenario and engine of the training, since the training ended,
+    including evaluations with sampled actions, and its file.
+
+    It is one of the named model, or of any model that the run still has if a run was named.
+    """
+    path, record = ref.run.path, ref.run.record
+    for number, evaluation in reversed(list(_evaluations(path, record))):
+        is_named = evaluation.model == ref.name if ref.is_named else has_model(path, evaluation.model)
+        if record.is_own(evaluation) and is_named:
+            return evaluation_file(path, number), evaluation
+    return None
+
+
+def evaluation_file(path: Path, number: int) -> Path:
+    """Return the file of an evaluation of a run."""
+    return path / "evaluations" / f"{number:04d}.json"
+
+
+def _evaluations(path: Path, record: RunRecord) -> Iterator[tuple[int, EvaluationResult]]:
+    """Yield the evaluations since the training ended, by number; unreadable ones are left out."""
+    for number, file in numbered_files(path / "evaluations"):
+        with suppress(RunError):
+            evaluation = EvaluationResult.read(file)
+            if evaluation.evaluated >= record.updated:
+                yield number, evaluation
