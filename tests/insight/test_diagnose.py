@@ -452,6 +452,7 @@ def test_dying_early_is_named_with_the_success_rate_from_which_going_on_pays(tmp
 
 def test_a_running_training_is_not_advised_to_resume(carriage, tmp_path, capsys):
     run = Path(shutil.copytree(carriage, tmp_path / "run"))
+    Run.open(run).update(status="running")
     with run_lock(run):
         assert main(["diagnose", str(run), "--only-logs"]) == 0
     text = capsys.readouterr().out
@@ -688,20 +689,15 @@ def test_a_folder_that_cannot_be_diagnosed_is_refused_in_a_sentence(short, tmp_p
     assert "is damaged" in capsys.readouterr().err
     shutil.copy(short / "monitor.csv", log)
     evaluation = run / "evaluations" / "0001.json"
-    kept = {
-        "evaluated": "9999",
-        "model": "best",
-        "seed": 2,
-        "episodes": 1,
-        "mean_return": 9.0,
-        "return_interval": None,
-        "solved": None,
-        "success_defined": False,
-        "success_rate": 0.0,
-        "success_interval": [0.0, 1.0],
-        "outcomes": None,
-    }
-    evaluation.write_text(json.dumps(kept))
+    kept = EvaluationResult.of_episodes(
+        [Episode(9.0, 60, False, None)],
+        evaluated="9999",
+        model="best",
+        seed=2,
+        solved=None,
+        success_defined=False,
+    )
+    evaluation.write_text(kept.model_copy(update={"outcomes": ()}).model_dump_json())
     assert main(["diagnose", str(run), "--episode", "failed"]) == 2
     assert "0001.json is damaged: 'outcomes'" in capsys.readouterr().err
     evaluation.unlink()

@@ -20,8 +20,7 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.campaigns.group import Group, RetryAttempt, resume_group
 from deepbots_cli.learning.campaigns.listing import list_runs
 from deepbots_cli.learning.comparison import evaluate_group
-from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.records import EvaluationRecord, RunRecord
 from deepbots_cli.learning.runs.verdict import RunVerdict
 
 SCENARIO = """\
@@ -115,7 +114,7 @@ def test_advice_that_was_tried_is_not_tried_again():
 
 def test_an_attempt_that_is_clearly_worse_is_left_for_the_best_one():
     def verdict(*interval: float) -> RunVerdict:
-        evaluation = EvaluationResult(
+        evaluation = EvaluationRecord(
             evaluated="",
             model="best",
             seed=0,

@@ -21,7 +21,9 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
-from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, write_record
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, TaskRecord, write_record
+from deepbots_cli.rollout import Episode
 from deepbots_cli.view import plots, training_logs
 from deepbots_cli.view.panel_html import training_rows
 
@@ -322,14 +324,17 @@ def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
     assert cells[6:] == ["30 steps, stage crowded", "return 2, success 50%"]
 
 
-def _taught(folder, **scalars):
-    (folder / "resolved.yaml").write_text("train: {teacher: by_hand}\n")
+def _taught(folder, teacher, **scalars):
+    record = RunRecord.read(folder)
+    task = TaskRecord(defines_success=True, solved=None, teacher=teacher)
+    write_record(folder, record.model_copy(update={"task": task}))
     _events(folder / "tensorboard", **{f"teacher__{name}": values for name, values in scalars.items()})
 
 
 def test_the_score_of_a_teacher_is_a_line_and_its_lessons_have_a_panel(runs):
     _taught(
         runs / "a0",
+        "by_hand",
         mean_return=[(10, 7.0), (40, 7.0)],
         success_rate=[(10, 0.75), (40, 0.75)],
         weight=[(10, 1.0), (40, 0.0)],
@@ -344,8 +349,8 @@ def test_the_score_of_a_teacher_is_a_line_and_its_lessons_have_a_panel(runs):
 
 
 def test_trainings_with_a_teacher_have_a_panel_each_beside_one_without(runs):
-    _taught(runs / "a0", agreement=[(10, 0.5), (40, 1.0)])
-    _taught(runs / "b0", agreement=[(10, 0.5), (40, 1.0)])
+    _taught(runs / "a0", "by_hand", agreement=[(10, 0.5), (40, 1.0)])
+    _taught(runs / "b0", "by_hand", agreement=[(10, 0.5), (40, 1.0)])
     _run(runs / "c0", "z", [1, 2, 3, 4])
     titles = [
         panel.get_title("left")
@@ -355,7 +360,7 @@ def test_trainings_with_a_teacher_have_a_panel_each_beside_one_without(runs):
 
 
 def test_a_training_that_a_recording_teaches_has_a_line_of_its_own(runs):
-    (runs / "a1" / "demonstrations.mcap").touch()
+    _taught(runs / "a1", "demonstrations.mcap")
     logs = training_logs.read_logs([runs / "a0", runs / "a1"])
     assert [(log.name, log.teacher) for log in logs] == [("a0", None), ("a1", "demonstrations.mcap")]
 
@@ -387,23 +392,26 @@ def test_a_part_of_the_training_with_one_episode_is_not_a_spike_of_endings(runs)
     assert crashed[crashed > 0].min() == pytest.approx(0.99)
 
 
+def _evaluated(run, **further):
+    episodes = [Episode(3.5, 9, number % 2 == 0, None) for number in range(8)]
+    evaluation = EvaluationResult.of_episodes(
+        episodes,
+        outcomes=episodes,
+        evaluated="9",
+        model="best",
+        seed=0,
+        success_defined=True,
+        solved=None,
+        **further,
+    )
+    (run / "evaluations" / "0001.json").write_text(evaluation.model_dump_json())
+
+
 def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_there_are_some(runs):
     figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
     (runs / "a0" / "evaluations" / "training.jsonl").unlink()
-    evaluation = {
-        "evaluated": "9",
-        "model": "best",
-        "seed": 0,
-        "episodes": 9,
-        "mean_return": 3.5,
-        "return_interval": None,
-        "success_defined": True,
-        "success_rate": 0.5,
-        "success_interval": [0.1, 0.9],
-        "solved": None,
-    }
-    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
+    _evaluated(runs / "a0")
     figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     returns, successes = figure.axes[:2]
     assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
@@ -412,20 +420,7 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
 
 
 def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(runs):
-    evaluation = {
-        "evaluated": "9",
-        "model": "best",
-        "seed": 0,
-        "episodes": 9,
-        "mean_return": 3.5,
-        "return_interval": None,
-        "success_defined": True,
-        "success_rate": 0.5,
-        "success_interval": [0.1, 0.9],
-        "solved": None,
-        "model_steps": 17,
-    }
-    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
+    _evaluated(runs / "a0", model_steps=17)
     figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
 

@@ -13,6 +13,7 @@ pytest.importorskip("sb3_contrib")
 import deepbots_cli
 from deepbots_cli import learning
 from deepbots_cli.errors import RunError
+from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.view.episodes import Showing
@@ -50,7 +51,7 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
     with pytest.raises(RunError, match="has no model yet"):
         open_player(Showing(str(run.path)).open())
     run.update(status="running")
-    with closing(open_player(Showing(str(run.path)).open())) as player:
+    with run_lock(run.path), closing(open_player(Showing(str(run.path)).open())) as player:
         player.begin(0, 0)
         assert "no policy yet" in player.driver.note
         player.step()
@@ -84,7 +85,7 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
     stages = "curriculum=[{name: wide, set: {fall_angle: 8 deg}, until: 24 steps}, {name: usual}]"
     run = Run.open(_trained(tmp_path, "cartpole", stages))
     run.update(status="running")
-    with closing(Page(Showing(str(run.path)), port=0)) as page:
+    with run_lock(run.path), closing(Page(Showing(str(run.path)), port=0)) as page:
         assert page.player.note == "policy after 64 steps, the training is in stage usual"
         text = page.panel.training.text.content
     (done,) = run.record.result.stages

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
+from deepbots_cli.errors import RunError
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Scores, Summary
@@ -43,7 +44,7 @@ class DrawLabel(NamedTuple):
         return " .. ".join(ends) + unit
 
 
-class EvaluationResult(Summary, frozen=True):
+class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
     """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes
     themselves.
 
@@ -118,7 +119,10 @@ class EvaluationResult(Summary, frozen=True):
         Raises:
             RunError: The file is damaged.
         """
-        return read_json(path, cls, _MAX_EVALUATION_BYTES)
+        evaluation = read_json(path, cls, _MAX_EVALUATION_BYTES)
+        if not evaluation.outcomes:
+            raise RunError(f"{path} is damaged: 'outcomes' has no episode")
+        return evaluation
 
     @model_validator(mode="before")
     @classmethod

@@ -309,6 +309,10 @@ class RunRecord(BaseModel):
         quoted = QuotedEvaluation(number=number, evaluation=evaluation.model_copy(update=changes))
         return self.model_copy(update={"quoted": quoted})
 
+    def follows(self, evaluation: EvaluationResult) -> bool:
+        """Return whether an evaluation was made after the training, and not of an older model."""
+        return evaluation.evaluated >= self.updated
+
     def is_own(self, evaluation: EvaluationResult) -> bool:
         """Return whether an evaluation was made in the scenario and the engine of the run."""
         elsewhere = evaluation.set or evaluation.elsewhere or evaluation.case or evaluation.stage

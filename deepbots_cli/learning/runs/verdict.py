@@ -7,7 +7,7 @@ exported policy. Nothing is compiled, and torch is not imported.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,8 +161,10 @@ def quoted_evaluation(path: Path, record: RunRecord) -> QuotedEvaluation | None:
     if record.task is not None and (quoted is None or evaluation_file(path, quoted.number).is_file()):
         return quoted
     record = record.model_copy(update={"quoted": None})
-    for number, evaluation in _evaluations(path, record):
-        record = record.with_evaluation(number, evaluation)
+    for number, file in numbered_files(path / "evaluations"):
+        with suppress(RunError):
+            evaluation = EvaluationResult.read(file)
+            record = record.with_evaluation(number, evaluation) if record.follows(evaluation) else record
     return record.quoted
 
 
@@ -184,24 +186,19 @@ def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationResult] | None:
     including evaluations with sampled actions, and its file.
 
     It is one of the named model, or of any model that the run still has if a run was named.
+
+    Raises:
+        RunError: It, or a later one, is damaged.
     """
     path, record = ref.run.path, ref.run.record
-    for number, evaluation in reversed(list(_evaluations(path, record))):
+    for _, file in reversed(numbered_files(path / "evaluations")):
+        evaluation = EvaluationResult.read(file)
         is_named = evaluation.model == ref.name if ref.is_named else has_model(path, evaluation.model)
-        if record.is_own(evaluation) and is_named:
-            return evaluation_file(path, number), evaluation
+        if record.follows(evaluation) and record.is_own(evaluation) and is_named:
+            return file, evaluation
     return None
 
 
 def evaluation_file(path: Path, number: int) -> Path:
     """Return the file of an evaluation of a run."""
     return path / "evaluations" / f"{number:04d}.json"
-
-
-def _evaluations(path: Path, record: RunRecord) -> Iterator[tuple[int, EvaluationResult]]:
-    """Yield the evaluations since the training ended, by number; unreadable ones are left out."""
-    for number, file in numbered_files(path / "evaluations"):
-        with suppress(RunError):
-            evaluation = EvaluationResult.read(file)
-            if evaluation.evaluated >= record.updated:
-                yield number, evaluation
