@@ -12,7 +12,6 @@ returns.py     what the terms of the reward pay in a step and at an end, and the
 changes.py     what differs between two scenarios
 speeds.py      limits of speed, and the return that they allow
 shown_units.py in which unit a quantity is shown: the one in which the file writes it
-courses.py     values along an assumed course of some quantities, without a simulated world
 """
 
 from __future__ import annotations

@@ -20,7 +20,13 @@ from itertools import islice
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.diagnostics.registry import RULES, Severity, matching_rules, unknown_rule_message
+from deepbots_cli.diagnostics.registry import (
+    RULES,
+    Severity,
+    matching_rules,
+    retired_rule_message,
+    unknown_rule_message,
+)
 from deepbots_cli.errors import UsageError
 
 MAX_FINDINGS = 500
@@ -466,6 +472,9 @@ def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool) -> boo
 
 def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
+    if (retired := retired_rule_message(entry.code)) is not None:
+        removal = Fix((entry.removal,), safe=True)
+        return Finding("DB901", entry.span, retired, "remove the comment", fix=removal)
     if rule is None:
         near = nearest_word(entry.code, RULES)
         help = f"did you mean {near}?" if near else "a code has the form DB603"

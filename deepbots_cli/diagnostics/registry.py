@@ -1,6 +1,6 @@
 """The rule registry: code, kebab-case name, severity and summary of each rule.
 
-Codes and names are stable. DB604, DB605, DB606 and DB610 are retired and never given again.
+Codes and names are stable. A retired code (`RETIRED`) is never given again.
 """
 
 from __future__ import annotations
@@ -360,7 +360,6 @@ _CATALOG = (
         "a reward for progress that can be earned again and again",
         deep="exploits",
     ),
-    Rule("DB716", "cycle-pays", "warning", "a cycle of states without success that pays more than success"),
     Rule(
         "DB717",
         "waiting-pays",
@@ -420,6 +419,12 @@ _CATALOG = (
     ),
 )
 
+RETIRED = {
+    **dict.fromkeys(("DB604", "DB605", "DB606", "DB610"), ""),
+    **dict.fromkeys(("DB716", "CYCLE-PAYS"), "`deepbots lint --exploits` finds such rewards by playing"),
+}
+"""The codes and names of rules that are gone, in capital letters, with what to use instead."""
+
 
 def _read(_name: str, value: Any) -> Iterator[tuple[str, Rule]]:
     """Yield the rules that an entry point names.
@@ -450,8 +455,18 @@ def matching_rules(word: str) -> tuple[Rule, ...]:
     return rules or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(name))
 
 
+def retired_rule_message(word: str) -> str | None:
+    """Return the message for the code or name of a rule that is gone; None for another word."""
+    instead = RETIRED.get(word.strip().upper().replace("_", "-"))
+    if instead is None:
+        return None
+    return f"the rule {word.strip()} is gone" + (f"; {instead}" if instead else "")
+
+
 def unknown_rule_message(word: str) -> str:
     """Return the message for a word that fits no rule."""
+    if (retired := retired_rule_message(word)) is not None:
+        return retired
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
     near = nearest_word(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (

@@ -105,7 +105,7 @@ _UNLEARNABLE = {
     "DB810": "`solved` asks for what no policy can miss or reach",
 }
 """The meaning of findings of lint for a training that cannot learn its task."""
-_EXPLOITS = {"DB708", "DB716", "DB717"}
+_EXPLOITS = {"DB708", "DB717"}
 """Findings of payments that a policy can collect without success."""
 
 

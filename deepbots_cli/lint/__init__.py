@@ -19,7 +19,6 @@ observations.py  what the policy sees; saturation.py values at the end of their 
 rewards.py       the size of the reward; shaping.py its direction; incentives.py     DB7, DB810
                  what pays
 rivals.py        rewards of several agents together                                  DB718
-cycles.py        what a cycle of states earns that never ends in success             DB716
 endings.py       when episodes end, goals that cannot be reached                     DB8
 exploits.py      rewards that pay for something other than success                   DB712 to DB715, DB717
 

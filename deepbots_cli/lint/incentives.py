@@ -7,7 +7,6 @@ from math import ceil, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
-from deepbots_cli.analysis.courses import CLOCKS, RATE_FUNCTIONS, has_memory
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range, uses_earlier_values
 from deepbots_cli.diagnostics import Finding, Label
@@ -19,6 +18,9 @@ from deepbots_cli.lint.report import SimulatedEpisode
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
 
+_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
+"""The facts that are 0 while nothing moves."""
+_CLOCKS = frozenset({"time", "step"})
 _MIN_FACTOR = 1e-12
 """The largest factor that is left by rounding when factors cancel."""
 MIN_BREAK_EVEN = 0.5
@@ -207,7 +209,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
         return  # the static rule knows the costs
-    if any(not CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
+    if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure
     prize, success = max(
@@ -257,7 +259,7 @@ class _StillRanges(Ranges):
     change."""
 
     def _world(self, node: EngineRead) -> Interval:
-        return ZERO if node.function in RATE_FUNCTIONS else super()._world(node)
+        return ZERO if node.function in _RATE_FUNCTIONS else super()._world(node)
 
     def _state(self, node: State) -> Interval:
         match node.function:
@@ -269,7 +271,7 @@ class _StillRanges(Ranges):
                 return super()._state(node)
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
-        if op in ("add", "sub") and any(has_memory(self.analysis, arg) for arg in args):
+        if op in ("add", "sub") and any(_has_memory(self.analysis, arg) for arg in args):
             return self._sum(op, args)
         if op == "and":
             return super()._op(op, [self._now(arg) for arg in args])
@@ -307,7 +309,7 @@ class _StillRanges(Ranges):
 
     def _now(self, node: Scalar) -> Scalar:
         """Return the same value, with each quantity one step ago replaced by the quantity."""
-        if not has_memory(self.analysis, node):
+        if not _has_memory(self.analysis, node):
             return node
         match self.analysis.resolve_aliases(node):
             case State("previous", (inner, *_)):
@@ -318,22 +320,20 @@ class _StillRanges(Ranges):
                 return meaning
 
 
+def _has_memory(analysis: Analysis, node: Scalar) -> bool:
+    """Return whether a value depends on earlier timesteps."""
+    return any(isinstance(part, State) for part in analysis.walk_definitions(node))
+
+
 @rule("DB708")
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     """Report that an episode can collect more reward without success than success pays."""
-    finding = hovering(context)
-    if finding is not None:
-        yield finding
-
-
-def hovering(context: RuleContext) -> Finding | None:
-    """Return a finding about the state beside the success that pays more than this; None if there is none."""
     analysis = context.analysis
     reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     successes = context.program.successes
     if not reward.is_complete or len(successes) != 1 or not ordinary:
-        return None
+        return
     success = successes[0]
     running = reward.ranges_while_running()
     possible = (
@@ -342,8 +342,8 @@ def hovering(context: RuleContext) -> Finding | None:
         else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success)[0])
     )
     if possible == NEVER or success in analysis.shadowed:
-        return None  # DB801, DB804
-    steps = steps_from(analysis, success) * context.program.action_repeat
+        return  # DB801, DB804
+    steps = _steps_from(analysis, success) * context.program.action_repeat
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
@@ -362,14 +362,14 @@ def hovering(context: RuleContext) -> Finding | None:
             )
             headline += f", but `{success.name}` pays {prize:.3g} only once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            return Finding(
+            yield Finding(
                 "DB708",
                 best.span,
                 headline,
                 f"{PROGRESS_HELP}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
             )
-    return None
+            return
 
 
 def _end_at_one_time(analysis: Analysis, success: Expression) -> str:
@@ -390,7 +390,7 @@ def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
     A memory such as `running_max` may have any value of its range, but does not pay its rise in each step.
     """
     paid = waiting.of(node)
-    return paid.high if is_open and not has_memory(waiting.analysis, node) else paid.low
+    return paid.high if is_open and not _has_memory(waiting.analysis, node) else paid.low
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
@@ -421,14 +421,14 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
                     clock = analysis.resolve_aliases(late)
                     if isinstance(clock, State) and clock.function == "duration":
                         clock = Name("time")
-                    if isinstance(clock, Name) and clock.name in CLOCKS:
+                    if isinstance(clock, Name) and clock.name in _CLOCKS:
                         first = max(
                             first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
                         )
     return min(first, float(analysis.last_step))
 
 
-def steps_from(analysis: Analysis, ending: Expression) -> float:
+def _steps_from(analysis: Analysis, ending: Expression) -> float:
     """Return the steps of the agent after the first one in which an ending may hold."""
     return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 
@@ -520,7 +520,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     if best is None:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
-    steps = steps_from(analysis, success)
+    steps = _steps_from(analysis, success)
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
@@ -532,7 +532,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:
     """Return whether a value depends on a speed."""
     return any(
-        isinstance(part, EngineRead) and part.function in RATE_FUNCTIONS
+        isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS
         for part in analysis.walk_definitions(node)
     )
 

@@ -10,7 +10,6 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, exceptions_as_findings
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.lint import (
-    cycles,
     endings,
     incentives,
     mirrors,
@@ -40,7 +39,6 @@ _MODULES = (
     saturation,
     rewards,
     incentives,
-    cycles,
     shaping,
     endings,
 )

@@ -21,7 +21,7 @@ from deepbots_cli.cli.explanations import (
     related_entries,
     unknown_word_message,
 )
-from deepbots_cli.diagnostics.registry import RULES, matching_rules
+from deepbots_cli.diagnostics.registry import RULES, matching_rules, retired_rule_message
 from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.studio.meanings import Meaning, line_link
@@ -73,6 +73,8 @@ def explanation(word: str, *, only_concepts: bool = False) -> str:
     if len(rules) == 1:
         rule = rules[0]
         return f"**{rule.code} {rule.name}** ({rule.severity}): {rule.summary}.\n\n{rule_page(rule.code)}"
+    if (retired := retired_rule_message(word)) is not None:
+        return _with_links(retired)
     if rules:
         return "\n".join(f"- {_link(rule.code)} {rule.name}: {rule.summary}" for rule in rules)
     explained = explain_word(word)

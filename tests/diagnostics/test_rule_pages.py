@@ -11,6 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
+from deepbots_cli.diagnostics.registry import RETIRED
 from deepbots_cli.document import loads
 from deepbots_cli.lint import (
     EXPLOIT_RULES,
@@ -133,7 +134,17 @@ def test_a_comment_about_an_exploit_is_of_use_where_none_was_searched() -> None:
 
 
 def test_a_retired_code_is_never_given_again() -> None:
-    assert not {"DB604", "DB605", "DB606", "DB610"} & set(RULES)
+    assert {"DB604", "DB605", "DB606", "DB610", "DB716"} <= set(RETIRED)
+    assert not set(RETIRED) & {word for rule in RULES.values() for word in (rule.code, rule.name.upper())}
+
+
+def test_a_comment_about_a_retired_rule_says_that_it_is_gone_and_what_finds_the_same() -> None:
+    (finding,) = suppress([], [Source("a.yaml", "a: 1 # deepbots: ignore[DB716]\n")])[1]
+    assert finding.code == "DB901"
+    assert (
+        finding.headline == "the rule DB716 is gone; `deepbots lint --exploits` finds such rewards by playing"
+    )
+    assert finding.fix is not None
 
 
 def test_a_comment_about_a_rule_in_preview_is_of_use_where_previews_do_not_run() -> None:

@@ -73,6 +73,11 @@ def test_case_and_blanks_do_not_matter() -> None:
         ("term-dominate", "did you mean term-dominates?"),
         ("", "there is no finding ''"),
         ("zzzzz", "deepbots explain lists them"),
+        (
+            "db716",
+            "--select: the rule db716 is gone; `deepbots lint --exploits` finds such rewards by playing",
+        ),
+        ("cycle-pays", "--select: the rule cycle-pays is gone"),
     ],
 )
 def test_a_word_that_fits_nothing_is_refused(word: str, message: str) -> None:

@@ -14,7 +14,12 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.explanations import explain_word, misspelled_word, unknown_word_message
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Rule
-from deepbots_cli.diagnostics.registry import RULES, matching_rules, unknown_rule_message
+from deepbots_cli.diagnostics.registry import (
+    RULES,
+    matching_rules,
+    retired_rule_message,
+    unknown_rule_message,
+)
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.pages import pages_of
 
@@ -37,6 +42,8 @@ def command(
     finding = " ".join(words or ())
     rules = matching_rules(finding)
     if not rules:
+        if (retired := retired_rule_message(finding)) is not None:
+            raise UsageError(retired)
         explained = explain_word(finding)
         if not explained.entries and not _CODE.match(finding) and (word := misspelled_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{word}'\n")

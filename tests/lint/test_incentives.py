@@ -1,5 +1,5 @@
-"""Rewards that a cycle of states exploits are found in the text, whatever the term looks like; rewards that
-sum to zero are not."""
+"""Rewards that pay beside the success are found in the text, whatever the term looks like, and rewards that
+sum to zero are not; limits of speed bound the return."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.analysis import Analysis, possible_returns
-from deepbots_cli.analysis.courses import ways
 from deepbots_cli.analysis.speeds import base_speed, highest_return
 
 HERE = Path(__file__).parent
 
-TABLES = yaml.safe_load((HERE / "cycles.yaml").read_text(encoding="utf-8"))
+TABLES = yaml.safe_load((HERE / "incentives.yaml").read_text(encoding="utf-8"))
 EXPLOITED, SOUND = TABLES["exploited"], TABLES["sound"]
 
 
@@ -39,48 +38,12 @@ def write(folder: Path, text: str) -> Path:
 def test_a_reward_that_pays_more_for_avoiding_the_success_is_found_before_training(
     name: str, folder: Path
 ) -> None:
-    findings = api.lint(write(folder, EXPLOITED[name]))
-    assert len(findings) == 1, findings
-    assert findings[0].code in ("DB708", "DB716")
+    assert [finding.code for finding in api.lint(write(folder, EXPLOITED[name]))] == ["DB708"]
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_a_reward_that_sums_to_nothing_over_a_cycle_is_silent(name: str, folder: Path) -> None:
+def test_a_reward_that_pays_no_state_beside_the_success_is_silent(name: str, folder: Path) -> None:
     assert api.lint(write(folder, SOUND[name])) == []
-
-
-def test_the_finding_names_the_term_that_pays_and_the_cycle(folder: Path) -> None:
-    (finding,) = api.lint(write(folder, EXPLOITED["a bonus where the distance crosses a limit"]))
-    assert finding.code == "DB716"
-    assert finding.span.text == "3 when apart < 25 cm and previous(apart) >= 25 cm"
-    assert finding.notes == ("the cycle: `apart` is 0.2475 m for 1 step, then 0.2525 m for 1 step",)
-
-
-def test_a_term_that_pays_while_the_success_is_held_is_interrupted_just_in_time(folder: Path) -> None:
-    """`parked` paid 10 in each step of a parked car, and the success came only after some time."""
-    (finding,) = api.lint(write(folder, EXPLOITED["paid in each step while the success has to be held"]))
-    assert finding.code == "DB716"
-    assert finding.span.text == "10 when parked"
-    assert "for 5 steps, then" in finding.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("name", "rate", "stays"),
-    [
-        ("a bonus at each visit of a region of two bounds", "1.99", False),
-        ("a bonus at each visit of a region that a counter counts", "1.99", False),
-        ("pay for the time that passes", "0.4", True),
-        ("pay for the time that passes, written as a difference", "0.4", True),
-    ],
-)
-def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(
-    name: str, rate: str, stays: bool, folder: Path
-) -> None:
-    """A finding once named 9.99 per step for a bonus of 4 at each entry, where a visit takes two steps, and
-    80 per step of 40 ms for 4 per second."""
-    (finding,) = api.lint(write(folder, EXPLOITED[name]))
-    assert f"earns up to {rate} per step" in finding.headline
-    assert (" stays " in finding.notes[0]) is stays
 
 
 # Limits of speed
@@ -215,21 +178,3 @@ def test_wheels_on_two_axles_or_without_a_caster_set_no_limit(folder: Path) -> N
     """Where such a robot turns depends on which of its wheels slide."""
     assert wheel_bound(folder, 0, 0, rear_axle=True) == float("inf")
     assert wheel_bound(folder, 0, 0, behind=0) == float("inf")
-
-
-@pytest.mark.parametrize(
-    "condition",
-    [
-        "{held} > 1 s",
-        "-{held} < -1 s",
-        "1 s - {held} < 0 s",
-        "1 s / (1 s + {held}) < 0.5",
-        "-1 s / (1 s + {held}) > -0.5",
-    ],
-)
-def test_how_long_something_lasts_is_met_by_making_it_true(condition: str) -> None:
-    text = condition.format(held="duration(abs(cart.pole_angle) < 0.1 rad)")
-    program = api.compile("cartpole", overrides=[f"signals={{late: {text}}}"]).program
-    (late,) = (signal.scalars[0] for signal in program.signals if signal.name == "late")
-    ((angle,),) = (way.values() for way in ways(Analysis(program), late))
-    assert angle.within.high == pytest.approx(0.1)
