@@ -14,7 +14,6 @@ from pathlib import Path
 _EXTRAS_OF_MODULES = {
     "PIL": "sim",
     "py_mini_racer": "webots-js",
-    "rsl_rl": "rsl",
     "websockets": "view",
     "zmq": "zmq",
 }

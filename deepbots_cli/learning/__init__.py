@@ -35,7 +35,6 @@ campaigns/               several trainings of one scenario: groups, studies, and
 agents/                  several agents: their learners, and matches between them
 teaching/                teachers: scripts, recordings and other policies
 sb3/                     the learner of the built-in algorithms
-rsl/                     the learner of rsl_rl.PPO
 
 The names below are imported on first use, because torch alone takes a second. For the same reason, commands
 and modules of other packages import the modules that need torch within functions.

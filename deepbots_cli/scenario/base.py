@@ -227,8 +227,8 @@ class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
     `models_by_key` has the models that have no such word and are recognized by another key, `help_by_key` the
-    texts to write instead of a key that belongs elsewhere. Without a word, a section is of the kind
-    `default`, if there is one.
+    texts to write instead of a key that belongs elsewhere, `gone` the texts to write instead of a word that
+    the language had. Without a word, a section is of the kind `default`, if there is one.
     """
 
     key: str
@@ -236,6 +236,7 @@ class Kinds:
     models_by_key: Mapping[str, type[Section]] = field(default_factory=dict)
     help_by_key: Mapping[str, str] = field(default_factory=dict)
     default: str | None = None
+    gone: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -291,6 +292,8 @@ class Kinds:
                 self.key,
                 mismatch(f"the name of {with_article(self.key)}", choices_help("", self.names), value=word),
             )
+        if word in self.gone:
+            raise error_at(self.key, error("DB104", f"the {self.key} `{word}` is gone", self.gone[word]))
         unknown = error(
             "DB104",
             f"unknown {self.key} `{word[:40]}`",

@@ -1,5 +1,5 @@
-"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3,
-sb3-contrib and RSL-RL.
+"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3
+and sb3-contrib.
 
 A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
 `SET_ELSEWHERE_HELP` has the places where they are set instead.
@@ -453,59 +453,6 @@ class TQC(_SoftActorCritic):
     """Number of highest quantiles to drop per critic."""
 
 
-class RslPPO(Training):
-    """On-policy; ranges. PPO of RSL-RL, whose learning rate follows the KL divergence of each update."""
-
-    import_path = "deepbots_cli.learning.rsl.learner:RslLearner"
-    on_policy = True
-    has_critic = True
-    acts_by = frozenset({"ranges"})
-
-    algorithm: Literal["rsl_rl.PPO"]
-    num_steps_per_env: PositiveInt | None = None
-    """Steps of each environment between two updates."""
-    num_learning_epochs: PositiveInt | None = None
-    """Passes over the samples of a rollout."""
-    num_mini_batches: PositiveInt | None = None
-    """Batches into which each pass divides a rollout; each is one gradient step."""
-    learning_rate: Positive | None = None
-    """Learning rate. With `schedule: adaptive`, the initial one."""
-    schedule: Literal["adaptive", "fixed"] | None = None
-    """`adaptive` divides the learning rate by 1.5 after a batch whose KL divergence is above twice
-    `desired_kl`, and multiplies it by 1.5 below half of it, between 1e-5 and 1e-2. `fixed` keeps it."""
-    desired_kl: Positive | None = None
-    """KL divergence between the policies before and during an update that `schedule: adaptive` aims at."""
-    gamma: Fraction | None = None
-    """Discount factor, 0 to 1: a reward that comes n steps later has the weight gamma^n."""
-    lam: Fraction | None = None
-    """Lambda of generalized advantage estimation (GAE), 0 to 1: a trade-off between bias and variance."""
-    clip_param: Positive | None = None
-    """Limit on the change of the policy in one update, and with `use_clipped_value_loss` on the change of the
-    value function."""
-    use_clipped_value_loss: Bool | None = None
-    """Whether the loss of the value function is clipped by `clip_param`, in the unit of the rewards. Clipping
-    suits returns of about 1, as with `normalize: reward`."""
-    value_loss_coef: NonNegative | None = None
-    """Weight of the value function in the loss."""
-    entropy_coef: NonNegative | None = None
-    """Weight of the entropy in the loss: a higher weight means more exploration."""
-    max_grad_norm: Positive | None = None
-    """Largest norm of the gradient of the policy, and of that of the value function; larger gradients are
-    scaled down."""
-    normalize_advantage_per_mini_batch: Bool | None = None
-    """Whether advantages are normalized in each batch, instead of once over the rollout."""
-    optimizer: Literal["adam", "adamw", "sgd", "rmsprop"] | None = None
-    """Optimizer of torch."""
-    init_std: Positive | None = None
-    """Initial standard deviation of the actions, where actions are in [-1, 1]."""
-    std_type: Literal["scalar", "log"] | None = None
-    """Whether the standard deviation itself is learned (`scalar`), or its logarithm (`log`)."""
-    learn_std: Bool | None = None
-    """Whether the standard deviation is learned. `false` keeps `init_std`."""
-    obs_normalization: Bool | None = None
-    """Whether the networks normalize observations by their running mean and standard deviation."""
-
-
 class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that of SAC, which takes more
     """deepbots chooses the algorithm, and every key that is not given, by the structure of the scenario."""
 
@@ -537,9 +484,12 @@ def _checked_model(name: str, model: Any) -> Iterator[tuple[str, type[Training]]
 
 _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
 ALGORITHMS: PluginTable[type[Training]] = PluginTable(
-    "deepbots.algorithms",
-    {model.__name__: model for model in _BUILT_IN} | {kind_of(RslPPO, "algorithm"): RslPPO},
-    _checked_model,
+    "deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _checked_model
 )
+_GONE = {
+    "rsl_rl.PPO": "write `algorithm: PPO, learning_rate: {kl: 0.01}`, with the hyperparameters of `PPO`",
+}
 # A union of both tables would list all names, and so load the packages of all plug-ins.
-AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]
+AnyTraining = Annotated[
+    Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO, gone=_GONE)
+]

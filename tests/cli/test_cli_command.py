@@ -173,13 +173,13 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
         (
             ("torch",),
             "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and"
-            " TQC, rsl_rl.PPO, the studio, policies as ONNX,"
+            " TQC, the studio, policies as ONNX,"
             " --cluster, searches by tune",
         ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO,"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC,"
             " several agents as an environment of PettingZoo, self-play, the page of view and play, the studio,"
             " PROTOs of Webots with JavaScript, policies as ONNX,"
             " --cluster, searches by tune",

@@ -200,7 +200,8 @@ OF_ISAAC_LAB = {
         "mass * change of velocity / duration"
     ),
     "robots: {cart: {sensors: {pole_angle: {noise: uniform(-0.1 .. 0.1 rad)}}}}": "write `noise: 0.058 rad`",
-    "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000, n_steps: 24}": "write `num_steps_per_env: 24`",
+    "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000}": "write `algorithm: PPO, learning_rate: {kl: 0.01}`",
+    "train: {algorithm: PPO, total_timesteps: 1000, num_steps_per_env: 24}": "write `n_steps: 24`",
     "train: {network: {actor_hidden_dims: [64, 64]}}": "write `hidden: [64, 64]`",
     "robots: {cart: {links: {'.*le': {color: red}}}}": "did you mean `*le`?",
     "world: {terrain: {type: tiles, tiles: {up: {type: pyramid_stairs_inv, height: 2 .. 4 cm}}}}": (

@@ -143,16 +143,13 @@ def test_the_environment_of_a_scenario_has_the_observation_alone(tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["PPO", "PPO in shards", "SAC", "RecurrentPPO", "rsl_rl.PPO"])
+@pytest.mark.parametrize("case", ["PPO", "PPO in shards", "SAC", "RecurrentPPO"])
 def test_a_training_that_is_interrupted_continues_to_the_bit(tmp_path: Path, case: str) -> None:
     settings = {
         "PPO in shards": f"{PPO}, shards: 2",
-        "rsl_rl.PPO": "num_steps_per_env: 32",
         "SAC": "learning_starts: 100, batch_size: 16, train_freq: 4",
     }.get(case, PPO)
-    base = "cartpole_continuous" if case in ("SAC", "rsl_rl.PPO") else "cartpole"
-    if case == "rsl_rl.PPO":
-        pytest.importorskip("rsl_rl")
+    base = "cartpole_continuous" if case == "SAC" else "cartpole"
     path = scenario(tmp_path, case.split()[0], settings, base=base)
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     train(path, run=whole, engine="pybullet")

@@ -470,10 +470,7 @@ def test_a_policy_with_unknown_networks_is_refused_where_its_layers_are_needed()
 # Defaults
 
 
-STABLE = sorted(set(ALGORITHMS) - {"rsl_rl.PPO"})
-
-
-@pytest.mark.parametrize("algorithm", STABLE)
+@pytest.mark.parametrize("algorithm", sorted(ALGORITHMS))
 def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm: str) -> None:
     training = Training(algorithm, 5_000, 2, hyper(gamma=0.9), SMALL)
     scenario = stand_in.scenario(training=training, continuous=algorithm not in ("DQN", "MaskablePPO"))
@@ -493,7 +490,7 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
     assert {name: effective[name].value for name in got} == got
 
 
-@pytest.mark.parametrize("algorithm", STABLE)
+@pytest.mark.parametrize("algorithm", sorted(ALGORITHMS))
 def test_the_defaults_of_the_library_are_read_from_its_signature(algorithm: str) -> None:
     home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].import_path.partition(":")[0])
     signature = inspect.signature(getattr(home, algorithm).__init__)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import json
 from collections.abc import Callable
@@ -127,23 +126,12 @@ EXCLUDED = {
     "tensorboard_log",
     "policy_kwargs",
     "_init_setup_model",
-    "actor",
-    "critic",
-    "storage",
-    "use_mixed_precision",
-    "rnd_cfg",
-    "symmetry_cfg",
-    "multi_gpu_cfg",
-    "grad_reduce_bucket_mb",
 } | {f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")}
-OURS = {"replay", "lstm", "num_steps_per_env", "init_std", "std_type", "learn_std", "obs_normalization"}
+OURS = {"replay", "lstm", "init_std"}
 """Hyperparameters that are arguments of other classes of the library."""
 
 
 def signature(algorithm: str) -> inspect.Signature:
-    if algorithm == "rsl_rl.PPO":
-        pytest.importorskip("rsl_rl")
-        return inspect.signature(importlib.import_module("rsl_rl.algorithms").PPO.__init__)
     library = "sb3_contrib" if algorithm in ("MaskablePPO", "RecurrentPPO", "TQC") else "stable_baselines3"
     return inspect.signature(getattr(pytest.importorskip(library), algorithm).__init__)
 

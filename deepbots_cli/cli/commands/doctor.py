@@ -28,7 +28,6 @@ _EXTRAS = {
     "sim": "simulation",
     "train": "training",
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
-    "rsl": "rsl_rl.PPO",
     "agents": "several agents as an environment of PettingZoo, self-play",
     "view": "the page of view and play",
     "editor": "the language server",

@@ -1,8 +1,8 @@
 """The hyperparameters of a training: those of the scenario, our defaults, and the defaults of the library.
 
 Our defaults suit small networks and light worlds on a CPU. Every other default is the one of
-Stable-Baselines3, sb3-contrib or RSL-RL. It is read from the signature in the library's source, since
-importing the library takes seconds.
+Stable-Baselines3 or sb3-contrib. It is read from the signature in the library's source, since importing the
+library takes seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from deepbots_cli.scenario.training import ALGORITHMS
 _LIBRARY_TITLES = {
     "stable_baselines3": "Stable-Baselines3",
     "sb3_contrib": "sb3-contrib",
-    "rsl_rl": "RSL-RL",
 }
 _UNIFORM = "uniform"
 
@@ -113,22 +112,6 @@ _DETERMINISTIC = _ACTOR_CRITIC | {
     )
 }
 
-_RSL = {
-    "num_steps_per_env": Default(
-        lambda training, *_: max(24, 1024 // training.environments),
-        "1024 / `environments`, at least 24",
-    ),
-    # Clipped in the unit of the rewards, a value moves by `clip_param` in an update, and returns may be
-    # hundreds.
-    "use_clipped_value_loss": Default(
-        lambda training, *_: training.normalize is not None, "true with `normalize: reward`, otherwise false"
-    ),
-    **_GAUSSIAN,
-    "std_type": Default(lambda *_: "scalar", "scalar"),
-    "learn_std": Default(lambda *_: True, "true"),
-    "obs_normalization": Default(lambda *_: False, "false"),
-}
-
 DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "A2C": _GAUSSIAN,
     "DDPG": _DETERMINISTIC,
@@ -139,7 +122,6 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "SAC": _ACTOR_CRITIC,
     "TD3": _DETERMINISTIC,
     "TQC": _ACTOR_CRITIC,
-    "rsl_rl.PPO": _RSL,
 }
 """Our defaults, by algorithm and hyperparameter; an algorithm without any is left out."""
 
@@ -215,10 +197,8 @@ def library_of(algorithm: str) -> str:
 
 
 def _package(algorithm: str) -> str:
-    """Return the package that has the algorithm; Stable-Baselines3 for one of a plug-in. `rsl_rl.PPO` names
-    it, because deepbots has the class that its model imports."""
-    imported = ALGORITHMS[algorithm].import_path.partition(":")[0]
-    package = algorithm.rpartition(".")[0] or imported
+    """Return the package that has the algorithm; Stable-Baselines3 for one of a plug-in."""
+    package = ALGORITHMS[algorithm].import_path.partition(":")[0]
     return package if package in _LIBRARY_TITLES else "stable_baselines3"
 
 
@@ -231,13 +211,14 @@ def library_defaults(algorithm: str) -> Mapping[str, object] | None:
     spec = find_spec(_package(algorithm))
     if spec is None or spec.origin is None:
         return None
-    name = algorithm.rpartition(".")[2]
-    defined = re.compile(rf"^class {name}[(:]", re.MULTILINE)
+    defined = re.compile(rf"^class {algorithm}[(:]", re.MULTILINE)
     for path in sorted(Path(spec.origin).parent.glob("*/*.py")):
         text = path.read_text(encoding="utf-8")
         if defined.search(text):
             (definition,) = (
-                node for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == name
+                node
+                for node in ast.parse(text).body
+                if isinstance(node, ast.ClassDef) and node.name == algorithm
             )
             (start,) = (
                 node
