@@ -72,16 +72,12 @@ WrenchReader = Callable[[], tuple[Triple, Triple]]
 """A force (N) and a torque (N m)."""
 ClearanceReader = Callable[[], float]
 RayReader = Callable[[], Sequence[float]]
-SightReader = Callable[[], bool]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
 
 
 CAMERA_RANGE_M = 100.0
 """The distance to which cameras see."""
 
-
-SIGHT_TOLERANCE_M = 1e-3
-"""The distance from the end of a line of sight within which nothing hides it."""
 
 _PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
 """The parameters of the port that are bodies or parts."""
@@ -299,14 +295,6 @@ class Engine(Bindable, Protocol):
         """Return a function that pushes a link at its origin, in the next engine step only, with axes of the
         world or of the link."""
 
-    def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        """Return whether no third body is on the straight line from a point in the frame of a link to the
-        origin of a link of another body; false if that body is absent.
-
-        As for rays, bodies that are not solid are on no line. A surface within `SIGHT_TOLERANCE_M` of the
-        other origin is none either: a robot on the ground may have its origin there.
-        """
-
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         """Return a camera that looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
 
@@ -449,7 +437,6 @@ class EngineProxy:
     contact_force_vector = partialmethod(_reader, "contact_force_vector", 1)
     clearance = partialmethod(_reader, "clearance", 2)
     rays = partialmethod(_reader, "rays", 1)
-    line_of_sight = partialmethod(_reader, "line_of_sight", 2)
     camera = partialmethod(_reader, "camera", 1)
     inverse_kinematics = partialmethod(_reader, "inverse_kinematics", 1)
     joint_states = partialmethod(_reader, "joint_states", 1)

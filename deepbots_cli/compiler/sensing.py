@@ -7,13 +7,11 @@ from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
-from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
 from deepbots_cli.compiler.robots import (
     ResolvedRobot,
-    expand_patterns,
     joint_dimension,
     joint_interval,
-    report_unmatched,
 )
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
@@ -26,7 +24,6 @@ from deepbots_cli.program.robots import (
     CalibrationTable,
     CameraIntrinsics,
     NoiseModel,
-    RadarConfig,
     RayConfig,
     Sensor,
 )
@@ -41,7 +38,6 @@ from deepbots_cli.scenario.sensors import (
     HeightScan,
     JointSensor,
     LinkSensor,
-    Radar,
     RayScan,
     RaySensor,
     ReactionSensor,
@@ -172,19 +168,6 @@ class SensorsCompiler(NamespaceReader):
                     return None
                 more["beams"], components, dimension, interval = scan
                 typed = typed._replace(dimension=dimension, components=components or None, interval=interval)
-            case Radar():
-                radar = self._radar(spec)
-                if radar is None:
-                    return None
-                more["radar"] = radar
-                # The copies of a group have names such as `crate#2`, and no name in an expression has a `#`.
-                names = tuple(name.replace("#", "_") for name in radar.targets)
-                typed = ValueType(
-                    spec.measures[spec.measure],
-                    names if spec.target is None else None,
-                    boolean=spec.measure == "seen",
-                    interval=radar.interval,
-                )
             case Camera():
                 optics = _intrinsics(namespace, spec)
                 if optics is None:
@@ -236,59 +219,6 @@ class SensorsCompiler(NamespaceReader):
                 )
         return tuple(dict.fromkeys(links))
 
-    def _radar(self, spec: Radar) -> RadarConfig | None:
-        """Return what a radar measures and where it sees; None after a finding."""
-        targets = self._targets(spec)
-        ends = self._fields.ends(spec, "range")
-        angles = [
-            _angle_of_view(self._namespace, spec, key, limit)
-            for key, limit in (("horizontal_fov", 360.0), ("vertical_fov", 180.0))
-        ]
-        if ends is None or not targets or None in angles:
-            return None
-        (near,), (far,) = ends.low, ends.high
-        if near < 0.0:
-            span = self._values.span((*spec.path, "range"))
-            headline = f"a range that begins at {near:g} m"
-            self._values.add(
-                "DB105", span, headline, "begin the range at 0 m or more: distances are positive"
-            )
-            return None
-        horizontal, vertical = (angle or 0.0 for angle in angles)
-        return RadarConfig(targets, spec.measure, near, far, horizontal, vertical, spec.occlusion)
-
-    def _targets(self, spec: Radar) -> tuple[str, ...]:
-        """Return the bodies that a radar measures; none after a finding."""
-        namespace = self._namespace
-        robot = self._robot.name
-        groups = {name: (Kind.OBJECTS, group.copies) for name, group in namespace.groups.items()}
-        bodies = [name for name in namespace.names_of(Origin.ROBOT, Origin.OBJECT) if name != robot]
-        single = [name for name in bodies if name not in groups]
-        copies = [copy for _, members in groups.values() for copy in members]
-        if spec.target is not None:
-            names, missing = expand_patterns(single, spec.target, {})
-        else:
-            names, missing = expand_patterns([*single, *copies], spec.targets or (), groups)
-        for name in missing:
-            self._report_target(spec, name, single if spec.target is not None else bodies)
-        return () if missing else names
-
-    def _report_target(self, spec: Radar, name: str, bodies: list[str]) -> None:
-        """Report a target of a radar that is none of the `bodies`."""
-        steps: NodePath = ("target",)
-        if isinstance(spec.targets, str):
-            steps = ("targets",)
-        elif spec.targets is not None:
-            steps = ("targets", spec.targets.index(name))
-        span = self._values.span((*spec.path, *steps))
-        if name.partition(".")[0] == self._robot.name:
-            headline = f"a radar of `{self._robot.name}` does not see its own robot"
-            self._values.add("DB203", span, headline, "name other robots, or objects")
-        elif name in self._namespace.groups:
-            self._values.add("DB203", span, f"`{name}` is a group of objects", f"write `targets: [{name}]`")
-        else:
-            report_unmatched(self._values, span, name, "body", bodies)
-
     def _felt(self) -> list[str]:
         """Return every body and link that a touch sensor may feel."""
         subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
@@ -337,16 +267,6 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     return (
         CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
     )
-
-
-def _angle_of_view(namespace: Namespace, spec: Radar, key: str, limit: float) -> float | None:
-    """Return an angle of view of a radar, in rad, of at most `limit` degrees; None after a finding."""
-    angle = namespace.fields.fixed(spec, key)
-    # The conversion to radians and back may exceed the written number by rounding.
-    if angle is not None and math.degrees(angle) > limit * (1.0 + 1e-12):
-        _report_angle_of_view(namespace, spec, key, angle, f"write at most {limit:g} deg")
-        return None
-    return angle
 
 
 def _report_angle_of_view(namespace: Namespace, spec: LinkSensor, key: str, angle: float, help: str) -> None:
@@ -504,10 +424,8 @@ def _noise_model(
     if typed.boolean or typed.picture:
         readings = "takes pictures" if typed.picture else "reads true or false"
         keys = list(_NUMERIC_KEYS)
-        if typed.picture or isinstance(spec, Radar):
-            keys.remove("range")  # of the distances in the picture, or of the targets
-        if typed.picture:
-            keys.remove("resolution")  # of the picture
+        if typed.picture:  # has a range of distances, and a resolution
+            keys = [key for key in keys if key not in ("range", "resolution")]
         for key in keys:
             if key in spec.model_fields_set:
                 namespace.values.add_at_key(
@@ -593,10 +511,6 @@ def _resolution(namespace: Namespace, spec: SensorSpec, typed: ValueType) -> tup
 def _range(
     namespace: Namespace, spec: SensorSpec, typed: ValueType
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    if isinstance(spec, Radar):
-        count = len(typed.components or ("",))
-        low, high = typed.interval
-        return ((low,) * count, (high,) * count) if typed.interval.is_finite else ((), ())
     if spec.range is None:
         return (), ()
     ends = namespace.fields.ends(

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
@@ -25,7 +25,6 @@ Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
 RayReduction = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
-RadarMeasure = Literal["distance", "azimuth", "speed", "seen"]
 
 
 @dataclass(frozen=True)
@@ -106,39 +105,6 @@ class CameraIntrinsics:
 
 
 @dataclass(frozen=True)
-class RadarConfig:
-    """A radar that sees `targets` (bodies) at distances of `near` to `far` m, within the horizontal and the
-    vertical field of view (rad) about its x axis.
-
-    With `occlusion`, bodies and the ground hide what is behind them.
-    """
-
-    targets: tuple[str, ...]
-    measure: RadarMeasure
-    near: float
-    far: float
-    horizontal_fov: float
-    vertical_fov: float
-    occlusion: bool = True
-
-    @property
-    def interval(self) -> Interval:
-        """The interval of readings without faults, in the unit of the measure."""
-        match self.measure:
-            case "distance":
-                return Interval(self.near, self.far)
-            case "azimuth":
-                return Interval(-self.horizontal_fov / 2, self.horizontal_fov / 2)
-            case _:
-                return EVERYTHING
-
-    @property
-    def unseen(self) -> float:
-        """The reading of a target that is not seen."""
-        return self.far if self.measure == "distance" else 0.0
-
-
-@dataclass(frozen=True)
 class Sensor:
     """A sensor of a robot. `subjects` are joints or links, depending on its kind; `mount` is its frame in its
     link.
@@ -158,7 +124,6 @@ class Sensor:
     faults: NoiseModel | None = None
     beams: RayConfig | None = None
     optics: CameraIntrinsics | None = None
-    radar: RadarConfig | None = None
     against: tuple[str, ...] | None = None
     parameters: tuple[tuple[str, Parameter], ...] = ()
     reader: str = ""
@@ -182,7 +147,7 @@ class Sensor:
         return not self.unit and self.optics is None
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"reader", "world_function"} | ({"radar"} if self.radar is None else set())
+        left_out = {"reader", "world_function"}
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
 
 

@@ -73,7 +73,6 @@ class BatchSensorErrors:
         }
         self._has: dict[str, bool] = {}
         spec = self._chains[0].spec
-        self._unseen = self._chains[0].unseen
         self._noise = BatchNormals([chain.normals for chain in self._chains], width)
         self._ends = tuple(np.array(ends)[:, None] for ends in (spec.low, spec.high)) if spec.low else None
         self._steps = np.array(spec.resolution)[:, None] if spec.resolution else None
@@ -98,8 +97,6 @@ class BatchSensorErrors:
             values = values + parameters["noise"] * self._noise.row(sampled)
         elif has["bias"]:
             values = values + bias
-        if self._unseen is not None:
-            values = np.where(np.isnan(values), self._unseen, values)
         if self._ends is not None:
             values = smaller(larger(values, self._ends[0]), self._ends[1])
         if self._steps is not None:

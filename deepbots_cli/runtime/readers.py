@@ -2,15 +2,15 @@
 readers.
 
 In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and the
-brightness of the ground; targets of radars; pictures.
+brightness of the ground; pictures.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
-from math import atan2, hypot, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from math import atan2, hypot
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,13 @@ from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quater
 from deepbots_cli.port import (
     CameraImage,
     Engine,
-    Motion,
-    MotionReader,
     Part,
     PoseReader,
     RayReader,
     VelocityReader,
     cast_rays,
 )
-from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RadarConfig, RayConfig
+from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
 from deepbots_cli.runtime.formulas import total
 from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
@@ -83,20 +81,6 @@ def mounted_velocity(site: Site) -> VelocityReader:
     def of_mount() -> tuple[Triple, Triple]:
         (_, rotation), (linear, angular) = read()
         return frames.add(linear, frames.cross(angular, frames.rotate(rotation, arm))), angular
-
-    return of_mount
-
-
-def mounted_motion(site: Site) -> MotionReader:
-    """Return a reader of the pose and the velocity of the sensor, in the world frame."""
-    read = site.engine.motion(site.robot, site.link)
-    mount = site.mount
-
-    def of_mount() -> Motion:
-        (position, rotation), (linear, angular) = read()
-        arm = frames.rotate(rotation, mount[0])
-        velocity = frames.add(linear, frames.cross(angular, arm))
-        return frames.compose((position, rotation), mount), (velocity, angular)
 
     return of_mount
 
@@ -394,71 +378,6 @@ def reflectance(site: Site) -> Instrument:
         return readings
 
     return Instrument(brightness)
-
-
-# Radars
-
-
-class Echo(NamedTuple):
-    """What a radar measures of a target: m, rad (to the left positive), m/s (positive if it moves away)."""
-
-    distance: float
-    azimuth: float
-    speed: float
-
-
-def radar(site: Site) -> Instrument:
-    """Measure distance, azimuth or radial speed of each target, NaN where it is not seen; or whether it is
-    seen."""
-    spec = site.sensor.radar
-    if spec is None:
-        raise ValueError(f"the sensor {site.sensor.name} has no targets")
-    motion = mounted_motion(site)
-    measure = spec.measure
-    targets = [echo_reader(site, spec, target) for target in spec.targets]
-    if measure == "seen":
-
-        def seen() -> list[bool]:
-            own_motion = motion()
-            return [read(own_motion) is not None for read in targets]
-
-        return Instrument(seen)
-    index = Echo._fields.index(measure)
-
-    def measured() -> list[float]:
-        own_motion = motion()
-        echoes = [read(own_motion) for read in targets]
-        return [nan if echo is None else echo[index] for echo in echoes]
-
-    return Instrument(measured, unseen=spec.unseen)
-
-
-def echo_reader(site: Site, spec: RadarConfig, target: str) -> Callable[[Motion], Echo | None]:
-    """Return a reader of a target by the motion of the sensor; it gives None where the target is not seen."""
-    motion = site.engine.motion(target)
-    horizontal, vertical = spec.horizontal_fov / 2, spec.vertical_fov / 2
-    is_free = None
-    if spec.occlusion:
-        is_free = site.engine.line_of_sight((site.robot, site.link), (target, None), site.mount[0])
-
-    def echo(own_motion: Motion) -> Echo | None:
-        (own_position, rotation), (own_velocity, _) = own_motion
-        (position, _), (velocity, _) = motion()
-        offset = frames.subtract(position, own_position)
-        distance = hypot(*offset)
-        # At distance 0 there is no direction, and the speed below is a division by the distance.
-        if distance == 0.0 or not spec.near <= distance <= spec.far:
-            return None
-        azimuth, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
-        if abs(azimuth) > horizontal or abs(elevation) > vertical:
-            return None
-        # The ray comes last, because only this test needs the engine.
-        if is_free is not None and not is_free():
-            return None
-        speed = frames.dot(frames.subtract(velocity, own_velocity), offset) / distance
-        return Echo(distance, azimuth, speed)
-
-    return echo
 
 
 # Cameras

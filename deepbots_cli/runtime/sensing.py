@@ -76,10 +76,8 @@ class Normals:
 class SensorErrors:
     """The faults of one sensor with `width` values."""
 
-    def __init__(self, spec: NoiseModel, width: int, unseen: float | None = None) -> None:
-        """Create the faults; values that are NaN have no noise, and are read as `unseen`."""
+    def __init__(self, spec: NoiseModel, width: int) -> None:
         self.spec = spec
-        self.unseen = unseen
         self.normals = Normals(width)
         self._zeros = (0.0,) * width
         faults = ("noise", "relative_noise", "bias", "relative_bias", "drift")
@@ -124,8 +122,6 @@ class SensorErrors:
     def __call__(self, values: Values, time: float) -> Values:
         """Return the readings for the true `values`, `time` s after the reset."""
         values = self._with_noise(values) if self._only_noise else self._with_all(values, time)
-        if (unseen := self.unseen) is not None:
-            values = [x if x == x else unseen for x in values]  # NaN differs from itself
         spec = self.spec
         if spec.low:
             values = list(map(clamp, values, spec.low, spec.high))
@@ -179,14 +175,13 @@ class Instrument(NamedTuple):
     episode with a random generator.
 
     `update` is called in the ticks without a reading. `lookup` turns the value read into a reading, with
-    noise of its own. `unseen` is the reading where there is nothing to measure, and the value is NaN.
+    noise of its own.
     """
 
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
     update: Callable[[], None] = _nothing
     lookup: Lookup | None = None
-    unseen: float | None = None
 
 
 class Site(NamedTuple):
@@ -249,8 +244,8 @@ class Device:
             faults.resolution,
         )
         self.chain: SensorErrors | None = None
-        if any(parameters) or instrument.unseen is not None:
-            self.chain = SensorErrors(faults, max(1, len(sensor.components)), instrument.unseen)
+        if any(parameters):
+            self.chain = SensorErrors(faults, max(1, len(sensor.components)))
         self._under_way: deque[tuple[int, int, Reading]] = deque()
         self._followed: Callable[[], Reading] | None = None
 

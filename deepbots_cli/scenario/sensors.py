@@ -9,7 +9,7 @@ Other packages add a kind by an entry point of the group `deepbots.sensors`, who
 `type`. Its own fields reach its reader as SI numbers and words.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -42,8 +42,6 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.fields.base import Scalar
 from deepbots_cli.scenario.fields.names import (
-    BodyName,
-    BodyNames,
     JointName,
     JointNames,
     LinkName,
@@ -53,11 +51,10 @@ from deepbots_cli.scenario.fields.names import (
 )
 from deepbots_cli.scenario.fields.numbers import WholeNumber
 from deepbots_cli.scenario.fields.quantities import Column, Quantity, RandomizableDelay, Range, Timestep
-from deepbots_cli.scenario.fields.words import Bool, PlainText
+from deepbots_cli.scenario.fields.words import PlainText
 from deepbots_cli.scenario.world import SensorFrame
 
 _READERS = "deepbots_cli.runtime.readers"
-RadarMeasure = Literal["distance", "azimuth", "speed", "seen"]
 
 
 class Sensor(Section):
@@ -417,40 +414,6 @@ class Reflectance(RayScan):
     """Diameter of the spot on the ground that is measured."""
 
 
-class Radar(LinkSensor):
-    """Distance, azimuth or radial speed of bodies within a range and a field of view, whose center is the x
-    axis of the sensor. A body is seen at the origin of its root link."""
-
-    measures: ClassVar[Mapping[RadarMeasure, Dimension]] = {
-        "distance": LENGTH,
-        "azimuth": ANGLE,
-        "speed": SPEED,
-        "seen": NUMBER,
-    }
-    """Dimension of a reading, by what is measured."""
-    reader = f"{_READERS}:radar"
-    perceives = True
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("target", "targets"), min=1),)
-
-    type: Literal["radar"]
-    target: BodyName | None = None
-    """The robot or object that the sensor measures."""
-    targets: BodyNames | None = None
-    """The robots and objects that the sensor measures: names, groups of objects, or patterns such as
-    `cone_*`."""
-    measure: RadarMeasure = "distance"
-    """What the sensor returns of each target: its `distance`; its `azimuth`, positive to the left; its radial
-    `speed`, positive if it moves away; or whether it is `seen`."""
-    range: Annotated[str, Range("length")]
-    """Distances at which targets are seen, such as `0.2 .. 20 m`."""
-    horizontal_fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
-    """Horizontal field of view, up to 360 deg."""
-    vertical_fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "20 deg"
-    """Vertical field of view, up to 180 deg."""
-    occlusion: Bool = True
-    """Whether solid bodies and the ground hide targets behind them."""
-
-
 class Camera(LinkSensor):
     """An image in the direction of the x axis of the sensor."""
 
@@ -470,7 +433,7 @@ class Camera(LinkSensor):
 
 BASES = (
     *(Sensor, JointSensor, LinkSensor, ReactionSensor, ContactSensor, Touch),
-    *(RayScan, GridScan, RaySensor, Radar, Camera),
+    *(RayScan, GridScan, RaySensor, Camera),
 )
 """Classes whose parameters the compiler reads; it passes the parameters of other classes to the reader."""
 
@@ -510,10 +473,12 @@ _KINDS = (
     Lidar,
     HeightScan,
     Reflectance,
-    Radar,
     Camera,
 )
 SENSORS: PluginTable[type[Sensor]] = PluginTable(
     "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read
 )
-AnySensor = Annotated[Sensor, Kinds("type", SENSORS)]
+_GONE = {
+    "radar": "write the value under `augment`, such as `gap: {value: ground_distance(cart, ball), noise: 5 cm}`"
+}
+AnySensor = Annotated[Sensor, Kinds("type", SENSORS, gone=_GONE)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -23,10 +23,10 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR, Engine, RayReader, cast_rays
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.members import AgentEnding
-from deepbots_cli.program.robots import RadarConfig, Sensor
+from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
-from deepbots_cli.robots.model import Pose, RobotModel
+from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import RobotController, Supervisor
 from deepbots_cli.runtime.actuation import Push
 from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel
@@ -42,7 +42,6 @@ LinkName = tuple[str, str]
 # Turns x to -z, the direction of a reflectance sensor.
 _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)
 
-_ARC_STEP = np.radians(6.0)
 _REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach
 
 
@@ -118,13 +117,6 @@ class SensorRays(NamedTuple):
         ).astype(np.float32)
 
 
-class FieldOfView(NamedTuple):
-    """The horizontal field of view of a radar: line segments in the frame of a link, shape (n, 2, 3), m."""
-
-    part: LinkName
-    outline: NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class FrameLayout:
     """The constant parts of an environment: the fields of an agent, the robots, the rays by `robot.sensor`,
@@ -138,8 +130,6 @@ class FrameLayout:
     messages: Mapping[str, tuple[PlottedField, ...]]
     of_robot: tuple[str, ...] = ()
     """The groups of values of the log of a robot that are always plotted; such a log has no reward."""
-    radars: Mapping[str, FieldOfView] = field(default_factory=dict)
-    """The fields of view of radars, by `robot.sensor`."""
 
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
         """Return the `achieved` or `desired` goal as a point (m, world frame), on the ground if it has no z;
@@ -365,7 +355,6 @@ class FrameReader:
             models,
             {key: beam for key, (beam, _) in beams.items()},
             {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
-            radars=_radars(controllers),
         )
         self._rays = {key: beam.reader(engine, rays) for key, (beam, rays) in beams.items()}
         self._pushes = list(self._pushed_links(models))
@@ -527,24 +516,3 @@ def _named_sensors(controllers: Mapping[str, RobotController]) -> Iterator[tuple
     for body, controller in controllers.items():
         for sensor in controller.spec.sensors:
             yield f"{body}.{sensor.name}", body, sensor
-
-
-def _radars(controllers: Mapping[str, RobotController]) -> dict[str, FieldOfView]:
-    """Return the fields of view of radars by `robot.sensor`, given the controllers by body."""
-    return {
-        key: FieldOfView((body, sensor.subjects[0]), _sector(sensor.mount, sensor.radar))
-        for key, body, sensor in _named_sensors(controllers)
-        if sensor.radar
-    }
-
-
-def _sector(mount: Pose, radar: RadarConfig) -> NDArray[np.float64]:
-    """Return the outline of the horizontal field of view of a radar, shape (n, 2, 3), in the frame of its
-    link, m: an arc at either end of its range, and the sides between them."""
-    origin, turn = frames.frame(mount)
-    count = 2 + int(radar.horizontal_fov / _ARC_STEP)
-    angles = np.linspace(-radar.horizontal_fov / 2, radar.horizontal_fov / 2, count)
-    directions = np.array([frames.rotate(turn, (np.cos(a), np.sin(a), 0.0)) for a in angles])
-    inner, outer = (np.array(origin) + reach * directions for reach in (max(0.0, radar.near), radar.far))
-    arcs = [np.stack([arc[:-1], arc[1:]], axis=1) for arc in (inner, outer)]
-    return np.concatenate([*arcs, np.stack([inner, outer], axis=1)[[0, -1]]])

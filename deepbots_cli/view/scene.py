@@ -39,7 +39,7 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 from deepbots_cli.runtime.overview import view_around
-from deepbots_cli.view.frames import FieldOfView, FrameLayout, LinkName, WorldFrame
+from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
     import trimesh
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
 _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
 MAX_CELLS = 120  # the largest number of cells of a terrain along a side
-_RADAR_GRAY = 120
 _MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
 _SETTLING_S = 2.0  # the time for which a changed world is seen from the place before
@@ -320,7 +319,6 @@ class WorldScene:
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
-        self._radars = [self._add_radar(*item) for item in layout.radars.items()]
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
         self._followed = self._traced = (first.name, first.model.root) if first else None
         if first and first.fixed_base:
@@ -420,20 +418,6 @@ class WorldScene:
             name, points, colors, thickness=thickness, thickness_units="screen", **options
         )
 
-    def _add_radar(self, key: str, radar: FieldOfView) -> Any:
-        """Add the field of view of a radar, which moves with its link."""
-        name, link = radar.part
-        head, (position, turn) = rigid_groups(self._layout.robots[name])[link]
-        path = f"{self._path_of((name, head))}/radar_{key.rpartition('.')[2]}"
-        return self._add_lines(
-            path,
-            radar.outline.astype(np.float32),
-            _RADAR_GRAY,
-            thickness=1.0,
-            position=position,
-            wxyz=frames.wxyz(turn),
-        )
-
     def _path_of(self, part: LinkName) -> str:
         kind = "robots" if part[0] in self._layout.robots else "objects"
         return f"{self._root}/{kind}/{part[0].replace('#', '_')}/{part[1]}"
@@ -473,8 +457,6 @@ class WorldScene:
         for (body, _), node in self._nodes.items():
             node.show_axes = self.visible_parts["axes"] and body in self._layout.robots
         self._rays.visible = self.visible_parts["rays"] and len(self._rays_now) > 0
-        for outline in self._radars:
-            outline.visible = self.visible_parts["rays"]
         if self._frame is not None:
             self._mark(self._frame)
 

@@ -200,7 +200,6 @@ OF_ISAAC_LAB = {
         "mass * change of velocity / duration"
     ),
     "robots: {cart: {sensors: {pole_angle: {noise: uniform(-0.1 .. 0.1 rad)}}}}": "write `noise: 0.058 rad`",
-    "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000}": "write `algorithm: PPO, learning_rate: {kl: 0.01}`",
     "train: {algorithm: PPO, total_timesteps: 1000, num_steps_per_env: 24}": "write `n_steps: 24`",
     "train: {network: {actor_hidden_dims: [64, 64]}}": "write `hidden: [64, 64]`",
     "robots: {cart: {links: {'.*le': {color: red}}}}": "did you mean `*le`?",
@@ -208,6 +207,27 @@ OF_ISAAC_LAB = {
         "write `type: stairs, inverted: true`"
     ),
 }
+
+
+@pytest.mark.parametrize(
+    ("line", "headline", "help"),
+    [
+        (
+            "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000, num_mini_batches: 4}",
+            "the algorithm `rsl_rl.PPO` is gone",
+            "write `algorithm: PPO, learning_rate: {kl: 0.01}`",
+        ),
+        (
+            "robots: {cart: {sensors: {gap: {type: radar, link: pole, range: 0 .. 2 m}}}}",
+            "the type `radar` is gone",
+            "write the value under `augment`, such as `gap: {value: ground_distance(cart, ball)",
+        ),
+    ],
+)
+def test_a_word_that_is_gone_is_one_finding_with_what_to_write_instead(workshop, head, line, headline, help):
+    (error,) = (finding for finding in workshop.lint(f"{head}{line}\n") if finding.severity == "error")
+    assert (error.code, error.headline) == ("DB104", headline)
+    assert help in error.help
 
 
 @pytest.mark.parametrize("line", OF_ISAAC_LAB)

@@ -219,15 +219,3 @@ def test_rays_see_a_robot_that_drives_where_it_is(engine_name, worlds, build):
         (x, _, z), _ = pose()
         assert read()[0] == pytest.approx(x + 2.0 - sqrt(0.04**2 - (z - 0.04) ** 2), abs=1e-3)
     assert x > 0.2
-
-
-def test_a_line_of_sight_goes_from_a_point_of_a_link_to_the_origin_of_another_one(engine_name, build):
-    wall = ObjectBody("wall", Box((0.1, 1.0, 0.8)), Pose((2, 0, 1)), fixed=True)
-    engine = build(engine_name, world(wall, robots=2))
-    ahead = engine.line_of_sight(("scout", None), ("other", None), (0.0, 0.0, 0.0))
-    above = engine.line_of_sight(("scout", None), ("other", None), (0.0, 0.0, 1.0))
-    heads = engine.line_of_sight(("scout", "head"), ("other", "head"), (0.1, 0.0, 0.0))
-    at_wall = engine.line_of_sight(("scout", None), ("wall", None), (0.0, 0.0, 0.0))
-    assert (ahead(), above(), heads(), at_wall()) == (False, True, True, True)
-    engine.place("wall", (2, 0, 1.7), frames.IDENTITY_ROTATION)
-    assert (ahead(), above(), heads(), at_wall()) == (True, False, False, True)

@@ -40,7 +40,6 @@ CARTPOLE = (
     .replace("../robots/urdf/cartpole.urdf", "cartpole")
 )
 
-RADAR = Path(__file__).parents[1] / "data" / "hosts" / "radar.yaml"
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -238,31 +237,6 @@ def test_rays_are_drawn_between_two_steps_as_the_robot_is(monkeypatch):
         assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(
             frame.rays[key], abs=1e-6
         )
-
-
-def test_the_fields_of_view_of_radars_are_drawn_with_the_rays(monkeypatch):
-    drawn = {}
-    add = viser.SceneApi.add_line_segments
-
-    def added(self, name, *arguments, **options):
-        drawn[name.rpartition("/")[2]] = lines = add(self, name, *arguments, **options)
-        return lines
-
-    monkeypatch.setattr(viser.SceneApi, "add_line_segments", added)
-    with closing(Page(Showing(str(RADAR)), port=0, driver="zero")) as page:
-        gap = drawn["radar_gap"]  # 4 cm above the root link, 0.05 .. 2 m, 200 deg
-        assert gap.visible
-        assert gap.name == "/world/robots/rover/base_link/radar_gap"
-        ends = gap.points.reshape(-1, 3) - np.array([0.0, 0.0, 0.04])
-        distances = np.hypot(ends[:, 0], ends[:, 1])
-        assert np.minimum(abs(distances - 0.05), abs(distances - 2.0)).max() < 1e-6
-        assert abs(ends[:, 2]).max() < 1e-6
-        azimuths = np.degrees(np.arctan2(ends[:, 1], ends[:, 0]))
-        assert (azimuths.min(), azimuths.max()) == pytest.approx((-100.0, 100.0))
-        page.world.set_visible("rays", False)
-        assert not any(lines.visible for name, lines in drawn.items() if name.startswith("radar_"))
-        page.world.set_visible("rays", True)
-        assert gap.visible
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):

@@ -139,7 +139,6 @@ def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path
             "Delays, and other actuators that act in each physics step, cannot be exported.",
         ),
         ("panda_reach", "panda_joint4"),
-        ("tests/data/hosts/radar.yaml", "does not say which body"),
     ],
 )
 def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_written(

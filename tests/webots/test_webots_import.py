@@ -256,23 +256,10 @@ def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) ->
     assert "goal:" not in text  # nothing reads it
 
 
-def test_a_radar_is_a_comment_with_the_solids_that_it_may_see(tmp_path: Path) -> None:
-    fields = "minRange 0.5 maxRange 9 horizontalFieldOfView 1.5 occlusion TRUE rangeNoise 0.02"
-    world = WORLD.replace("Gyro {", f'Radar {{ name "eye" translation 0.1 0 0 {fields} }} Gyro {{')
-    assert "Emitter { } Receiver { }\n    Radar" in world
-    ball = (
-        'Solid { name "ball" translation 2 0 0.1 radarCrossSection 1 boundingObject Sphere { radius 0.1 } }\n'
-    )
-    _, text = imported(tmp_path, world=world + ball)
-    (line,) = (one for one in lines_of(text) if "type: radar" in one)
-    entry = line.lstrip("# ").partition(": ")[2]
-    assert entry == (
-        "{type: radar, link: cart, pose: {xyz: 0.1 0 0 m}, targets: [ball], range: 0.5 .. 9 m,"
-        " horizontal_fov: 1.5 rad, vertical_fov: 0.1 rad, occlusion: true, noise: 0.02 m}"
-    )
-    file = tmp_path / "out" / "cart.yaml"
-    file.write_text(text.replace(line, line.replace("#   ", "  ")))
-    assert [one for one in api.lint(file) if one.severity == "error"] == []
+def test_a_radar_is_named_as_a_device_without_a_sensor(tmp_path: Path) -> None:
+    world = WORLD.replace("Gyro {", 'Radar { name "eye" } Gyro {')
+    _, text = imported(tmp_path, world=world)
+    assert "# deepbots has no such sensor: eye (Radar)" in lines_of(text)
 
 
 def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path) -> None:

@@ -29,7 +29,6 @@ robots:
     actuators: {{wheels: {{type: velocity_motor, joints: ["*_wheel"]}}}}
     emit: [plain{sent}]
     apply: {{wheels: drive * 2 rad/s}}
-{objects}
 messages: {{format: struct}}
 action: {{drive: {{choices: {{forward: 1, backward: -1}}}}}}
 observation: {{rover.plain: -10 .. 10 rad/s}}
@@ -42,9 +41,6 @@ LOOKUP = (
     "{distance: 0 5 10 15 20 30 40 50 60 70 mm, value: 4095 2133 1466 601 384 235 158 120 104 67,"
     " noise: 0.2 0.3 0.7 4 1.5 2.4 2.9 4.2 3.1 4.9 %}"
 )
-MARK = "{{shape: sphere, radius: 2 cm, fixed: true, pose: {{x: 0.9 m, y: {y} m, z: 0.1 m}}}}"
-TARGETS = {f"mark_{at}": MARK.format(y=y) for at, y in enumerate((-0.3, -0.1, 0.1, 0.3))}
-"""What the radar looks for, in the world without it, too; no other sensor has targets."""
 SENSORS = (
     ("joint position", "{type: joint_position, joint: left_wheel}"),
     (
@@ -68,21 +64,14 @@ SENSORS = (
     ),
     ("lidar, 180 rays", f"{{type: lidar, {HERE}, rays: 180, angle_range: 90 .. -90 deg, range: 0 .. 3 m}}"),
     ("reflectance, 5 rays", f"{{type: reflectance, {HERE}, rays: 5, angle_range: 20 .. -20 deg}}"),
-    (
-        "radar, distances of 4 targets",
-        f"{{type: radar, {HERE}, targets: [mark_0, mark_1, mark_2, mark_3], range: 0.1 .. 3 m,"
-        " horizontal_fov: 180 deg}",
-    ),
     ("camera, 84 x 84 rgb", f"{{type: camera, {HERE}, resolution: 84 84}}"),
 )
 
 
 def cost(folder: Path, what: str, sensor: str, steps: int, count: int) -> Row:
-    has_targets = "targets: " in sensor
-    marks = "".join(f"\n  {name}: {mark}" for name, mark in TARGETS.items()) if has_targets else " {}"
     texts = (
-        SCENARIO.format(objects=f"objects:{marks}", sensor=f"tested: {sensor}", sent=", tested"),
-        SCENARIO.format(objects=f"objects:{marks}", sensor="", sent=""),
+        SCENARIO.format(sensor=f"tested: {sensor}", sent=", tested"),
+        SCENARIO.format(sensor="", sent=""),
     )
     files = [folder / name for name in ("with.yaml", "without.yaml")]
     for file, text in zip(files, texts, strict=True):

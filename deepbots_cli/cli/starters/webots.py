@@ -182,6 +182,8 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
     if robot.unused_sensors:
         lines.append("    # Sensors that the messages of the project do not use:")
         lines += [f"    #   {key}: {value}" for key, value in robot.unused_sensors.items()]
+    if robot.left_out:
+        lines.append(f"    # deepbots has no such sensor: {', '.join(map(_one_line, robot.left_out))}")
     lines.append("    actuators:")
     lines += [f"      {key}: {value}" for key, value in task.actuators.items()]
     lines += _emit(task)

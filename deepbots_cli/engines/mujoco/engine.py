@@ -38,7 +38,6 @@ if TYPE_CHECKING:
         PoseReader,
         Pusher,
         RayReader,
-        SightReader,
         TorqueReader,
         VectorReader,
         VelocityReader,
@@ -393,22 +392,6 @@ class MuJoCoEngine:
                 self._world, form, link_number(form, part[1]), tuple(rays), reach, upright=upright
             )
         )
-
-    def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        far = self.pool(other[0])
-        read = self.pool(part[0]).bind_current(
-            lambda form: far.bind_current(
-                lambda far_form: surfaces.line_of_sight(
-                    self._world,
-                    form,
-                    link_number(form, part[1]),
-                    far_form,
-                    link_number(far_form, other[1]),
-                    point,
-                )
-            )
-        )
-        return lambda: far.present and read()
 
     def overlaps(self) -> list[Overlap]:
         owners = {

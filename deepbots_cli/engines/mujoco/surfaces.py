@@ -13,7 +13,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
 from deepbots_cli.engines.mujoco.state import force_vectors
-from deepbots_cli.port import SIGHT_TOLERANCE_M, ZERO_VECTOR
+from deepbots_cli.port import ZERO_VECTOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         ContactReader,
         ForceReader,
         RayReader,
-        SightReader,
         VectorReader,
     )
 
@@ -289,36 +288,6 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         return free
 
     return read
-
-
-def line_of_sight(
-    world: MujocoWorld, body: Body, link: int, other_body: Body, other_link: int, point: Triple
-) -> SightReader:
-    """Return a reader of whether nothing is between a point on a link and the origin of another link, but for
-    their bodies."""
-    model, data = world.model, world.data
-    geoms = body.geoms_of(None)
-    groups = model.geom_group
-    own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
-    met = np.zeros(1, np.int32)
-    its_own = frozenset(other_body.geoms_of(None))
-    offset = np.array(point)
-
-    def is_free() -> bool:
-        world.update_positions()
-        start = data.xpos[link] + data.xmat[link].reshape(3, 3) @ offset
-        direction = data.xpos[other_link] - start
-        length = float(np.linalg.norm(direction))
-        saved = own_groups.copy()
-        own_groups.fill(HIDDEN_GROUP)
-        direction /= length or 1.0  # the length is 0 if both points are the same
-        try:
-            free = mj.mj_ray(model, data, start, direction, SEEN_GROUPS, True, -1, met, None)
-        finally:
-            own_groups[:] = saved
-        return free < 0.0 or free > length - SIGHT_TOLERANCE_M or int(met[0]) in its_own
-
-    return is_free
 
 
 def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | None:

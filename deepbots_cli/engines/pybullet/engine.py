@@ -52,7 +52,6 @@ if TYPE_CHECKING:
         PoseReader,
         Pusher,
         RayReader,
-        SightReader,
         TorqueReader,
         VectorReader,
         VelocityReader,
@@ -280,17 +279,6 @@ class PyBulletEngine:
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         cast = self._ray_caster()
         return self._bound(part, partial(cast.reader, rays=tuple(rays), reach=reach, upright=upright))
-
-    def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        cast = self._ray_caster()
-        far = self._pool(other[0])
-        read = self._bound(
-            part,
-            lambda body, link: self._bound(
-                other, lambda far_body, far_link: cast.line_of_sight(body, link, far_body, far_link, point)
-            ),
-        )
-        return lambda: far.present and read()
 
     def _ray_caster(self) -> surfaces.Rays:
         if self._rays is None:

@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import dist, inf, sqrt
+from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.engines.pybullet import BASE_LINK, state
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import SIGHT_TOLERANCE_M
 from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
         ForceReader,
         PoseReader,
         RayReader,
-        SightReader,
         VectorReader,
     )
 
@@ -279,26 +277,6 @@ class Rays:
             ]
 
         return read
-
-    def line_of_sight(
-        self, body: Body, index: int, other_body: Body, other_index: int, point: Triple
-    ) -> SightReader:
-        """Return a reader of whether nothing is between a point on a link and the origin of another link, but
-        for their bodies."""
-        pose = state.pose_reader(self._client, body, index, self._cache)
-        target = state.pose_reader(self._client, other_body, other_index, self._cache)
-        mask = ~self._collision_group_bit(body)
-        mount = (point, frames.IDENTITY_ROTATION)
-        cast = partial(p.rayTestBatch, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client)
-
-        def is_free() -> bool:
-            start, end = frames.compose(pose(), mount)[0], target()[0]
-            ((number, _, fraction, *_),) = cast([start], [end])
-            if number in (-1, other_body.number):
-                return True
-            return bool((1.0 - fraction) * dist(start, end) < SIGHT_TOLERANCE_M)
-
-        return is_free
 
     def _free(self, hit: Any, start: Triple, stop: Triple, reach: float) -> float:
         """Return the free distance along a ray from its hit; surfaces that PyBullet builds of triangles are

@@ -108,7 +108,6 @@ REFERENCE_KINDS: Mapping[str, ReferenceKind] = {
     "action": ReferenceKind({("action",): "an action"}),
     "actuator": ReferenceKind(parts=("actuators",)),
     "agent": ReferenceKind({("agents",): "an agent"}),
-    "bodies": ReferenceKind(_BODIES, singular="body"),
     "bodies or links": ReferenceKind(_BODIES, ("links",), {"ground": "the ground"}, singular="body or link"),
     "body": ReferenceKind(_BODIES),
     "body or link": ReferenceKind(_BODIES, ("links",)),
@@ -225,7 +224,6 @@ SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
 JointPattern = Annotated[str, Pattern("joint")]
 BodyName = Annotated[str, Reference("body")]
-BodyNames = Annotated[str | tuple[str, ...], Reference("bodies")]
 JointNames = Annotated[str | tuple[str, ...], Reference("joints")]
 LinkNames = Annotated[str | tuple[str, ...], Reference("links")]
 LinkName = Annotated[str, Reference("link")]

@@ -34,7 +34,6 @@ _MISSING = {
     "camera": "Cameras",
     "pusher": "Disturbances and thrust",
     "before_substep": "Delays, and other actuators that act in each physics step,",
-    "line_of_sight": "Lines of sight that a robot measures",
     "inverse_kinematics": "Cartesian actuators",
     "clearance": "Clearances that a robot measures",
     "angular_momentum": "Angular momentum that a robot measures",
@@ -117,11 +116,6 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
     for sensor in robot.sensors:
         if sensor.optics is not None:
             gaps.miss(f"The camera {sensor.name} of {robot.name} cannot be exported.")
-        if sensor.radar is not None:
-            gaps.miss(
-                f"The radar {sensor.name} of {robot.name} cannot be exported: a Radar of Webots does not say"
-                " which body a target is."
-            )
     for actuator in robot.actuators:
         if not isinstance(actuator, Motor):
             gaps.miss(

@@ -23,7 +23,7 @@ from deepbots_cli.webots.imports.judging import (
 from deepbots_cli.webots.imports.names import Names
 from deepbots_cli.webots.imports.overrides import read_overridden
 from deepbots_cli.webots.imports.robots import Built, RobotParts, build, robot_parts
-from deepbots_cli.webots.imports.sensors import SensorEntry, sensor_entry
+from deepbots_cli.webots.imports.sensors import SENSING, SensorEntry, sensor_entry
 from deepbots_cli.webots.imports.task import (
     Controller,
     Entry,
@@ -59,6 +59,16 @@ class DraftRobot:
     """Its sensors, messages and actuators; None for a robot without a class of deepbots."""
     sensors: dict[str, str] = field(default_factory=dict)
     unused_sensors: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def left_out(self) -> list[str]:
+        """The devices that measure, and for which deepbots has no such sensor."""
+        devices = self.robot.devices.values() if self.robot is not None else ()
+        return [
+            f"{device.name} ({device.type})"
+            for device in devices
+            if device.type in SENSING and sensor_entry(device, self.parts) is None
+        ]
 
     @property
     def is_fixed(self) -> bool:
@@ -234,7 +244,7 @@ def _task(
     scene: Scene, roles: _Roles, parts: RobotParts, expressions: dict[Node, str], names: Names
 ) -> tuple[Task, list[Node]]:
     task = Task()
-    entries, labels = _sensors(scene, roles.robot, parts, expressions)
+    entries, labels = _sensors(roles.robot, parts)
     task.sensors = {labels[device]: entry.text for device, entry in entries.items()}
     used: list[Node] = []
     acting = judging = None
@@ -277,7 +287,7 @@ def _calls(
     scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
 ) -> tuple[Calls, dict[str, str]]:
     """Return the functions of Webots for a robot that gets messages, and the names of its sensors."""
-    entries, labels = _sensors(scene, robot, parts, expressions)
+    entries, labels = _sensors(robot, parts)
     calls = Calls(scene, robot, expressions, entries, labels, scene.basic_step)
     return calls, {device: labels[device] for device in entries}
 
@@ -298,16 +308,12 @@ def _read_action(
     add_placeholder(task, motors, parts, names)
 
 
-def _sensors(
-    scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
-) -> tuple[dict[str, SensorEntry], dict[str, str]]:
+def _sensors(robot: Robot, parts: RobotParts) -> tuple[dict[str, SensorEntry], dict[str, str]]:
     """Return the sensors of a robot by device, and their names in the scenario."""
     names = Names()
-    bodies = [expressions[node] for node in scene.radar_targets if node in expressions]
-    targets = [body for body in bodies if "." not in body and body != parts.name]
     entries, labels = {}, {}
     for device in robot.devices.values():
-        entry = sensor_entry(device, parts, targets)
+        entry = sensor_entry(device, parts)
         if entry is not None:
             entries[device.name] = entry
             labels[device.name] = names.new(device.name, "sensor")

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.webots.imports.robots import pose_of
 from deepbots_cli.webots.imports.world import plain
-from deepbots_cli.webots.nodes import boolean, integer, number, text, vectors
+from deepbots_cli.webots.nodes import integer, number, text, vectors
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from deepbots_cli.webots.imports.robots import RobotParts
     from deepbots_cli.webots.scene import Device
 
@@ -22,6 +20,12 @@ _VECTORS = {
     "Accelerometer": ("accelerometer", "m/s^2"),
     "GPS": ("position", "m"),
 }
+
+
+SENSING = frozenset(
+    ["Altimeter", "Camera", "DistanceSensor", "Lidar", "LightSensor", "Microphone", "Radar", "RangeFinder"]
+)
+"""The devices that measure, and of which at least some have no counterpart."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,8 @@ class SensorEntry:
     is_truth: bool = False
 
 
-def sensor_entry(device: Device, parts: RobotParts, targets: Sequence[str] = ()) -> SensorEntry | None:
-    """Return the sensor for a device; None where the language has no counterpart. `targets` are the bodies
-    that a radar may see."""
+def sensor_entry(device: Device, parts: RobotParts) -> SensorEntry | None:
+    """Return the sensor for a device; None where the language has no counterpart."""
     if device.type == "PositionSensor" and device.joint is not None:
         name = parts.joints[id(device.joint)]
         unit = "m" if device.joint.kind == "slide" else "rad"
@@ -57,27 +60,7 @@ def sensor_entry(device: Device, parts: RobotParts, targets: Sequence[str] = ())
             return SensorEntry(f"{{type: {kind}, link: {link}}}", "" if is_bumper else "N", (), is_bumper)
         case "DistanceSensor" if text(device.node, "type") in _RAYS:
             return _distance(device, mount)
-        case "Radar" if targets:
-            return _radar(device, mount, targets)
     return None
-
-
-def _radar(device: Device, mount: str, targets: Sequence[str]) -> SensorEntry:
-    """Return a radar that measures distances."""
-    node = device.node
-    ends, horizontal, vertical = (
-        f"{plain(number(node, 'minRange'))} .. {plain(number(node, 'maxRange'))} m",
-        plain(number(node, "horizontalFieldOfView")),
-        plain(number(node, "verticalFieldOfView")),
-    )
-    parts = [
-        f"type: radar, {mount}, targets: [{', '.join(targets)}], range: {ends}",
-        f"horizontal_fov: {horizontal} rad, vertical_fov: {vertical} rad",
-        f"occlusion: {str(boolean(node, 'occlusion')).lower()}",
-    ]
-    if (noise := number(node, "rangeNoise")) > 0:
-        parts.append(f"noise: {plain(noise)} m")
-    return SensorEntry(f"{{{', '.join(parts)}}}", "m", tuple(targets))
 
 
 def _accuracy(device: Device, unit: str) -> str:

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
         PoseReader,
         Pusher,
         RayReader,
-        SightReader,
         TorqueReader,
         VectorReader,
         VelocityReader,
@@ -220,9 +219,6 @@ class ExactEngine:
         raise _lacks("surfaces")
 
     def rays(self, part: Part, rays: Sequence[frames.Frame], reach: float) -> RayReader:
-        raise _lacks("surfaces that rays could meet")
-
-    def line_of_sight(self, part: Part, other: Part, point: frames.Triple) -> SightReader:
         raise _lacks("surfaces that rays could meet")
 
     def camera(self, part: Part, mount: frames.Frame, width: int, height: int, fov: float) -> CameraReader:
