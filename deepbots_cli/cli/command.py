@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS, module_name
+from deepbots_cli.cli.commands import COMMANDS, GONE_VALUES, GROUPS, REPLACEMENTS, module_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
@@ -369,13 +369,18 @@ def help_text(name: str) -> str:
 
 
 class Command(TyperCommand):
-    """A command whose help has its options in groups, and whose error for an option of another name suggests
-    the right one."""
+    """A command whose help has its options in groups, and whose errors for an option of another name, or a
+    value that is gone, say what to write."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         names = {name for parameter in self.params for name in parameter.opts}
+        before = ""
         for word in args[: args.index("--")] if "--" in args else args:
             name = word.partition("=")[0]
+            with_value = word.replace("=", " ", 1) if "=" in word else f"{before} {word}"
+            if with_value in GONE_VALUES:
+                ctx.fail(f"{with_value} is gone; {GONE_VALUES[with_value]}")
+            before = word
             if name.startswith("--") and name in REPLACEMENTS and name not in names:
                 ctx.fail(f"there is no option {name}; use `{REPLACEMENTS[name]}`")
         return super().parse_args(ctx, args)

@@ -1,4 +1,4 @@
-"""The files for LeRobot and LEAPP command what the robot of the simulation applies."""
+"""The files for LeRobot command what the robot of the simulation applies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -19,11 +18,9 @@ import onnxruntime
 from safetensors.numpy import load
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.leapp import leapp_files
 from deepbots_cli.insight.export.lerobot import ACTION, STATE, lerobot_files
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
-from deepbots_robot import model
 from tests.bundle.untrained import untrained_bundle
 
 Files = Mapping[PurePosixPath, bytes]
@@ -98,53 +95,3 @@ def test_a_scenario_that_lerobot_cannot_represent_is_refused(scenario: str, name
     with pytest.raises(UsageError) as caught:
         lerobot_files(step.program, learner)
     assert named in str(caught.value)
-
-
-def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_robot_applies() -> None:
-    step, learner, bundle = untrained_bundle("quadruped")
-    graph = step.model({})
-    files = leapp_files(
-        {PurePosixPath("bundle.json"): model.encode(bundle.info), PurePosixPath("policy.onnx"): graph}
-    )
-    (file,) = [name for name in files if name.suffix == ".yaml"]
-    pipeline = yaml.safe_load(files[file])
-    (node,) = pipeline["models"]
-    description = pipeline["models"][node]
-    flow = pipeline["pipeline"]
-    first = load(files[PurePosixPath(flow["initial_values"])])
-    session = onnxruntime.InferenceSession(
-        files[PurePosixPath(description["parameters"]["model_path"])], providers=["CPUExecutionProvider"]
-    )
-    for side, tensors in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
-        assert [(each["name"], each["shape"]) for each in description[side]] == [
-            (each.name, each.shape) for each in tensors
-        ]
-    fed = [target for targets in flow["feedback_flow"].values() for target in targets]
-    assert sorted(fed) == sorted(first)
-    assert {each["name"] for each in description["inputs"]} == {
-        *flow["inputs"][node],
-        *(name.partition("/")[2] for name in fed),
-    }
-    memory: dict[str, Any] = {}
-    with closing(recorded_steps(step, lambda world: PolicyDriver(learner, world))) as recorded:
-        for each in islice(recorded, 40):
-            memory = (
-                {name.partition("/")[2]: value for name, value in first.items()} if each.first else memory
-            )
-            outputs = dict(
-                zip(
-                    [out["name"] for out in description["outputs"]],
-                    session.run(None, {**each.inputs, **memory}),
-                    strict=True,
-                )
-            )
-            memory = {
-                targets[0].partition("/")[2]: outputs[source.partition("/")[2]]
-                for source, targets in flow["feedback_flow"].items()
-            }
-            for name, command in each.commands.items():
-                assert outputs[name] == pytest.approx(command, abs=1e-5)
-    (legs,) = [each for each in description["outputs"] if each["name"] == "dog.legs"]
-    assert legs["kind"] == "target/joint/position"
-    assert len(legs["element_names"][0]) == 12
-    assert flow["configs"] == {"frequency": 1.0 / step.timestep}

@@ -112,7 +112,7 @@ def test_a_package_that_is_missing_on_the_robot_is_named_with_its_extra(
     [
         (["export", "--new-key", "KEY", "run"], "give it alone"),
         (["export"], "write what to export"),
-        (["export", "run", "--sign", "KEY", "--to", "leapp"], "--sign signs a bundle"),
+        (["export", "run", "--sign", "KEY", "--to", "lerobot"], "--sign signs a bundle"),
         (["serve", "cartpole", "--as-robot", "--trusted", "KEY"], "belong to the policy"),
     ],
 )

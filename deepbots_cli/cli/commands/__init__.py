@@ -84,6 +84,11 @@ REPLACEMENTS: Mapping[str, str] = {
 }
 """The commands and options to write instead of other names that people look for."""
 
+GONE_VALUES: Mapping[str, str] = {
+    "--to leapp": "leave out --to: a bundle has the same graph, policy.onnx",
+}
+"""The values of options that are gone, and what to do instead."""
+
 
 def module_name(name: str) -> str:
     """Return the name of the module of a command; that of a keyword of Python, such as `try`, ends with

@@ -28,7 +28,6 @@ class Form(StrEnum):
     bundle = "bundle"
     isaac_lab = "isaac-lab"
     lerobot = "lerobot"
-    leapp = "leapp"
     webots = "webots"
 
 
@@ -49,7 +48,7 @@ def command(
         Form,
         option(
             "--to",
-            "A bundle, the files that runners of Isaac Lab, LeRobot or LEAPP read, or a project of Webots.",
+            "A bundle, the files that runners of Isaac Lab or LeRobot read, or a project of Webots.",
             ADVANCED,
         ),
     ] = Form.bundle,

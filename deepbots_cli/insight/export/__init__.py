@@ -14,6 +14,5 @@ parity.py     the check that an exported policy acts as in the scenario, and the
 isaac.py      a policy in the form that runners of Isaac Lab read
 deploy.py     the settings of these runners, from the scenario alone
 lerobot.py    the scaling of a policy as processors of LeRobot
-leapp.py      the graph of a bundle with a pipeline file of LEAPP
 bundle.py     the folder that `deepbots export` writes, and whether it fits a scenario
 """
