@@ -2,9 +2,8 @@
 
 deepbots weighs each setting by its distance from the usual value, on a scale of its own where 1 means "often
 breaks a training that has learned", and by the scalars of the run: an update that changes the policy a lot
-has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again, a critic
-that overestimates predicts more than the return that follows. `tests/insight/collapses.py` measures how often
-the planted setting is named.
+has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again.
+`tests/insight/collapses.py` measures how often the planted setting is named.
 """
 
 from __future__ import annotations
@@ -30,8 +29,6 @@ MAX_SUSPECTS = 2
 _LARGE_UPDATE = 0.03
 """The KL divergence of an update that changes the policy a lot. In a usual update it is 0.003 to 0.02; see
 `_of_scale`."""
-_OVERESTIMATES = 1.3
-"""The ratio of the predicted value to the return that followed."""
 _USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
 """The returns for which a critic is suited, and the factor of returns that break it."""
 
@@ -167,7 +164,6 @@ def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
     scales = _OFF_POLICY if is_off_policy else _ON_POLICY
     causes = [_of_scale(evidence, fall, name, scale) for name, scale in scales.items()]
     rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
-        _overestimates,
         _reward_scale,
         _discount,
         _trace,
@@ -232,40 +228,6 @@ def _advised(evidence: TrainingEvidence, name: str, usual: float, default: Any) 
         rate = min(usual, default) if isinstance(default, int | float) else usual
         return f"{rate:g} -> {rate / 10:g}"
     return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
-
-
-def _overestimates(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a critic that overestimates. A single critic is replaced by two; for two, the rate is
-    lowered."""
-    predicted, followed = (
-        _since(evidence, f"critic/{name}", fall.best_steps) for name in ("value", "followed")
-    )
-    if not len(predicted):
-        return None
-    value, real = float(np.median(predicted)), float(np.median(followed))
-    # Of small values, the ratio says little: the scale is that of the returns that the policy had.
-    scale = max(abs(real), 0.1 * float(np.abs(_part(evidence, "critic/followed", 0.0, math.inf)).max()), 1e-9)
-    if value - real < (_OVERESTIMATES - 1) * scale:
-        return None
-    reason = (
-        f"the critic overestimates: since {fall.best_steps:,} steps it predicts {value:.3g}, and"
-        f" {real:.3g} follow"
-    )
-    weight = min(2.0, 0.6 + (value - real) / scale)
-    assert evidence.program.agent.training is not None  # that of a run
-    algorithm, base = evidence.program.agent.training.algorithm, _base(evidence)
-    if base == "DDPG":
-        return Suspect(
-            "train.algorithm",
-            algorithm,
-            "TD3",
-            f"{reason}; TD3 and SAC take the smaller one of two critics",
-            weight,
-        )
-    rate = _value_at(evidence, "learning_rate", fall.since_steps)
-    if rate is None:
-        return None
-    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 3:.1g}", reason, weight)
 
 
 def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:

@@ -377,7 +377,7 @@ def _scalars_of_agent(of_all: Mapping[str, Any], member: Member) -> dict[str, An
     scalars = {tag: curve for tag, curve in of_all.items() if tag.startswith("self_play/")}
     for name in (member.names.mirrors, member.name):
         prefix = f"{name}/"
-        updates = ("train/", "critic/") if name != member.name else ("",)
+        updates = "train/" if name != member.name else ""
         scalars |= {
             tag.removeprefix(prefix): curve
             for tag, curve in of_all.items()

@@ -287,11 +287,6 @@ class Learner(ABC):
         """Return the critic's value of each observation; None without a critic."""
         return None
 
-    def critic_check(self) -> tuple[float, float] | None:
-        """Return the critic's mean prediction in recent states, and the mean discounted return that followed
-        there; None if this is unknown. No random number is drawn."""
-        return None
-
     def network(self) -> Any:
         """Return the layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
 

@@ -57,14 +57,10 @@ class Scalars:
 
         `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` is the
         share of steps in which an option was chosen, and `action/probability` the mean probability of the
-        chosen actions. `critic/value` is the prediction of the critic of an off-policy algorithm, and
-        `critic/followed` the discounted return that followed.
+        chosen actions.
         """
         log, learner = self._active.log, self._active.learner
         choices = self._active.run.program.agent.choices
-        if (checked := learner.critic_check()) is not None:
-            for name, mean in zip(("value", "followed"), checked, strict=True):
-                log.record(f"critic/{name}", mean)
         observations, actions, log_probs = learner.recent()
         if log_probs is not None and choices:
             log.record("action/probability", float(np.exp(log_probs).mean()))

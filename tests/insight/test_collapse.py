@@ -96,17 +96,6 @@ def test_large_rewards_are_named(short):
     assert "train.normalize" not in diagnose(normalized)[0].settings
 
 
-def test_ddpg_that_overestimates_is_advised_two_critics(short):
-    settings = ["train={algorithm: DDPG, total_timesteps: 60_000, environments: 8}"]
-    overestimates = {"critic__value": [5.0, 8.0, 11.9], "critic__followed": [5.0, 4.0, 2.7]}
-    first = diagnose(_fallen(short, *settings, scenario="cartpole_continuous", **overestimates))[0]
-    assert first.settings == {"train.algorithm": "TD3"}
-    assert "it predicts 11.9, and 2.7 follow; TD3 and SAC take the smaller one of two critics" in first.text
-    right = {"critic__value": [5.0, 8.0, 9.1], "critic__followed": [5.0, 8.0, 9.2]}
-    first = diagnose(_fallen(short, *settings, scenario="cartpole_continuous", **right))[0]
-    assert "train.algorithm" not in first.settings
-
-
 @pytest.mark.parametrize(
     ("settings", "path"),
     [

@@ -11,7 +11,6 @@ rollouts.py      the actor of on-policy algorithms, and rollout buffers filled f
 imitation.py     the imitation loss of on-policy algorithms with a teacher
 models.py        models as zip files of the library, read without unpickling
 state.py         the state in a checkpoint beside the model
-critics.py       the predictions of the critic of an off-policy algorithm, beside the return that followed
 asymmetric.py    policies whose critic sees more
 symmetry.py      experience and its mirror image
 networks.py      the layers of a policy, and the values of its critic

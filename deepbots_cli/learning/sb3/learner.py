@@ -31,7 +31,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
-from deepbots_cli.learning.sb3 import algorithms, critics, internals, models, networks, rollouts, state
+from deepbots_cli.learning.sb3 import algorithms, internals, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.asymmetric import widened
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, spaces_only, with_library_infos
 from deepbots_cli.learning.sb3.imitation import (
@@ -580,9 +580,6 @@ class OffPolicyLearner(StableLearner):
         )
         recent: Array = column[rows]
         return recent
-
-    def critic_check(self) -> tuple[float, float] | None:
-        return critics.check_critic(self.model)
 
 
 class _MonitorCallback(BaseCallback):

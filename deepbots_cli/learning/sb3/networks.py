@@ -110,10 +110,10 @@ class Family(Protocol):
         """Return the extractor of the policy, and its layers up to the logits of choices or the values of
         ranges."""
 
-    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+    def values(self, policy: Any, inputs: Any) -> torch.Tensor:
         """Return the value of each row of observations: a column for each critic, shape (rows, critics).
 
-        The value is V, or Q of these actions, by default of those of the policy.
+        The value is V, or Q of the actions of the policy.
         """
 
 
@@ -126,7 +126,7 @@ class _OnPolicy:
         layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
         return policy.pi_features_extractor, layers
 
-    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+    def values(self, policy: Any, inputs: Any) -> torch.Tensor:
         values: torch.Tensor = policy.predict_values(inputs)
         return values
 
@@ -139,11 +139,9 @@ class _OfChoices:
     def layers(self, policy: Any) -> tuple[Any, nn.Module]:
         return policy.q_net.features_extractor, policy.q_net.q_net
 
-    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
-        values: torch.Tensor = policy.q_net(inputs)
-        if actions is None:
-            return values.max(dim=1, keepdim=True).values
-        return values.gather(1, actions.long().reshape(-1, 1))
+    def values(self, policy: Any, inputs: Any) -> torch.Tensor:
+        values: torch.Tensor = policy.q_net(inputs).max(dim=1, keepdim=True).values
+        return values
 
 
 class _OfRanges:
@@ -157,10 +155,9 @@ class _OfRanges:
             return actor.features_extractor, actor.mu
         return actor.features_extractor, nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh())
 
-    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+    def values(self, policy: Any, inputs: Any) -> torch.Tensor:
         # Without `deterministic`, the actor of SAC and TQC would sample.
-        chosen = policy(inputs, deterministic=True) if actions is None else actions.float()
-        predicted = policy.critic(inputs, chosen)
+        predicted = policy.critic(inputs, policy(inputs, deterministic=True))
         # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
         if isinstance(predicted, torch.Tensor):
             return predicted.mean(dim=2)
@@ -252,9 +249,5 @@ def critic_values(policy: Any, observations: Sequence[Any]) -> Array | None:
     )
     with torch.no_grad():
         inputs, _ = policy.obs_to_tensor(stacked)
-        return lowest(family.values(policy, inputs))
-
-
-def lowest(values: torch.Tensor) -> Array:
-    """Return the smallest value of each row, shape (rows,)."""
-    return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
+        values = family.values(policy, inputs).min(dim=1).values
+    return np.asarray(values.cpu().numpy(), float)
