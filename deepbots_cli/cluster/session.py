@@ -42,7 +42,6 @@ class Cluster:
             raise UsageError("name either a number of workers or the address of a cluster")
         if workers is not None and not 1 <= workers <= MAX_WORKERS:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
-        self.is_on_this_machine = address is None
         self._pool: RayCluster | LocalProcesses = (
             RayCluster(address) if address is not None else LocalProcesses(workers or 1)
         )

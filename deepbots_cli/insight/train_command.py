@@ -46,7 +46,7 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
     if "--engine" in options or record.engine != engine_kinds.chosen(run.program.engine):
         words += ["--engine", record.engine]
     if training is not None and "--shards" in options:
-        words += ["--shards", str(training.shards)]  # which `auto` may have chosen
+        words += ["--shards", str(training.shards)]  # `auto` of earlier versions chose them
     if record.first_stage is not None:
         words += ["--stage", record.first_stage]
     if not record.stop_when_solved:

@@ -51,10 +51,6 @@ class Executor(Protocol):
         """Whether calls run in this process, one after the other."""
 
     @property
-    def is_on_this_machine(self) -> bool:
-        """Whether all workers have the files of this process."""
-
-    @property
     def workers(self) -> int:
         """The number of calls at a time."""
 
@@ -90,7 +86,7 @@ class Executor(Protocol):
 
 
 class _ThisProcess:
-    is_here = is_on_this_machine = True
+    is_here = True
     workers = 1
 
     def map(

@@ -20,15 +20,12 @@ from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.training import train
 from deepbots_cli.learning.training_loop import Iteration
 from deepbots_cli.rollout.collector import CollectTimes
-from deepbots_cli.words import counted
 
 SECONDS = 4.0
 """The time of a measurement in s, after the first iteration, in which workers start."""
 _MIN_ITERATIONS = 3
 _LEARNING_STARTS = 200
 """The number of steps before the first update of an off-policy algorithm, if it permits so few."""
-MIN_GAIN = 1.1
-"""The factor by which several shards must be faster to be chosen."""
 
 
 @dataclass(frozen=True)
@@ -169,28 +166,3 @@ def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
     return CollectTimes(
         after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer
     )
-
-
-def candidates(environments: int, workers: int) -> list[int]:
-    """Return the numbers of shards to compare: 1, 2, 4, ..., and one for each worker."""
-    most = min(environments, workers)
-    return sorted({1, most, *(1 << power for power in range(most.bit_length()))})
-
-
-def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
-    """Choose the fastest, or the first if no other is at least `MIN_GAIN` times as fast."""
-    best = max(timings, key=lambda timing: timing.steps_per_second)
-    return best if best.steps_per_second >= MIN_GAIN * timings[0].steps_per_second else timings[0]
-
-
-def described(timings: Sequence[ShardTiming], choice: ShardTiming) -> str:
-    """Return a sentence with the measurements and the choice."""
-    rates = ", ".join(
-        f"{counted(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
-    )
-    reason = (
-        ""
-        if choice is not timings[0] or len(timings) == 1
-        else f", because more are less than {MIN_GAIN} times as fast"
-    )
-    return f"measured: {rates}; the training has {counted(choice.shards, 'shard')}{reason}"

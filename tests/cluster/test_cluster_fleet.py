@@ -21,7 +21,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
+from deepbots_cli.learning import evaluate, evaluate_group, resume_group, train_group
 from deepbots_cli.learning.campaigns.group import GroupTraining
 from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress
@@ -185,10 +185,6 @@ def test_commands_print_the_same_with_workers(
             ["test", "cartpole", "--cluster", "auto"],
             "--cluster has nothing to divide, since there is one scenario",
         ),
-        (
-            ["train", "cartpole", "--shards", "auto", "--seeds", "0..2"],
-            "--shards auto measures a single training",
-        ),
         (["train", "cartpole", "--workers", "0"], "--workers 0 starts no process; write --workers 1 or more"),
         (
             ["test", "cartpole", "--workers", "-3"],
@@ -266,22 +262,3 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
         "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
         "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
-
-
-@pytest.mark.slow
-def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(scaling, "SECONDS", 0.2)
-    monkeypatch.setattr(
-        scaling, "MIN_GAIN", 0.0
-    )  # so that two shards may be chosen for CartPole, which gains nothing by them
-    command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
-    assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
-    chosen = re.search(
-        r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard",
-        capsys.readouterr().err,
-    )
-    assert chosen
-    assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
-    assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")

@@ -85,6 +85,7 @@ REPLACEMENTS: Mapping[str, str] = {
 """The commands and options to write instead of other names that people look for."""
 
 GONE_VALUES: Mapping[str, str] = {
+    "--shards auto": "measure with `deepbots bench SCENARIO --shards 1,2,4`, and write the fastest number",
     "--to leapp": "leave out --to: a bundle has the same graph, policy.onnx",
 }
 """The values of options that are gone, and what to do instead."""

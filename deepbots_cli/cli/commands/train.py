@@ -28,7 +28,6 @@ from deepbots_cli.cli.command import (
     names,
     option,
     seed_list,
-    whole_number,
 )
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
@@ -39,12 +38,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.scenario.training import MAX_SHARDS
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
-
-
-def _shard_count(text: str) -> str:
-    return text if text == "auto" else str(whole_number(1, MAX_SHARDS)(text))
 
 
 def command(
@@ -113,14 +107,14 @@ def command(
     callbacks: Callbacks = None,
     loggers: Loggers = None,
     shards: Annotated[
-        str | None,
-        option(
+        int | None,
+        integer(
             "--shards N",
             "Divide the environments into N groups, each with a copy of the policy; by default"
-            " `train.shards`. It changes the result."
-            " `auto` measures several numbers first, and takes the fastest.",
+            " `train.shards`. It changes the result.",
+            1,
+            MAX_SHARDS,
             ADVANCED,
-            parser=_shard_count,
         ),
     ] = None,
     teacher: Annotated[
@@ -145,13 +139,13 @@ def command(
     scenario = _checked_options(scenario, seed, seeds, run)
     listed = None if seeds is None else seed_list(seeds)
     is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
-    undivided = [
+    changed = [
         *with_engine(overrides, engine),
         *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"]),
+        *([] if shards is None else [f"train.shards={shards}"]),
     ]
-    changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
     compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
-    workers = _checked_workers(compiled.program, shards, listed, workers, address)
+    workers = _checked_workers(compiled.program, listed, workers, address)
     terminal.note_warnings(compiled.findings, scenario)
     settings: dict[str, Any] = {
         "total_timesteps": timesteps,
@@ -186,8 +180,6 @@ def command(
         training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
-        if shards == "auto":
-            compiled = _with_fastest_shards(scenario, compiled, undivided, executor, root, permissions)
         if retry is not None:
             settings |= {"quiet": quiet, "as_json": as_json}
             retries.train(compiled, retry, seed=root, group=run, executor=executor, **settings)
@@ -234,24 +226,14 @@ def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, 
 
 
 def _checked_workers(
-    program: Program,
-    shards: str | None,
-    seeds: Sequence[int] | None,
-    workers: int | None,
-    address: str | None,
+    program: Program, seeds: Sequence[int] | None, workers: int | None, address: str | None
 ) -> int | None:
-    """Return the number of workers; with `--shards auto`, as many as there are cores by default.
+    """Return the number of workers.
 
     Raises:
         UsageError: There is nothing to divide among them.
     """
     training = program.agent.training
-    if shards == "auto":
-        if seeds is not None:
-            raise UsageError(
-                "--shards auto measures a single training; name a number of shards, or leave out --seeds"
-            )
-        return processes.available_cores() if workers is None and address is None else workers
     if seeds is not None:
         processes.check_dividable(
             workers, address, len(seeds), "there is one seed; name several with --seeds"
@@ -261,46 +243,6 @@ def _checked_workers(
         processes.check_dividable(workers, address, training.shards, reason)
         return None if workers is None else min(workers, training.shards)
     return workers
-
-
-def _with_fastest_shards(
-    scenario: str,
-    compiled: api.Compiled,
-    overrides: list[str],
-    executor: Executor,
-    seed: int,
-    permissions: Permissions,
-) -> api.Compiled:
-    """Return the scenario with the number of shards that trains fastest."""
-    from deepbots_cli.learning import scaling
-
-    training = compiled.program.agent.training
-    if training is None or executor.is_here:
-        return compiled
-    numbers = scaling.candidates(training.environments, executor.workers)
-    if len(numbers) == 1:
-        terminal.note(
-            "the training has 1 shard: there is nothing to divide, with one environment or one worker"
-        )
-        return compiled
-    # Workers on other machines do not see the temporary folders of this one.
-    folder = None if executor.is_on_this_machine else Path.cwd()
-    with terminal.progress("measurements") as show:
-        timings = scaling.measure(
-            scenario,
-            numbers,
-            executor,
-            overrides=overrides,
-            permissions=permissions,
-            seed=seed,
-            folder=folder,
-            on_measured=show,
-        )
-    fastest = scaling.choose(timings)
-    terminal.note(scaling.described(timings, fastest))
-    return api.compile(
-        scenario, overrides=[*overrides, f"train.shards={fastest.shards}"], permissions=permissions
-    )
 
 
 def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full: bool) -> None:
