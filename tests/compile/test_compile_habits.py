@@ -220,7 +220,7 @@ OF_ISAAC_LAB = {
         (
             "robots: {cart: {sensors: {gap: {type: radar, link: pole, range: 0 .. 2 m}}}}",
             "the type `radar` is gone",
-            "write the value under `augment`, such as `gap: {value: ground_distance(cart, ball)",
+            "write the value under `augment`: `gap: {value: ground_distance(cart, ball)",
         ),
     ],
 )
