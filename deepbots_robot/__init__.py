@@ -18,7 +18,6 @@ about.py      the descriptions that the two ends of a link exchange, and their m
 link.py       the interface of a link between robot and policy
 discovery.py  the other programs in a domain of ROS 2
 dds.py        the link over ROS 2
-ros1.py       the link over ROS 1
 messages.py   the messages of ZeroMQ and WebSocket
 zeromq.py     the link over ZeroMQ
 websocket.py  the link over WebSocket

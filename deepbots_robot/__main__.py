@@ -17,7 +17,7 @@ from pathlib import Path
 from deepbots_robot.bundle import load
 from deepbots_robot.model import BundleError
 from deepbots_robot.server import report_lines
-from deepbots_robot.serving import ServeError, Transport, nothing_served, serve
+from deepbots_robot.serving import NO_ROS1, ServeError, Transport, nothing_served, serve
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -41,9 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     serving = commands.choices["serve"]
     serving.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
-    serving.add_argument(
-        "--ros1", action="store_true", help="ROS 1 by rospy, at the master of ROS_MASTER_URI"
-    )
+    serving.add_argument("--ros1", action="store_true", help=argparse.SUPPRESS)
     serving.add_argument(
         "--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface"
     )
@@ -101,7 +99,9 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    transport = Transport(options.zmq, options.websocket, options.interface, options.domain, options.ros1)
+    if options.ros1:
+        raise ServeError(NO_ROS1)
+    transport = Transport(options.zmq, options.websocket, options.interface, options.domain)
     report = serve(
         load(options.bundle, trusted=options.trusted),
         transport,

@@ -137,24 +137,24 @@ class RosLink:
             raise ValueError(
                 f"{self.name} cannot be opened; `ip address` lists the network interfaces"
             ) from error
-        codecs = _by_topic(receives) | _by_topic(sends)
+        codecs = by_topic(receives) | by_topic(sends)
         sensors, commands = (sends, receives) if robot else (receives, sends)
-        qos = dict.fromkeys(_by_topic(sensors), SENSOR_DATA) | dict.fromkeys(_by_topic(commands), COMMANDS)
+        qos = dict.fromkeys(by_topic(sensors), SENSOR_DATA) | dict.fromkeys(by_topic(commands), COMMANDS)
         self._readers = [
-            (name, self._reader(name, codec, qos[name]), codec) for name, codec in _by_topic(receives).items()
+            (name, self._reader(name, codec, qos[name]), codec) for name, codec in by_topic(receives).items()
         ]
         self._writers = [
-            (self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()
+            (self._writer(name, codec.type, qos[name]), codec) for name, codec in by_topic(sends).items()
         ]
         ends = {
-            f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS)
+            f"rt{name}": End(codec.type, name in by_topic(sends), qos[name] is COMMANDS)
             for name, codec in codecs.items()
         }
         ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
         self._connected_at = math.inf
         self._others = Others(self._participant, ends, whole)
         if about is not None and about.role == "policy":
-            self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
+            self._refuse_a_second_policy([f"rt{name}" for name in by_topic(sends) if name != ACTION_TOPIC])
         self._waiting = WaitSet(self._participant)
         self._episode_writer = self._writer(EPISODE_TOPIC, "std_msgs/Header", COMMANDS) if robot else None
         self._episode_reader = (
@@ -238,10 +238,6 @@ class RosLink:
         self._writers.clear()
         self._episode_writer = self._episode_reader = None
         del self._waiting, self._participant
-
-
-def _by_topic(mapped: Mapped) -> dict[str, Codec]:
-    return by_topic(mapped, idl.empty)
 
 
 def _taken(reader: Any) -> list[Any]:

@@ -1,35 +1,33 @@
-"""Converts fields to messages of ROS and back, for the messages of ROS 2 (`idl.py`) and those of ROS 1
-(`ros1.py`)."""
+"""Converts fields to the messages of ROS 2 (`idl.py`) and back."""
 
 from __future__ import annotations
 
 import io
 import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from deepbots_robot import idl
 from deepbots_robot.topics import Field, Topic, part_of, parts
 
 _COMPRESSED = "sensor_msgs/CompressedImage"
 _MODES = {1: "L", 3: "RGB"}
-Empty = Callable[[str, float, str], Any]
-"""Makes a message of zeros of a type, with a time in s and a frame."""
 _ENCODINGS = {1: "mono8", 3: "rgb8"}
 
 
 class Codec:
     """The messages of one topic: `encode` takes the values of its fields, and `decode` returns them."""
 
-    def __init__(self, type: str, fields: Sequence[tuple[Field, Topic]], empty: Empty) -> None:
-        """Create a codec. All topics of `fields` have this type; `empty` makes its messages.
+    def __init__(self, type: str, fields: Sequence[tuple[Field, Topic]]) -> None:
+        """Create a codec. All topics of `fields` have this type.
 
         Raises:
             ValueError: A field does not fit the type.
         """
-        self.type, self._empty = type, empty
+        self.type = type
         self.fields = [field for field, _ in fields]
         self._parts = [parts(type)[part_of(field, topic)] for field, topic in fields]
         self.joints = tuple(dict.fromkeys(joint for field in self.fields for joint in field.joints))
@@ -37,7 +35,7 @@ class Codec:
     def encode(self, values: Mapping[str, Any], stamp: float) -> Any:
         """Return a message with the values of the fields by name; `stamp` is a time in s, for messages with a
         header."""
-        message = self._empty(self.type, stamp, self.fields[0].robot)
+        message = idl.empty(self.type, stamp, self.fields[0].robot)
         if self.type == "sensor_msgs/JointState":
             message.name = list(self.joints)
         for field, part in zip(self.fields, self._parts, strict=True):
@@ -193,9 +191,9 @@ def stamp_of(message: Any) -> float | None:
     return float(header.stamp.sec + header.stamp.nanosec * 1e-9)
 
 
-def by_topic(mapped: Sequence[tuple[Field, Topic]], empty: Empty) -> dict[str, Codec]:
+def by_topic(mapped: Sequence[tuple[Field, Topic]]) -> dict[str, Codec]:
     """Return the codec of each topic."""
     sharing: dict[str, list[tuple[Field, Topic]]] = {}
     for field, topic in mapped:
         sharing.setdefault(topic.name, []).append((field, topic))
-    return {name: Codec(entries[0][1].type, entries, empty) for name, entries in sharing.items()}
+    return {name: Codec(entries[0][1].type, entries) for name, entries in sharing.items()}

@@ -30,6 +30,7 @@ MAX_SPEED = 1000.0
 _MAX_EVENTS = 100
 """The largest number of events of one kind that are logged per second. Without a limit, a flood of wrong
 messages would fill the disk."""
+NO_ROS1 = "the link over ROS 1 is gone; use ROS 2 (from ROS 1 through ros1_bridge), ZeroMQ or WebSocket"
 
 
 class ServeError(Exception):
@@ -44,7 +45,6 @@ class Transport:
     websocket: str | None = None
     interface: str | None = None
     domain: int = 0
-    ros1: bool = False
 
     @property
     def is_ros(self) -> bool:
@@ -52,8 +52,8 @@ class Transport:
 
     @classmethod
     def at(cls, address: str) -> Transport:
-        """Return the transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`,
-        `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
+        """Return the transport of an address: `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`,
+        `ipc://FILE`, `ws://HOST:PORT`.
 
         Raises:
             ServeError: The address is none of these.
@@ -62,13 +62,13 @@ class Transport:
         if ros:
             return cls(interface=ros[2], domain=int(ros[1] or 0))
         if address == "ros1":
-            return cls(ros1=True)
+            raise ServeError(NO_ROS1)
         if address.startswith("ws://"):
             return cls(websocket=address.removeprefix("ws://").removesuffix("/"))
         if address.startswith(("tcp://", "ipc://")):
             return cls(zmq=address)
         raise ServeError(
-            f"'{address[:100]}' is not an address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT,"
+            f"'{address[:100]}' is not an address of a robot; write ros, ros:DOMAIN, tcp://HOST:PORT,"
             " ipc://FILE or ws://HOST:PORT"
         )
 
@@ -94,8 +94,6 @@ class Transport:
             raise ServeError(
                 "pillow, which reads compressed images, is not installed; install it with: pip install pillow"
             )
-        if self.ros1:
-            return self._ros1(receives, sends, robot=robot, about=about)
         package, extra = "cyclonedds", "ros"
         if self.zmq is not None:
             package, extra = "pyzmq", "zmq"
@@ -120,23 +118,6 @@ class Transport:
             lacks = "" if error.name in (package, extra) else f", or lacks {error.name}"
             raise ServeError(
                 f'{package} is not installed{lacks}; install it with: pip install "deepbots-robot[{extra}]"'
-            ) from None
-        except ValueError as error:
-            raise ServeError(str(error)) from None
-
-    @staticmethod
-    def _ros1(
-        receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], **ends: Any
-    ) -> Link:
-        try:
-            from deepbots_robot.ros1 import Ros1Link
-
-            return Ros1Link(receives, sends, **ends)
-        except ModuleNotFoundError as error:
-            raise ServeError(
-                f"{error.name} is not installed for this Python; rospy is installed for the Python of the"
-                " system (Debian: apt install ros-core python3-sensor-msgs python3-nav-msgs), so create an"
-                " environment that has it too: /usr/bin/python3 -m venv --system-site-packages DIR"
             ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None

@@ -43,6 +43,14 @@ def test_a_check_says_what_the_bundle_is_and_whether_it_is_signed(
     assert json.loads(capsys.readouterr().out)["signature_checked"] is False
 
 
+def test_ros_1_is_gone_and_the_error_names_the_links_that_remain(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert robot(["serve", "bundle", "--ros1"]) == 1
+    error = capsys.readouterr().err
+    assert all(word in error for word in ("ROS 1 is gone", "ros1_bridge", "ZeroMQ", "WebSocket"))
+
+
 def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: Path) -> None:
     """`python -c "import deepbots_robot"` in the folder of a bundle imported its `json.py`."""
     place = shutil.copytree(folder, tmp_path / "bundle")

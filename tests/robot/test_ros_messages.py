@@ -129,7 +129,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
     for field in FIELDS:
         by_topic.setdefault(mapping[field.name].name, []).append((field, mapping[field.name]))
     for sharing in by_topic.values():
-        codec = ros.Codec(sharing[0][1].type, sharing, idl.empty)
+        codec = ros.Codec(sharing[0][1].type, sharing)
         message = codec.encode(values, 12.25)
         again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
         assert ros.stamp_of(again) in (12.25, None)
@@ -141,9 +141,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
 def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[int, int, int]) -> None:
     image = pytest.importorskip("PIL.Image")
     field = Field("dog.eye", "dog", "camera", "1", shape)
-    codec = ros.Codec(
-        "sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))], idl.empty
-    )
+    codec = ros.Codec("sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))])
     value = np.linspace(0, 255, field.count).reshape(shape).astype(np.uint8)
     message = codec.encode({"dog.eye": value}, 1.0)
     again = idl.CompressedImage.deserialize(message.serialize(use_version_2=False))
@@ -164,9 +162,7 @@ def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[
 
 
 def test_joints_are_found_by_name_in_any_order() -> None:
-    codec = ros.Codec(
-        "sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))], idl.empty
-    )
+    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))])
     message = idl.JointState(idl.Header(idl.Time()), ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0], [], [])
     assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
     message.name[0] = "wheel"
@@ -175,7 +171,7 @@ def test_joints_are_found_by_name_in_any_order() -> None:
 
 
 def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
-    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))], idl.empty)
+    codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))])
     message = codec.encode({"dog.scan": [1.0, 2.0, 3.0, math.inf, 1.0]}, 1.0)
     assert codec.decode(message)["dog.scan"].tolist() == [1.0, 2.0, 3.0, 3.0, 1.0]
 

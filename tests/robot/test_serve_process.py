@@ -137,6 +137,7 @@ def _until(holds: object) -> None:
             ["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"],
             "--ros and --zmq are different links; choose one",
         ),
+        (["BUNDLE", "--ros1"], "there is no option --ros1; use `--ros with ros1_bridge, --zmq ADDRESS"),
         (
             ["BUNDLE", "--zmq", "127.0.0.1:5555"],
             "'127.0.0.1:5555' is not an address of ZeroMQ; write one like tcp://127.0.0.1:5555",

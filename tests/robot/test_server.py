@@ -375,7 +375,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     from deepbots_robot.topics import Topic
 
     rng = random.Random(1)
-    codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))], idl.empty)
+    codec = ros.Codec("sensor_msgs/JointState", [(ANGLE, Topic("/s", "sensor_msgs/JointState"))])
     good = bytearray(codec.encode({"cart.angle": [0.5]}, 5.0).serialize(use_version_2=False))
     world = World()
     for number in range(500):

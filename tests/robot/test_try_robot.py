@@ -152,7 +152,11 @@ def test_a_robot_that_is_not_there_is_named_after_a_while(
         (["--robot", "tcp://127.0.0.1:58751"], "--robot needs --driver NAME"),
         (
             ["--robot", "5555", "--driver", "zero"],
-            "'5555' is not an address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT",
+            "'5555' is not an address of a robot; write ros, ros:DOMAIN, tcp://HOST:PORT",
+        ),
+        (
+            ["--robot", "ros1", "--driver", "zero"],
+            "the link over ROS 1 is gone; use ROS 2 (from ROS 1 through ros1_bridge), ZeroMQ or WebSocket",
         ),
         (["--robot", "ros:999", "--driver", "zero"], "the domain 999 does not exist"),
         (["--robot", "ws://127.0.0.1:99999", "--driver", "zero"], "is not a port"),

@@ -78,6 +78,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "--actions": "--driver ACTION,ACTION",
     "--driver": "deepbots try SCENARIO --driver NAME",
     "--out": "--output FILE",
+    "--ros1": "--ros with ros1_bridge, --zmq ADDRESS or --websocket PORT",
     "--picture": "deepbots render SCENARIO -o picture.png",
     "--video": "deepbots render RUN -o video.mp4",
     "--robustness": "deepbots robustness RUN",

@@ -38,9 +38,6 @@ def command(
     ros: Annotated[
         bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)
     ] = False,
-    ros1: Annotated[
-        bool, option("--ros1", "Use ROS 1 topics, by rospy, at the master of ROS_MASTER_URI.", _LINK)
-    ] = False,
     zmq: Annotated[
         str | None,
         option(
@@ -106,9 +103,7 @@ def command(
 ) -> None:
     """Let a policy act for a robot, or simulate the robot."""
     links = [
-        name
-        for name, present in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket))
-        if present
+        name for name, present in (("--ros", ros), ("--zmq", zmq), ("--websocket", websocket)) if present
     ]
     if len(links) > 1:
         raise UsageError(f"{' and '.join(links)} are different links; choose one")
@@ -124,7 +119,7 @@ def command(
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "serving a policy") from error
-    transport = Transport(zmq, websocket, interface, domain, ros1)
+    transport = Transport(zmq, websocket, interface, domain)
     if not as_robot:
         if episodes is not None or seed or overrides or engine or permissions != Permissions():
             raise UsageError(

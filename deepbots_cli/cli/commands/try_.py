@@ -78,9 +78,9 @@ def command(
         str | None,
         option(
             "--robot ADDRESS",
-            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1,"
-            " tcp://HOST:PORT, ipc://FILE or"
-            " ws://HOST:PORT. A scenario needs --driver with it; of a run, the policy acts.",
+            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN,"
+            " tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT. A scenario needs --driver with it; of a run, the"
+            " policy acts.",
             ROBOT,
         ),
     ] = None,
