@@ -207,7 +207,7 @@ class RosLink:
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
-            self._episode_writer.write(idl.Header(idl.time_of(stamp), str(number)))
+            self._episode_writer.write(idl.header(stamp, str(number)))
             # A killed reader never answers, and cyclonedds then raises its own AttributeError.
             with suppress(Exception):
                 self._episode_writer.wait_for_acks(duration(seconds=1))

@@ -2,7 +2,9 @@
 
 The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an
 origin. Each connection has threads and a buffer, so there are `MOST_CONNECTIONS` at most: a new one ends the
-oldest of those that the policy does not answer.
+oldest of those that the policy does not answer. websockets has no such limit, none for the parts of a message,
+and none for the time of a send; it does all else: handshake, origins, frames, sizes, pings, and timeouts of
+opening and closing.
 """
 
 from __future__ import annotations
@@ -31,9 +33,7 @@ from deepbots_robot.topics import Field
 
 # websockets writes a traceback for each connection that is not a WebSocket.
 _SILENT = logging.getLogger(__name__)
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
-
+_SILENT.disabled = True
 
 MOST_CONNECTIONS = 8
 _PAUSE = 0.02
@@ -72,7 +72,7 @@ class WebSocketLink(MessageLink):
         self.name = f"WebSocket at {self._host}:{self._port}"
         super().__init__(receives, sends, about)
         self._robot, self._peer = robot, None
-        self._waiting: deque[tuple[Any, str | bytes]] = deque(maxlen=self._most_waiting)
+        self._waiting: deque[tuple[Any, bytes]] = deque(maxlen=self._most_waiting)
         """The messages with their connections; the oldest are dropped."""
         self._here = threading.Event()
         self._server: Any = None
@@ -81,12 +81,6 @@ class WebSocketLink(MessageLink):
         self._is_closed = False
         if not robot:
             try:
-                settings: dict[str, Any] = {
-                    "max_size": self._longest,
-                    "max_queue": 1,
-                    "compression": None,
-                    "logger": _SILENT,
-                }
                 self._server = serve(
                     self._listen,
                     self._host,
@@ -94,7 +88,10 @@ class WebSocketLink(MessageLink):
                     origins=[None],
                     open_timeout=_OPENING,
                     close_timeout=_OPENING,
-                    **settings,
+                    max_size=self._longest,
+                    max_queue=1,
+                    compression=None,
+                    logger=_SILENT,
                 )
                 self._server.socket.settimeout(_LOOK)
             except OSError as error:
@@ -150,16 +147,15 @@ class WebSocketLink(MessageLink):
             while True:
                 # Iterating over the connection would gather the parts of a message without a limit; empty
                 # ones have no size.
-                parts = [*islice(peer.recv_streaming(), _MOST_PARTS + 1)]
+                parts = [*islice(peer.recv_streaming(decode=False), _MOST_PARTS + 1)]
                 if len(parts) > _MOST_PARTS:
                     peer.close(1009, "a message in too many parts")
                     break
-                content = parts[0][:0].join(parts)
                 if not self._is_taken(peer):  # its messages would replace those of the robot
                     self._is_crowded = True
                     peer.close(1013, "the policy acts for another robot")
                     break
-                self._waiting.append((peer, content))
+                self._waiting.append((peer, b"".join(parts)))
                 self._here.set()
         if self._peer is peer:
             self._peer = None
@@ -173,7 +169,7 @@ class WebSocketLink(MessageLink):
         arrivals: list[Arrival] = []
         while self._waiting:
             peer, content = self._waiting.popleft()
-            arrivals += self._received(content.encode() if isinstance(content, str) else content, peer)
+            arrivals += self._received(content, peer)
         return arrivals
 
     def _is_answered(self, sender: Any) -> bool:
@@ -187,7 +183,7 @@ class WebSocketLink(MessageLink):
         peer: Any = self._peer
         if peer is not None:
             with suppress(WebSocketException, OSError):  # the other end has closed
-                peer.send(content if self._packed else content.decode())
+                peer.send(content, text=not self._packed)
 
     def connected(self) -> bool:
         if self._peer is None and self._robot:

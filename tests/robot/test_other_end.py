@@ -251,7 +251,9 @@ def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:
     with closing(robot_end(Transport(domain=77))) as robot:
         participant = DomainParticipant(77)
         listener = DataReader(
-            participant, DdsTopic(participant, "rt/cart/joint_states", idl.JointState), qos=dds.COMMANDS
+            participant,
+            DdsTopic(participant, "rt/cart/joint_states", idl.TYPES["sensor_msgs/JointState"]),
+            qos=dds.COMMANDS,
         )
         assert remarks_of(robot) == [
             "another program asks for reliable messages on /cart/joint_states, which is sent with best"
