@@ -3,8 +3,8 @@ its ranges. `ways.py` has the ways, `python -m tests.bundle.forgeries` runs more
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -42,16 +42,14 @@ def bases(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(
-    bases: Path, tmp_path: Path, words: list[str]
+    bases: Path, words: list[str]
 ) -> None:
-    command = [sys.executable, "-m", "tests.bundle.forgeries", "--json", "--bases", bases, "--keep", tmp_path]
-    ran = subprocess.run([*map(str, command), *words], cwd=ROOT, text=True, capture_output=True, check=False)
-    outcomes = [json.loads(line) for line in ran.stdout.splitlines()]
-    assert [each for each in outcomes if each["end"] == "failed"] == []
-    assert ran.returncode == 0, ran.stderr
-    assert len(outcomes) >= 40
-    assert sum(each["end"] == "refused" for each in outcomes) > len(outcomes) / 2
-    assert any(each["end"] == "loaded" for each in outcomes)
+    command = [sys.executable, "-m", "tests.bundle.forgeries", "--bases", str(bases), *words]
+    ran = subprocess.run(command, cwd=ROOT, text=True, capture_output=True, check=False)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    counts = {end: sum(map(int, re.findall(rf"(\d+) {end}", ran.stdout))) for end in ("refused", "loaded")}
+    assert counts["refused"] > 20
+    assert counts["loaded"] > 2
 
 
 # Signatures

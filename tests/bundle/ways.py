@@ -300,7 +300,10 @@ def _weights(rng: random.Random, model: Any) -> None:
         where = slice(None) if rng.random() < 0.4 or not array.size else rng.randrange(array.size)
         if array.dtype.kind == "f":
             largest = np.finfo(array.dtype).max
-            array.flat[where] = rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, 1e-40, largest])
+            numbers = [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, 1e-40, largest]
+            array.flat[where] = rng.choice(
+                [*numbers, *(array.flat[where] * each for each in (-1, 1.5, 1.001))]
+            )
         elif array.dtype.kind == "i":
             array.flat[where] = rng.choice([-1, 0, 1, 2, 1 << 31, (1 << 63) - 1, -(1 << 63)])
         weight.CopyFrom(numpy_helper.from_array(array, weight.name))
@@ -308,20 +311,11 @@ def _weights(rng: random.Random, model: Any) -> None:
             weight.raw_data = bytes([rng.choice([0, 1, 2, 255])]) * array.size
 
 
-def _scaled(rng: random.Random, model: Any) -> None:
-    """A number of a weight, as a fault of a memory changes it."""
-    weight = rng.choice([each for each in model.graph.initializer if each.data_type in (FLOAT, DOUBLE)])
-    array = numpy_helper.to_array(weight).copy()
-    if array.size:
-        array.flat[rng.randrange(array.size)] *= rng.choice([-1.0, 0.0, 1.5, 1.001, 1e3])
-    weight.CopyFrom(numpy_helper.from_array(array, weight.name))
-
-
 def _nodes(change: Callable[[random.Random, list[Any], int], Any]) -> Change:
     """Other nodes in the list of them; a change takes a place in it."""
 
     def apply(rng: random.Random, model: Any) -> None:
-        nodes = [onnx.NodeProto.FromString(node.SerializeToString()) for node in model.graph.node]
+        nodes = list(model.graph.node)
         change(rng, nodes, rng.randrange(len(nodes)))
         put(model.graph, node=nodes)
 
@@ -365,22 +359,10 @@ def _outside(name: str) -> Any:
     return weight
 
 
-def _lstm_of_a_concat(rng: random.Random, model: Any) -> None:
-    next(node for node in model.graph.node if node.op_type == "Concat").op_type = "LSTM"
-
-
-def _shuffled(rng: random.Random, model: Any) -> None:
-    ends = _ends(rng, model)
-    entries = rng.sample(list(ends), len(ends))
-    del ends[:]
-    ends.extend(entries)
-
-
 GRAPH: Mapping[str, Any] = {
     "another operator": lambda rng, model: put(_node(rng, model), op_type=rng.choice(OPERATORS)),
     "another known operator": lambda rng, model: put(_node(rng, model), op_type=rng.choice(KNOWN)),
     "other numbers of weights": _weights,
-    "another number of a weight": _scaled,
     "a weight in another file": lambda rng, model: model.graph.initializer.append(
         _outside(rng.choice(["parity.npz", "../x"]))
     ),
@@ -428,7 +410,12 @@ GRAPH: Mapping[str, Any] = {
         rng.choice(_ends(rng, model)),
         name=rng.choice(["", "x", "\x1b[2J\x1b[1;1H", "a\nb", model.graph.input[0].name]),
     ),
-    "inputs or outputs in another order": _shuffled,
+    "inputs in another order": lambda rng, model: put(
+        model.graph, input=rng.sample(list(model.graph.input), len(model.graph.input))
+    ),
+    "outputs in another order": lambda rng, model: put(
+        model.graph, output=rng.sample(list(model.graph.output), len(model.graph.output))
+    ),
     "an input or output less": lambda rng, model: _ends(rng, model).pop(),
     "another name of a tensor": lambda rng, model: put(
         _node(rng, model), output=[rng.choice(["", "\x1b[2J", "x\ny", "v0_0"])]
@@ -505,7 +492,12 @@ GRAPH: Mapping[str, Any] = {
         ),
         "'Div' divides whole numbers",
     ),
-    "an LSTM without weights": Way(_lstm_of_a_concat, "is not one that an export writes"),
+    "an LSTM without weights": Way(
+        lambda rng, model: put(
+            next(node for node in model.graph.node if node.op_type == "Concat"), op_type="LSTM"
+        ),
+        "is not one that an export writes",
+    ),
     "a convolution without a kernel": Way(
         lambda rng, model: append(model, "Conv", ["bot.gyro"], [1]), "policy.onnx is damaged"
     ),
@@ -538,25 +530,6 @@ def _chain(operator: str, *counts: int) -> Change:
     return change
 
 
-def _conv(rng: random.Random, model: Any) -> None:
-    size = rng.choice([300, 1_000, 3_000])
-    side = size - size // 3 + 1
-    sides = {"picture": size, "kernel": size // 3}
-    weights = {name: np.zeros((1, 1, each, each), np.float32) for name, each in sides.items()}
-    append(model, "Conv", ["picture", "kernel"], [1, 1, side, side], FLOAT, weights=weights)
-
-
-def _stack(rng: random.Random, model: Any) -> None:
-    count = rng.choice([3_000, 30_000])
-    append(model, "MatMul", ["stack"] * 2, [count, 1, 1], weights={"stack": np.zeros((count, 1, 1))})
-
-
-def _gather(rng: random.Random, model: Any) -> None:
-    places = np.random.default_rng(0).integers(0, 1_000_000, rng.choice([90_000, 9_000_000]))
-    weights = {"table": np.zeros(1_000_000), "places": places}
-    append(model, "Gather", ["table", "places"], [len(places)], weights=weights, axis=0)
-
-
 def _square(*sizes: int) -> Change:
     def change(rng: random.Random, model: Any) -> None:
         size = rng.choice(sizes)
@@ -580,11 +553,37 @@ COST: Mapping[str, Any] = {
     "a maximum of many": lambda rng, model: append(
         model, "Max", ["one"] * rng.choice([100, 100_000]), [1_000_000], weights={"one": np.zeros(1_000_000)}
     ),
-    "a convolution": _conv,
+    "a convolution": lambda rng, model: append(
+        model,
+        "Conv",
+        ["picture", "kernel"],
+        [1, 1, *[(size := rng.choice([300, 1_000, 3_000])) - size // 3 + 1] * 2],
+        FLOAT,
+        weights={
+            "picture": np.zeros((1, 1, size, size), np.float32),
+            "kernel": np.zeros((1, 1, size // 3, size // 3), np.float32),
+        },
+    ),
     "a long chain": _chain("Sin", 1_000, 4_000, 10_000),
     "a large weight": lambda rng, model: weigh(model, many=np.zeros(rng.choice([1_000_000, 12_000_000]))),
-    "a stack of products": _stack,
-    "a table of many places": _gather,
+    "a stack of products": lambda rng, model: append(
+        model,
+        "MatMul",
+        ["stack"] * 2,
+        [size := rng.choice([3_000, 30_000]), 1, 1],
+        weights={"stack": np.zeros((size, 1, 1))},
+    ),
+    "a table of many places": lambda rng, model: append(
+        model,
+        "Gather",
+        ["table", "places"],
+        [size := rng.choice([90_000, 9_000_000])],
+        weights={
+            "table": np.zeros(1_000_000),
+            "places": np.random.default_rng(0).integers(0, 1_000_000, size),
+        },
+        axis=0,
+    ),
     "a product of squares": _square(300, 1_000, 3_000),
     "work without an end": Way(_square(2_000), "operations"),
     "a chain of 6,000 nodes": Way(_chain("Relu", 6_000), "more than 5000 nodes"),
@@ -657,12 +656,6 @@ def _counting(rng: random.Random, forged: Forged) -> None:
     forged.set_graph(graph)
 
 
-def _no_option(rng: random.Random, model: Any) -> None:
-    end = next(node for node in model.graph.node if node.output[0] == "action")
-    weigh(model, more=np.int64(99))
-    end.CopyFrom(helper.make_node("Add", [end.input[0], "more"], ["action"]))
-
-
 BEHAVIOR: Mapping[str, Any] = {
     "the last node of a command": _last_node,
     "the weights": on_graph(_weights),
@@ -702,7 +695,18 @@ BEHAVIOR: Mapping[str, Any] = {
         "policy.onnx cannot compute with these values",
     ),
     "a policy that counts its steps": Way(_counting, ACTS),
-    "a choice that is none of the options": Way(on_graph(_no_option), "computes 'action' as", "cartpole"),
+    "a choice that is none of the options": Way(
+        on_graph(
+            lambda rng, model: (
+                weigh(model, more=np.int64(99)),
+                (end := next(node for node in model.graph.node if node.output[0] == "action")).CopyFrom(
+                    helper.make_node("Add", [end.input[0], "more"], ["action"])
+                ),
+            )
+        ),
+        "computes 'action' as",
+        "cartpole",
+    ),
 }
 
 # bundle.json: bytes that no export writes
@@ -747,11 +751,6 @@ def _value(kinds: Any, values: Callable[[Any], list[Any]]) -> Change:
     return change
 
 
-def _renamed(rng: random.Random, tree: Any) -> None:
-    node, key = place(rng, tree, keyed=dict)
-    node[f"{key}s"] = node.pop(key)
-
-
 def _entry(section: str, **values: list[Any]) -> Change:
     """Other values of a record of a section."""
     return lambda rng, tree: rng.choice(tree[section] or [{}]).update(
@@ -761,21 +760,11 @@ def _entry(section: str, **values: list[Any]) -> Change:
 
 def _of_output(key: str) -> Change:
     """Another limit of a command, by which a robot is kept from harm."""
-
-    def change(rng: random.Random, tree: Any) -> None:
-        output, value = rng.choice(tree["outputs"]), rng.choice([None, 0, -1, 1e-9, 1e12, "@NaN@", "@1e999@"])
-        size = output["shape"][0]
-        output[key] = rng.choice([[value] * size, [value] * (size + 1), [], [value]])
-
-    return change
-
-
-def _range(rng: random.Random, tree: Any) -> None:
-    output = rng.choice(tree["outputs"])
-    low, high = output["range"]
-    huge = [1e300] * len(low)
-    output["range"] = rng.choice(
-        [[high, low], [low, low], [[None] * len(low)] * 2, [huge, huge], [low[:-1], high], [["@NaN@"], high]]
+    return lambda rng, tree: (output := rng.choice(tree["outputs"])).update(
+        {
+            key: [rng.choice([None, 0, -1, 1e-9, 1e12, "@NaN@", "@1e999@"])]
+            * rng.choice([len(output["safe"]), len(output["safe"]) + 1, 0, 1])
+        }
     )
 
 
@@ -783,29 +772,9 @@ def _first(section: str, **values: Any) -> Change:
     return lambda rng, tree: tree[section][0].update(values)
 
 
-def _memories(rng: random.Random, tree: Any) -> None:
-    shape = rng.choice([[1], [4_000_000], [2_000, 2_000], [1] * 4, [0], [-1], [1 << 40]])
-    memory = {"name": f"m{rng.randrange(3)}", "shape": shape, "dtype": "float64", "initial": [0]}
-    tree["memory"].extend([memory] * rng.choice([1, 2, 400]))
-
-
-def _input(rng: random.Random, tree: Any) -> None:
-    entry = rng.choice(tree["inputs"])
-    name = rng.choice([f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"])
-    tree["inputs"].append({**entry, "name": name})
-
-
 def _topic(**changes: Any) -> Change:
     topic = {"topic": "/a", "type": "std_msgs/Float64MultiArray", "part": None} | changes
     return lambda rng, tree: tree.update(ros={topic.pop("name", tree["outputs"][0]["name"]): topic})
-
-
-def _any_topic(rng: random.Random, tree: Any) -> None:
-    topics = ["/a", "a", "/", "/a\n", "/a/" + "b" * 200, "/deepbots/action", "/deepbots/episode"]
-    types = ["std_msgs/Float64MultiArray", "sensor_msgs/JointState", "sensor_msgs/Image", "x/Y", ""]
-    part = rng.choice([None, "data", "position", "x", "linear.x"])
-    topic = {"topic": rng.choice(topics), "type": rng.choice(types), "part": part}
-    tree["ros"] = {rng.choice([*tree["inputs"], *tree["outputs"]])["name"]: topic}
 
 
 def _file(*names: str) -> Change:
@@ -816,10 +785,6 @@ def _evaluation(text: str) -> Change:
     unknown = dict.fromkeys(["return_interval", "success_rate", "success_interval"])
     numbers = {"episodes": 1, "seed": 0, "mean_return": 0, "solved": True, "text": text}
     return lambda rng, tree: tree.update(evaluation=unknown | numbers)
-
-
-def _half_truth(rng: random.Random, tree: Any) -> None:
-    next(entry for entry in tree["memory"] if entry["dtype"] == "bool")["initial"] = [0.5]
 
 
 PATHS = (
@@ -844,15 +809,36 @@ JSON: Mapping[str, Any] = {
     "a key more": lambda rng, tree: place(rng, tree, keyed=dict)[0].update(
         {rng.choice(["extra", "__class__", *TEXTS]): rng.choice([1, [], {}, "x"])}
     ),
-    "a key of another name": _renamed,
+    "a key of another name": lambda rng, tree: (where := place(rng, tree, keyed=dict))[0].update(
+        {f"{where[1]}s": where[0].pop(where[1])}
+    ),
     "a record in another one": lambda rng, tree: (lambda node, key: tree.update({key: node[key]}))(
         *place(rng, tree, keyed=dict)
     ),
-    "another range": _range,
+    "another range": lambda rng, tree: (output := rng.choice(tree["outputs"])).update(
+        range=rng.choice(
+            [
+                output["range"][::-1],
+                output["range"][:1] * 2,
+                [output["range"][0][:-1], output["range"][1]],
+                [[rng.choice([None, 1e300, "@NaN@"])] * len(output["safe"])] * 2,
+            ]
+        )
+    ),
     "another rate": _of_output("max_rate"),
     "another effort": _of_output("max_effort"),
     "another safe command": _of_output("safe"),
-    "memories more": _memories,
+    "memories more": lambda rng, tree: tree["memory"].extend(
+        [
+            {
+                "name": f"m{rng.randrange(3)}",
+                "shape": rng.choice([[1], [4_000_000], [2_000, 2_000], [1] * 4, [0], [-1], [1 << 40]]),
+                "dtype": "float64",
+                "initial": [0],
+            }
+        ]
+        * rng.choice([1, 2, 400])
+    ),
     "another start of a memory": _entry(
         "memory", initial=[[each] * size for each in (1e300, 0.5, -1, 300, 1e39, "@NaN@") for size in (1, 2)]
     ),
@@ -860,7 +846,12 @@ JSON: Mapping[str, Any] = {
     "an input of another shape": _entry("inputs", shape=[[1, 1, 1], [2, 2], [1] * 4, [4_000_000], [0]]),
     "an input of another type": _entry("inputs", dtype=["float64", "float32", "int64", "bool", "uint8"]),
     "an input of another robot": _entry("inputs", robot=["a b", "ä", "/", None, "x" * 200]),
-    "an input more": _input,
+    "an input more": lambda rng, tree: tree["inputs"].append(
+        {
+            **(entry := rng.choice(tree["inputs"])),
+            "name": rng.choice([f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"]),
+        }
+    ),
     "an input of another source": _entry(
         "inputs", source=["goal", "sensor", "supervisor"], rate_hz=[1e-6, 1e6, 1.0]
     ),
@@ -877,7 +868,17 @@ JSON: Mapping[str, Any] = {
     "many files": lambda rng, tree: tree["files"].update(
         {f"inputs/{number}": "0" * 64 for number in range(rng.choice([1, 4_000, 6_000]))}
     ),
-    "a topic": _any_topic,
+    "a topic": lambda rng, tree: tree.update(
+        ros={
+            rng.choice([*tree["inputs"], *tree["outputs"]])["name"]: {
+                "topic": rng.choice(["/a", "a", "/", "/a\n", "/a/" + "b" * 200, "/deepbots/action"]),
+                "type": rng.choice(
+                    ["std_msgs/Float64MultiArray", "sensor_msgs/JointState", "sensor_msgs/Image", "x/Y", ""]
+                ),
+                "part": rng.choice([None, "data", "position", "x", "linear.x"]),
+            }
+        }
+    ),
     "other options": _entry("action", options=[{f"o{n}": {} for n in range(k)} for k in (0, 1, 2, 100_000)]),
     "more actions": lambda rng, tree: tree["action"].extend(tree["action"] * rng.choice([1, 5_000])),
     "another range of an action": _entry("action", low=[1, 0, -1e300, None], high=[-1, 0, 1e300, 1]),
@@ -906,7 +907,12 @@ JSON: Mapping[str, Any] = {
     "no digest of the scenario": Way(
         lambda rng, tree: tree["files"].pop("scenario.yaml"), "no digest of scenario.yaml"
     ),
-    "a truth value of one half at the start": Way(_half_truth, "an initial number that is not of type bool"),
+    "a truth value of one half at the start": Way(
+        lambda rng, tree: next(each for each in tree["memory"] if each["dtype"] == "bool").update(
+            initial=[0.5]
+        ),
+        "an initial number that is not of type bool",
+    ),
     "a picture with a range": Way(
         _first("inputs", shape=[3, 1, 1], dtype="uint8", components=[]),
         "neither a row of numbers nor a picture",
@@ -1141,11 +1147,6 @@ def _outside_of(path: Path) -> Path:
     return next(each for each in path.parents if each.name == "bundle").with_name("outside")
 
 
-def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(os.path.relpath(path))
-
-
 def _inputs_folder(make: Callable[[Path, Path], object], name: str = "inputs/x") -> Change:
     """A file in `inputs`, whose folder is made by `make` from a folder elsewhere."""
 
@@ -1163,12 +1164,7 @@ def _inputs_folder(make: Callable[[Path, Path], object], name: str = "inputs/x")
     return change
 
 
-def _deep(folder: Path, outside: Path) -> None:
-    deep = folder / "/".join("a" * 15)
-    deep.mkdir(parents=True)
-    (deep / "x").symlink_to(outside / "x")
-
-
+DEEP = "/".join("a" * 15)
 LINK = "is reached through a symbolic link"
 LINKS: Mapping[str, Any] = {
     "a link": _replaced(lambda path: path.symlink_to(_outside_of(path))),
@@ -1177,14 +1173,20 @@ LINKS: Mapping[str, Any] = {
     "a second name of another file": _replaced(lambda path: path.hardlink_to(Path(__file__))),
     "a pipe": _replaced(os.mkfifo),
     "a folder": _replaced(os.mkdir),
-    "a socket": _replaced(_socket),
+    "a socket": _replaced(lambda path: socket.socket(socket.AF_UNIX).bind(os.path.relpath(path))),
     "600 MB": _replaced(lambda path: (path.touch(), os.truncate(path, 600_000_000))),
     "nothing": _replaced(lambda path: None),
     "inputs linked to their own folder": _inputs_folder(
         lambda folder, outside: (folder / "inputs").symlink_to("..")
     ),
     "inputs that are a pipe": _inputs_folder(lambda folder, outside: os.mkfifo(folder / "inputs")),
-    "a link in 15 folders": _inputs_folder(_deep, "/".join("a" * 15) + "/x"),
+    "a link in 15 folders": _inputs_folder(
+        lambda folder, outside: (
+            (folder / DEEP).mkdir(parents=True),
+            (folder / DEEP / "x").symlink_to(outside / "x"),
+        ),
+        f"{DEEP}/x",
+    ),
     "a linked graph": Way(
         _replaced(lambda path: path.symlink_to(_outside_of(path)), bundle.GRAPH_NAME), LINK
     ),
