@@ -14,8 +14,8 @@ from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.annotations import final
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
 
-# `sensor_msgs/Range` is that of ROS 2 Humble and Iron. Jazzy adds the field `variance` at the end, which is not
-# read here.
+# `sensor_msgs/Range` is that of ROS 2 Humble and Iron. Jazzy adds the field `variance` at the end, which is
+# not read here.
 _DEFINITIONS: Mapping[str, str] = {
     "builtin_interfaces/Time": "int32 sec, uint32 nanosec",
     "std_msgs/Header": "Time stamp, string frame_id",
@@ -39,8 +39,9 @@ _DEFINITIONS: Mapping[str, str] = {
         "Header header, string[] name, float64[] position, float64[] velocity, float64[] effort"
     ),
     "sensor_msgs/LaserScan": (
-        "Header header, float32 angle_min, float32 angle_max, float32 angle_increment, float32 time_increment,"
-        " float32 scan_time, float32 range_min, float32 range_max, float32[] ranges, float32[] intensities"
+        "Header header, float32 angle_min, float32 angle_max, float32 angle_increment,"
+        " float32 time_increment, float32 scan_time, float32 range_min, float32 range_max,"
+        " float32[] ranges, float32[] intensities"
     ),
     "sensor_msgs/Imu": (
         "Header header, Quaternion orientation, float64[9] orientation_covariance, Vector3 angular_velocity,"
@@ -52,7 +53,8 @@ _DEFINITIONS: Mapping[str, str] = {
         " float32 range"
     ),
     "sensor_msgs/Image": (
-        "Header header, uint32 height, uint32 width, string encoding, uint8 is_bigendian, uint32 step, uint8[] data"
+        "Header header, uint32 height, uint32 width, string encoding, uint8 is_bigendian, uint32 step,"
+        " uint8[] data"
     ),
     "sensor_msgs/CompressedImage": "Header header, string format, uint8[] data",
 }
@@ -100,19 +102,20 @@ def header(stamp: float, frame: str) -> Any:
 def empty(type: str, stamp: float, frame: str) -> Any:
     """Return a message of zeros and unit quaternions. `stamp` is a time in s, and `frame` the `frame_id`, for
     messages with a header."""
-    message = _zero(type.partition("/")[2])
+    message = zero(type.partition("/")[2])
     if hasattr(message, "header"):
         message.header = header(stamp, frame)
     return message
 
 
-def _zero(word: str) -> Any:
+def zero(word: str) -> Any:
+    """Return the zero of the type of a field, such as `float64`, `float64[36]` or `Header`."""
     name, is_array, count = word.rstrip("]").partition("[")
     if is_array:
         return [0.0] * int(count or 0)
     if name in _BY_SHORT_NAME:
         made, words = _BY_SHORT_NAME[name]
-        return made(*map(_zero, words)) if name != "Quaternion" else made(0.0, 0.0, 0.0, 1.0)
+        return made(*map(zero, words)) if name != "Quaternion" else made(0.0, 0.0, 0.0, 1.0)
     if name == "string":
         return ""
     return 0.0 if name.startswith("float") else 0

@@ -2,9 +2,9 @@
 
 The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an
 origin. Each connection has threads and a buffer, so there are `MOST_CONNECTIONS` at most: a new one ends the
-oldest of those that the policy does not answer. websockets has no such limit, none for the parts of a message,
-and none for the time of a send; it does all else: handshake, origins, frames, sizes, pings, and timeouts of
-opening and closing.
+oldest of those that the policy does not answer. The package `websockets` has no such limit, none for the
+parts of a message, and none for the time of a send; it does all else: handshake, origins, frames, sizes,
+pings, and timeouts of opening and closing.
 """
 
 from __future__ import annotations

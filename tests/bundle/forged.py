@@ -99,8 +99,8 @@ class Forged:
 # JSON
 
 TEXTS = (
-    "", "x", "\x1b]0;owned\x07", "a\nsigned: yes", "\u202eevil", "\u0000", "\U0001d518" * 200, "a" * 5_000, "../x",
-    "%s{0}", "null", "\ud800", "\uff41",
+    "", "x", "\x1b]0;owned\x07", "a\nsigned: yes", "\u202eevil", "\u0000", "\U0001d518" * 200, "a" * 5_000,
+    "../x", "%s{0}", "null", "\ud800", "\uff41",
 )  # fmt: skip
 NUMBERS = (
     0, -1, 1, -0.0, 0.5, 255, 256, 1 << 31, 1 << 53, -(1 << 63), 1 << 64, 1e-320, 1e300, -1e300, 1e308,
@@ -114,7 +114,7 @@ def as_json(tree: Any) -> bytes:
 
 
 def place(rng: random.Random, tree: Any, kinds: Any = object, keyed: type | None = None) -> tuple[Any, Any]:
-    """A place in a tree but below `files`: a node of the type `keyed` and a key, whose value is of `kinds`."""
+    """A place in a tree, not in `files`: a node of the type `keyed` and a key, whose value is of `kinds`."""
     places: list[tuple[Any, Any]] = []
 
     def collect(node: Any) -> None:
@@ -191,8 +191,8 @@ def encoded(parts: Sequence[Any]) -> bytes:
 
 
 def in_message(rng: random.Random, content: bytes, change: Callable[[Any, int], Any], message: str) -> bytes:
-    """A message with a change of its fields, or of those of a message within. Each kind of message is as likely
-    as another."""
+    """A message with a change of its fields, or of those of a message within. Each kind of message is as
+    likely as another."""
     parts = fields(content)
     kinds = sorted({part[0] for part in parts if part[0] in _INNER.get(message, {}) and part[1] == 2})
     if not kinds or rng.random() > 0.85:
@@ -243,8 +243,8 @@ def weigh(model: Any, **arrays: Any) -> None:
 
 
 def command(model: Any, *nodes: tuple[Any, ...], **weights: Any) -> None:
-    """Let the command of the balancer be what these nodes make of `own`, its command, and of inputs. A node is
-    an operator, its inputs, its output, its number of numbers, and attributes."""
+    """Let the command of the balancer be what these nodes make of `own`, its command, and of inputs. A node
+    is an operator, its inputs, its output, its number of numbers, and attributes."""
     end = next(node for node in model.graph.node if node.output[0] == "bot.wheels")
     last, own = onnx.NodeProto(), end.input[0]
     last.CopyFrom(end)

@@ -2,16 +2,16 @@
 
     python -m tests.bundle.forgeries [--count 500] [--seed 1] [--only NUMBER] [--each]
 
-Four attackers. `changes` changes files and no digests: the bundle is refused. `damage` computes the digests of
-damaged files again: the bundle is refused, or its policy acts as the one that was exported. `digests` computes
-digests, the metadata of the graph and the recorded steps again: the bundle is refused in one sentence, or its
-policy gives finite commands within its ranges and rates whatever it is given. `signed` does the same to a
-bundle with a signature, and `load` has the trusted key: the bundle is refused. With `--each`, each way of
-`ways.py` with an expectation is forged once.
+Four attackers. `changes` changes files and no digests: the bundle is refused. `damage` computes the digests
+of damaged files again: the bundle is refused, or its policy acts as the one that was exported. `digests`
+computes digests, the metadata of the graph and the recorded steps again: the bundle is refused in one
+sentence, or its policy gives finite commands within its ranges and rates whatever it is given. `signed` does
+the same to a bundle with a signature, and `load` has the trusted key: the bundle is refused. With `--each`,
+each way of `ways.py` with an expectation is forged once.
 
 Each case runs in a process of its own with limits: 2 s of CPU for `load`, 500 MB beyond what was there
-before. The same seed and number are the same forgery. What fails is printed with its number; the exit code is
-then 1.
+before. The same seed and number are the same forgery. What fails is printed with its number; the exit code
+is then 1.
 """
 
 from __future__ import annotations
@@ -363,8 +363,8 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(
         [
             *lines,
-            f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest {largest.megabytes:.0f} MB"
-            f" ({largest.number}); {stopped} that load refuse a step",
+            f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest"
+            f" {largest.megabytes:.0f} MB ({largest.number}); {stopped} that load refuse a step",
         ]
     )
 

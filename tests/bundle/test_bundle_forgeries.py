@@ -97,7 +97,7 @@ def test_a_file_that_is_exchanged_after_its_checks_is_neither_waited_for_nor_fol
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     def exchanged(place: Path, name: str) -> Path:
-        """`_regular_file` of a bundle in which something else takes the place of the file after its checks."""
+        """`_regular_file`, after which something else takes the place of the file."""
         if name != bundle.PARITY_NAME:
             return checked(place, name)
         path = tmp_path / name

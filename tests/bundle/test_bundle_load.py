@@ -6,11 +6,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import onnx
 import pytest
@@ -19,7 +17,6 @@ from hypothesis import strategies as st
 
 import deepbots_robot
 from deepbots_robot import BundleError, InputError, bundle, model, onnx_file, schema
-from tests.bundle.untrained import write
 
 ROOT = Path(__file__).parents[2]
 
@@ -93,23 +90,6 @@ def test_a_missing_value_is_named(folder: Path) -> None:
 # Recorded steps
 
 
-def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_path: Path) -> None:
-    loaded = deepbots_robot.load(folder)
-    other_info = msgspec.structs.replace(
-        loaded.info, scenario=msgspec.structs.replace(loaded.info.scenario, summary="other")
-    )
-    place = tmp_path / "mixed"
-    place.mkdir()
-    write(
-        place,
-        other_info,
-        (folder / bundle.GRAPH_NAME).read_bytes(),
-        (folder / bundle.PARITY_NAME).read_bytes(),
-    )
-    with pytest.raises(BundleError, match=r"policy.onnx and bundle.json are not of the same export"):
-        deepbots_robot.load(place)
-
-
 def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(
     choosing: Path, tmp_path: Path
 ) -> None:
@@ -141,16 +121,6 @@ def test_bytes_that_are_not_a_model_are_refused_or_have_no_nodes(content: bytes)
 def test_bytes_that_are_not_a_description_are_refused(content: bytes) -> None:
     with pytest.raises(BundleError, match=r"bundle.json"):
         model.decode(content)
-
-
-def test_an_archive_that_unpacks_to_too_much_is_refused(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    loaded = deepbots_robot.load(folder)
-    unpacked = sum(entry.file_size for entry in zipfile.ZipFile(folder / bundle.PARITY_NAME).infolist())
-    monkeypatch.setattr(bundle, "_MAX_PARITY_BYTES", unpacked - 1)
-    with pytest.raises(BundleError, match=f"holds more than {unpacked - 1} bytes"):
-        bundle.read_parity((folder / bundle.PARITY_NAME).read_bytes(), loaded.info)
 
 
 # What is published

@@ -7,14 +7,15 @@ time.
 the policy: first alone, then while other clients send as fast as they can, each in a process of its own: the
 longest legal messages, the longest bytes that are not a message, longer ones than any message, and
 (WebSocket) connections that never say anything. An answer is in time if it comes within a period. The share
-without a flood says what the machine allows. The clients run with less priority (`nice`): they stand for other
-machines.
+without a flood says what the machine allows. The clients run with less priority (`nice`): they stand for
+other machines.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import multiprocessing
 import os
 import signal
 import socket
@@ -23,7 +24,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,16 +42,12 @@ from tools.benchmarks.report import Row, show
 ROOT = Path(__file__).parents[2]
 MAX_RISE = 50.0  # MB
 KINDS = ("legal", "illegal", "too long")
-_SETTLING = 2.0
 
 
 class Served(NamedTuple):
-    """What a robot saw in a time: the share of its messages that were answered within a period, the longest
-    answer, and memory."""
+    """The share of the messages of a robot that were answered within a period, and the median answer in s."""
 
-    sent: int
     in_time: float
-    longest: float
     median: float
 
 
@@ -58,13 +55,6 @@ def memory_of(process: int, key: str = "VmRSS") -> float:
     """MB of a process."""
     status = Path(f"/proc/{process}/status").read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in status if line.startswith(f"{key}:"))
-
-
-def cpu_of(process: int) -> float:
-    """Seconds of CPU of a process."""
-    return sum(
-        map(int, Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13])
-    ) / os.sysconf("SC_CLK_TCK")
 
 
 def flood_message(info: model.BundleInfo, kind: str) -> bytes:
@@ -153,9 +143,7 @@ def drive(transport: Transport, info: model.BundleInfo, seconds: float) -> Serve
                 if any(arrival.fields for arrival in link.take()):
                     answers.append(time.monotonic() - at)
                     break
-    return Served(
-        sent, len(answers) / max(1, sent), max(answers, default=np.inf), float(np.median(answers or [np.inf]))
-    )
+    return Served(len(answers) / max(1, sent), float(np.median(answers or [np.inf])))
 
 
 @contextmanager
@@ -179,93 +167,53 @@ def serving(bundle: Path, words: list[str]) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def flooding(bundle: Path, address: str, seconds: float, clients: int) -> Iterator[None]:
     """Clients that flood, each in a process of its own."""
-    kinds = [KINDS[number % len(KINDS)] for number in range(clients)] + (
-        ["silent"] if address.startswith("ws") else []
-    )
-    code = "import sys; from pathlib import Path; from tests.robot.flood import client; client(*sys.argv[1:])"
-    words = [[str(bundle), address, kind, str(seconds)] for kind in kinds]
-    running = [subprocess.Popen([sys.executable, "-c", code, *each], cwd=ROOT) for each in words]
+    kinds = [*(KINDS * clients)[:clients], *(["silent"] if address.startswith("ws") else [])]
+    spawn = multiprocessing.get_context("spawn")
+    running = [spawn.Process(target=client, args=(bundle, address, kind, seconds)) for kind in kinds]
+    for process in running:
+        process.start()
     try:
         time.sleep(1.0)  # they are there
         yield
     finally:
         for process in running:
             process.kill()
-            process.wait()
+            process.join()
 
 
-def client(bundle: str, address: str, kind: str, seconds: str) -> None:
+def client(bundle: Path, address: str, kind: str, seconds: float) -> None:
     """What a process of a flood does."""
     os.nice(10)  # another machine would take no time from the server
     logging.disable()  # of websockets, about each connection that ends
-    info = model.decode((Path(bundle) / BUNDLE_NAME).read_bytes())
     if kind == "silent":
-        open_and_wait(address, float(seconds))
+        open_and_wait(address, seconds)
     else:
-        flood(address, info, kind, float(seconds))
+        flood(address, model.decode((bundle / BUNDLE_NAME).read_bytes()), kind, seconds)
 
 
-def measured(bundle: Path, kind: str, port: int, seconds: float, clients: int) -> Iterator[Row]:
-    """A server before, during and after a flood."""
-    info = model.decode((bundle / BUNDLE_NAME).read_bytes())
-    words, address, transport = {
-        "ZeroMQ": (
-            ["--zmq", f"tcp://127.0.0.1:{port}"],
-            f"tcp://127.0.0.1:{port}",
-            Transport(zmq=f"tcp://127.0.0.1:{port}"),
-        ),
-        "WebSocket": (["--websocket", str(port)], f"ws://127.0.0.1:{port}", Transport(websocket=str(port))),
-    }[kind]
+def measured(bundle: Path, kind: str, address: str, seconds: float, clients: int) -> Iterator[Row]:
+    """A server before and during a flood, in which a robot goes on that acts before it begins."""
+    info, transport = model.decode((bundle / BUNDLE_NAME).read_bytes()), Transport.at(address)
+    words = ["--zmq", address] if transport.zmq else ["--websocket", str(transport.websocket)]
+    flooded = list[Served]()
+    robot = threading.Thread(target=lambda: flooded.append(drive(transport, info, seconds)))
     with serving(bundle, words) as server:
         drive(transport, info, 1.0)
         before = memory_of(server.pid)
-        cpu = cpu_of(server.pid)
         alone = drive(transport, info, min(seconds, 20.0))
-        used = (cpu_of(server.pid) - cpu) / min(seconds, 20.0)
-        flooded, cpu = _during(bundle, transport, info, address, seconds, clients, server.pid)
+        robot.start()
+        time.sleep(0.5)
+        with flooding(bundle, address, seconds, clients):
+            robot.join()
         rise = memory_of(server.pid, "VmHWM") - before
-        time.sleep(_SETTLING)
-        after = drive(transport, info, min(seconds, 5.0))
     yield Row(f"{kind}: rise of the server's memory, at its peak", rise, "MB", MAX_RISE)
-    yield Row(f"{kind}: memory of the server before", before, "MB")
-    yield Row(
-        f"{kind}: answers within a period ({1e3 / info.rate_hz:.0f} ms), no flood", 100 * alone.in_time, "%"
-    )
-    yield Row(f"{kind}: answers within a period, flood", 100 * flooded.in_time, "%")
-    yield Row(f"{kind}: answers within a period, after the flood", 100 * after.in_time, "%")
-    yield Row(f"{kind}: median answer, no flood", 1e3 * alone.median, "ms")
-    yield Row(f"{kind}: median answer, flood", 1e3 * flooded.median, "ms")
-    yield Row(f"{kind}: CPU of the server, no flood", 100 * used, "%")
-    yield Row(f"{kind}: CPU of the server, flood", 100 * cpu, "%")
+    for when, served in (("no flood", alone), ("flood", flooded[0])):
+        within = f"{kind}: answers within a period ({1e3 / info.rate_hz:.0f} ms), {when}"
+        yield Row(within, 100 * served.in_time, "%")
+        yield Row(f"{kind}: median answer, {when}", 1e3 * served.median, "ms")
 
 
-def _during(
-    bundle: Path,
-    transport: Transport,
-    info: model.BundleInfo,
-    address: str,
-    seconds: float,
-    clients: int,
-    server: int,
-) -> tuple[Served, float]:
-    """A robot that acts before the flood begins, and goes on: its share of answers, and the CPU of the
-    server."""
-    results: list[Served] = []
-
-    def act() -> None:
-        results.append(drive(transport, info, seconds))
-
-    robot = threading.Thread(target=act)
-    robot.start()
-    time.sleep(0.5)
-    cpu = cpu_of(server)
-    begun = time.monotonic()
-    with flooding(bundle, address, seconds, clients):
-        robot.join()
-    return results[0], (cpu_of(server) - cpu) / (time.monotonic() - begun)
-
-
-def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
+def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.robot.flood", description=(__doc__ or "").partition("\n")[0]
     )
@@ -283,9 +231,8 @@ def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
             )
             subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
         rows: list[Any] = [Row("load of the machine over the last minute, before", os.getloadavg()[0], "")]
-        for number, kind in enumerate(("ZeroMQ", "WebSocket")):
-            rows += measure(bundle.resolve(), kind, 58_761 + number, options.seconds, options.clients)
-        rows.append(Row("load of the machine over the last minute, after", os.getloadavg()[0], ""))
+        for kind, address in (("ZeroMQ", "tcp://127.0.0.1:58761"), ("WebSocket", "ws://127.0.0.1:58762")):
+            rows += measured(bundle.resolve(), kind, address, options.seconds, options.clients)
         show(rows, as_json=options.json)
 
 
