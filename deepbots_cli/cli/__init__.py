@@ -19,7 +19,6 @@ records.py             results of trainings and evaluations as text, JSON and CS
 matches.py             policies and scripts of two agents against each other
 trainings.py           the results of `train` and `resume`
 training_page.py       the page of `train --view`
-retries.py             the attempts of `train --retry`
 studies.py             the display and the table of a study of `tune`
 throughput.py          the speed of engines, as commands print it
 exploits.py            the output of `lint --exploits`: recordings, and a record of the searched tasks

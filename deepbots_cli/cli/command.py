@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GONE_VALUES, GROUPS, REPLACEMENTS, module_name
+from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, module_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
@@ -378,9 +378,9 @@ class Command(TyperCommand):
         for word in args[: args.index("--")] if "--" in args else args:
             name = word.partition("=")[0]
             with_value = word.replace("=", " ", 1) if "=" in word else f"{before} {word}"
-            if with_value in GONE_VALUES:
-                ctx.fail(f"{with_value} is gone; {GONE_VALUES[with_value]}")
             before = word
+            for gone in GONE.keys() & {name, with_value}:
+                ctx.fail(f"{gone} is gone; {GONE[gone]}")
             if name.startswith("--") and name in REPLACEMENTS and name not in names:
                 ctx.fail(f"there is no option {name}; use `{REPLACEMENTS[name]}`")
         return super().parse_args(ctx, args)

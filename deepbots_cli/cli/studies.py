@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from shlex import quote
 from statistics import fmean
 
@@ -170,7 +169,7 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
         "over_first": over_first,
         "trials": [{**vars(trial), "score_interval": study.record.score_interval(trial)} for trial in trials],
     }
-    further = [f"deepbots report {path}", f"deepbots resume {path} --trials {2 * study.record.trials}"]
+    further = [f"deepbots runs {path}", f"deepbots resume {path} --trials {2 * study.record.trials}"]
     if not is_done:
         further = [f"deepbots resume {path}"]
     elif best is not None:
@@ -221,11 +220,3 @@ def unused_seeds(study: Study) -> str:
     # The seeds of the study have chosen the values, so only other seeds judge them without bias.
     first = max(study.record.seeds) + 1
     return f"{first}..{first + 4}"
-
-
-def open_study(path: Path, *, quiet: bool) -> Study:
-    """Open a study, with a note before a reading that takes seconds."""
-    study = Study.open(path)
-    if study.reading_note and not quiet:
-        terminal.note(study.reading_note)
-    return study

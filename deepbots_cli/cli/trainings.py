@@ -4,7 +4,7 @@ commands."""
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from deepbots_cli import learning
-from deepbots_cli.cli import records, retries, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
@@ -121,7 +121,7 @@ def finish_group(
         data,
         "\n" + records.group_text(evaluation),
         *fallen,
-        *retries.cause_lines(causes, suffix),
+        *_cause_lines(causes, suffix),
         as_json=as_json,
         next_commands=further,
     )
@@ -188,7 +188,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     is_explained = bool(causes) and causes[0].cause == "fell_apart"  # the text of this cause is the sentence
     fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
     terminal.show(
-        data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
+        data, text, *fallen, *_cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
     )
 
 
@@ -199,6 +199,23 @@ def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Stateme
         from deepbots_cli.insight.diagnosis import causes_after
 
         try:
-            return sorted(causes_after(run, permissions), key=retries.is_change)
+            return sorted(causes_after(run, permissions), key=_is_change)
         except DeepbotsError:  # for example, it has no finished episode
             return []
+
+
+def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
+    """Return what was changed since a solved run, and the first cause with its advice."""
+    changed = [f"\n{cause.text}" for cause in causes if _is_change(cause)]
+    causes = [cause for cause in causes if not _is_change(cause)]
+    if not causes:
+        return changed
+    first = causes[0]
+    further_count = len(causes) - 1
+    more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
+    return [*changed, f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
+
+
+def _is_change(cause: Statement) -> bool:
+    """Return whether this is the fact of what was changed since a solved run, and no cause."""
+    return cause.cause == "changed_since_solved"

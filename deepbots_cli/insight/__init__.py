@@ -26,10 +26,8 @@ transfer.py    the evaluation of a policy in another world; world_comparison.py 
 inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot file; timing.py the ages of
                actions and observations
 speed.py       steps per second of engines and of batches, and where the time goes
-retry.py       trainings that follow one another with the values that the diagnosis advises
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its
                figures
-study.py       one HTML file about a study of `deepbots tune`: history, importance, slices
 suggestions.py  changes of a scenario for a phrase such as `make the pole longer`
 templates.py   the templates of pages and of READMEs
 export/        a policy for a robot, as a folder that runs without deepbots

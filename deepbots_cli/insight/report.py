@@ -170,9 +170,6 @@ class Report:
     path: Path
     runs: Sequence[ReportRun]
     notes: list[str] = field(default_factory=list)
-    attempts: Sequence[tuple[str, str, str, str]] = ()
-    """The attempts of a group of `train --retry`, whose best run is shown: name, change, reason, and result
-    of each."""
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """The caption, and the MP4 as a data URI, by label."""
     episodes: Sequence[ReportEpisode] = ()
@@ -209,16 +206,8 @@ class Report:
             shown = ReportRun.read(path)
             is_running = shown.run.record.state(path) == "training"
             return Report(path, [shown], ["the training is still running"] if is_running else [])
-        group, shown_runs, notes = Group.open(path), list[ReportRun](), list[str]()
-        if group.best is not None:
-            best = group.best.path
-            attempts = [_attempt(group, number) for number in range(1, len(group.attempts) + 1)]
-            return Report(
-                path,
-                [ReportRun.read(best)],
-                [f"the figures show the best of the attempts, {best.name}"],
-                attempts,
-            )
+        group, shown_runs = Group.open(path), list[ReportRun]()
+        notes = ["the training is still running"] if group.state == "training" else []
         for seed in group.record.seeds:
             try:
                 shown_runs.append(ReportRun.read(group.run(seed)))
@@ -250,7 +239,7 @@ class Report:
     def result(self) -> str:
         """The result in one line, with its interval."""
         evaluations = [shown.evaluation for shown in self.runs]
-        if self.attempts or folder_kind(self.path) is not SourceKind.GROUP:
+        if folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
         text = "mean return " + _seed_statistics(
             "{:.4g}", [evaluation.mean_return for evaluation in evaluations]
@@ -588,15 +577,6 @@ def _name(run: Run, text: Text) -> str:
     """Return the name of a file. The name of a copy begins in the folder of the run."""
     path = Path(text.name)
     return str(path.relative_to(run.path)) if path.is_relative_to(run.path) else text.name
-
-
-def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
-    """Return a row of the table of attempts."""
-    attempt, folder = group.record.attempts[number - 1], group.planned[number - 1]
-    changed = ", ".join(f"{path}: {text}" for path, text in attempt.settings.items()) or "nothing"
-    why = f"try-{attempt.base}: {attempt.text}" if attempt.base else ""
-    result = group.attempt_verdict(number).text if folder in group.runs else "not trained"
-    return folder.name, changed, why, result
 
 
 def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:

@@ -503,13 +503,8 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
     """Return the models of this name of the runs of a group that have a model.
 
     Raises:
-        RunError: There is none, or the runs have different values.
+        RunError: There is none.
     """
-    if group.best is not None:
-        raise RunError(
-            f"the runs of {group.path} have different values, so they have no common statistics;"
-            f" name one of them, such as {group.best.path}"
-        )
     ready = group.runs_with_model
     if not ready:
         raise RunError(

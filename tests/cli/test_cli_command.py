@@ -15,7 +15,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, GONE_VALUES, GROUPS, REPLACEMENTS, doctor
+from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, doctor
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.installation import extra_with, install_hint, requirements
 from deepbots_cli.processes import python_command, python_environment
@@ -151,9 +151,9 @@ def test_the_overview_has_at_most_33_commands_in_groups_and_begins_with_three(de
     assert len([line for line in output.splitlines() if line.startswith("    deepbots ")]) == 3
 
 
-@pytest.mark.parametrize(("words", "instead"), GONE_VALUES.items())
+@pytest.mark.parametrize(("words", "instead"), GONE.items())
 @pytest.mark.parametrize("joint", [" ", "="])
-def test_a_value_of_an_option_that_is_gone_says_what_to_do_instead(deepbots, words, instead, joint):
+def test_an_option_that_is_gone_says_what_to_do_instead(deepbots, words, instead, joint):
     verb = "export" if words.startswith("--to") else "train"
     ran = deepbots(verb, "cartpole", *words.replace(" ", joint).split(), code=2)
     assert f"{words} is gone; {instead}" in ran.err

@@ -740,7 +740,7 @@ def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
         shutil.copytree(short, group / f"seed-{seed}")
     (group / "seed-0" / "run.json").write_text("{")
     record = {name: None for name, field in GroupRecord.model_fields.items() if field.is_required()} | {
-        "format": 1, "deepbots": "", "scenario": "", "source": "", "engine": "pybullet", "seeds": [0, 1],
+        "format": 2, "deepbots": "", "scenario": "", "source": "", "engine": "pybullet", "seeds": [0, 1],
         "stop_when_solved": False, "keep_checkpoints": 0, "command": [], "started": "",
     }  # fmt: skip
     (group / "group.json").write_text(json.dumps(record))

@@ -53,7 +53,7 @@ def group(run, tmp_path) -> Path:
     (folder / "seed-1" / "run.json").write_text("{")
     shutil.rmtree(folder / "seed-2" / "evaluations")
     record = {name: None for name, field in GroupRecord.model_fields.items() if field.is_required()} | {
-        "format": 1,
+        "format": 2,
         "deepbots": "0",
         "scenario": "CartPole",
         "source": "cartpole",

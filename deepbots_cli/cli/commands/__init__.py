@@ -72,7 +72,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "explain-episode": "deepbots diagnose RUN --episode K",
     "eject": "deepbots compile SCENARIO --project DIR",
     "--resume": "deepbots resume RUN",
-    "--apply": "deepbots apply GROUP FILE",
+    "--apply": "deepbots apply STUDY FILE",
     "--script": "--driver NAME",
     "--policy": "--driver NAME",
     "--actions": "--driver ACTION,ACTION",
@@ -84,12 +84,12 @@ REPLACEMENTS: Mapping[str, str] = {
     "--robustness": "deepbots robustness RUN",
 }
 """The commands and options to write instead of other names that people look for."""
-
-GONE_VALUES: Mapping[str, str] = {
+GONE: Mapping[str, str] = {
+    "--retry": "after a training that is not solved, `train` prints the command with the advised values",
     "--shards auto": "measure with `deepbots bench SCENARIO --shards 1,2,4`, and write the fastest number",
     "--to leapp": "leave out --to: a bundle has the same graph, policy.onnx",
 }
-"""The values of options that are gone, and what to do instead."""
+"""The options, and the values of options, that are gone, and what to do instead."""
 
 
 def module_name(name: str) -> str:

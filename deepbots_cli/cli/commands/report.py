@@ -1,4 +1,4 @@
-"""`deepbots report`: a run, a group or a study as one HTML file."""
+"""`deepbots report`: a run or a group as one HTML file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.learning.campaigns.study import JOURNAL_NAME
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ def command(
     run: Annotated[
         Path,
         typer.Argument(
-            metavar="RUN|GROUP|STUDY",
-            help="A run directory of `deepbots train`, or the folder of a group or a study.",
+            metavar="RUN|GROUP",
+            help="A run directory of `deepbots train`, or the folder of a group.",
         ),
     ],
     out: Annotated[
@@ -44,6 +45,12 @@ def command(
     from deepbots_cli.files import atomic_write, check_folder, check_output
     from deepbots_cli.view.plots import import_matplotlib
 
+    if folder_kind(run) is SourceKind.STUDY:
+        raise UsageError(
+            f"the report of a study is gone; `deepbots runs {quote(str(run))}` lists the trials of {run}, and"
+            f" `optuna-dashboard {quote(str(run / JOURNAL_NAME))}` shows them in the browser (pip install"
+            " optuna-dashboard)"
+        )
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{target} must end in .html")
@@ -54,31 +61,21 @@ def command(
         import_matplotlib()
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "a report") from error
-    from deepbots_cli.insight import report as of_runs
-    from deepbots_cli.insight import study as of_studies
+    from deepbots_cli.insight.report import FIGURE_NAMES, Report
 
-    is_study = folder_kind(run) is SourceKind.STUDY
     if figures is not None and figures.is_dir():
-        names = of_studies.FIGURE_NAMES if is_study else of_runs.FIGURE_NAMES
-        check_output(*(figures / f"{name}.png" for name in names), force=force)
-    report: of_runs.Report | of_studies.StudyReport
-    if is_study:
-        from deepbots_cli.learning.campaigns.study import Study
-
-        if note := Study.open(run).reading_note:
-            terminal.note(note)
+        check_output(*(figures / f"{name}.png" for name in FIGURE_NAMES), force=force)
     with terminal.transient_line("reading the run ..."):
-        report = of_studies.StudyReport.read(run) if is_study else of_runs.Report.read(run)
-    if isinstance(report, of_runs.Report):
-        if figures is not None and figures.is_dir():
-            # Only the run names its agents, and each agent has a figure of its own.
-            check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
-        selection = report.choose_episodes(episodes)
-        permissions = Permissions(code=allow_code)
-        with terminal.progress("episodes") as show:
-            report.repeat_episodes(selection, show, clips=clips, permissions=permissions)
-        with terminal.transient_line("looking for the causes ..."):
-            report.find_causes(permissions)
+        report = Report.read(run)
+    if figures is not None and figures.is_dir():
+        # Only the run names its agents, and each agent has a figure of its own.
+        check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
+    selection = report.choose_episodes(episodes)
+    permissions = Permissions(code=allow_code)
+    with terminal.progress("episodes") as show:
+        report.repeat_episodes(selection, show, clips=clips, permissions=permissions)
+    with terminal.transient_line("looking for the causes ..."):
+        report.find_causes(permissions)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")
@@ -89,8 +86,7 @@ def command(
     data = {
         "report": target,
         "result": report.result,
-        "causes": [],
-        **(_run_data(report) if isinstance(report, of_runs.Report) else {}),
+        **_run_data(report),
         "figures": figure_paths,
         "notes": report.notes,
     }

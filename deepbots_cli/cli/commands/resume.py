@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from deepbots_cli import learning
-from deepbots_cli.cli import processes, retries, studies, trainings
+from deepbots_cli.cli import processes, studies, trainings
 from deepbots_cli.cli.command import (
     AllowCode,
     Callbacks,
@@ -25,7 +25,8 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.campaigns.group import MAX_RETRIES, Group
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.rollout.source import Source, SourceKind
 
 Trained = Annotated[
@@ -44,15 +45,6 @@ def command(
     full: Annotated[
         bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")
     ] = False,
-    retry: Annotated[
-        int | None,
-        integer(
-            "--retry N",
-            "How many trainings may follow the first one, in all, of a group of `train --retry`.",
-            1,
-            MAX_RETRIES,
-        ),
-    ] = None,
     trials: Annotated[
         int | None, integer("--trials N", "The new number of trials of a study, in all.", 1, 100_000)
     ] = None,
@@ -70,19 +62,15 @@ def command(
     source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
     group = Group.open(source) if source.kind is SourceKind.GROUP else None
     changes = {"--timesteps": timesteps, "--full": full or None, "--callback": callbacks, "--logger": loggers}
-    options = changes | {"--retry": retry, "--trials": trials, "--view": to_view or None}
+    options = changes | {"--trials": trials, "--view": to_view or None}
     output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if source.kind is SourceKind.STUDY:
         _refuse_others("a study", options, "--trials")
-        study = studies.open_study(trained, quiet=quiet)
+        study = Study.open(source)
         if trials is not None and trials != study.record.trials:
-            study = study.changed(trials=trials)
+            with study.locked() as current:
+                study = current.changed(trials=trials, status="running")
         studies.continue_study(study, workers, address, **output_options)
-        return
-    if group is not None and group.attempts:
-        _refuse_others("a group of `train --retry`", options, "--retry")
-        with processes.executor(workers, address, quiet=quiet) as executor:
-            retries.resume(trained, retry, executor, **output_options)
         return
     if callbacks or loggers:
         from deepbots_cli.learning.sb3 import plugins

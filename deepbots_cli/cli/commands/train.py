@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import exploits, processes, retries, terminal, trainings
+from deepbots_cli.cli import exploits, processes, terminal, trainings
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -33,7 +33,6 @@ from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.campaigns.group import MAX_RETRIES
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.scenario.training import MAX_SHARDS
 
@@ -66,16 +65,6 @@ def command(
     run: Annotated[
         Path | None,
         option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs."),
-    ] = None,
-    retry: Annotated[
-        int | None,
-        integer(
-            "--retry N",
-            "If the task is not solved, train up to N times again, each time with a value under `train` that"
-            " `diagnose` advises.",
-            1,
-            MAX_RETRIES,
-        ),
     ] = None,
     full: Annotated[
         bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")
@@ -135,7 +124,6 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it."""
     progress = not quiet
-    _check_retry(retry, seeds, to_view=to_view)
     scenario = _checked_options(scenario, seed, seeds, run)
     listed = None if seeds is None else seed_list(seeds)
     is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
@@ -180,10 +168,6 @@ def command(
         training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
-        if retry is not None:
-            settings |= {"quiet": quiet, "as_json": as_json}
-            retries.train(compiled, retry, seed=root, group=run, executor=executor, **settings)
-            return
 
         def begin(path: Path) -> None:
             if progress:
@@ -192,20 +176,6 @@ def command(
 
         result = learning.train(compiled, run=run, seed=root, on_start=begin, executor=executor, **settings)
     trainings.finish(result, **output_options)
-
-
-def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None:
-    """Check the options that go with `--retry`.
-
-    Raises:
-        UsageError: `--retry` cannot be combined with these options.
-    """
-    if retry is not None and (seeds is not None or to_view):
-        alternative = "--view" if seeds is None else "--seeds"
-        raise UsageError(
-            f"--retry follows the causes of one training; leave out {alternative}, and use it with the values"
-            " that --retry finds"
-        )
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:

@@ -1,42 +1,37 @@
-"""Groups: one folder with a run for each of several seeds, which differ in nothing else, or with attempts at
-one scenario.
+"""Groups: one folder with a run for each of several seeds, which differ in nothing else.
 
     runs/cartpole-seeds-1/
-    ├── group.json           seeds, settings of the trainings, command
+    ├── group.json           seeds, settings of the trainings, status, command
     ├── inputs/, resolved.yaml   the scenario, from which seeds that have not begun are trained
     ├── workers/             the output of workers
     └── seed-0/, seed-1/ ... the runs
 
-The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each
-(`insight/retry.py`). The seeds are trained one after the other, or on workers (`executor`): then a training
-whose worker was lost is resumed by another one, to the same bytes. Importing this module does not load torch.
+The seeds are trained one after the other, or on workers (`executor`): then a training whose worker was lost
+is resumed by another one, to the same bytes. Importing this module does not load torch.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, Unpack
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
+from pydantic import NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
+from deepbots_cli.errors import DeepbotsError, StorageError, UsageError
 from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.campaigns.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
+from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord
 from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
-from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, new_directory, run_lock
-from deepbots_cli.learning.runs.order import Measure, Rank, measure_of, rank
-from deepbots_cli.learning.runs.records import RunRecord, TrainingOptions, TrainingResult
-from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
+from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, new_directory, run_lock
+from deepbots_cli.learning.runs.records import RunRecord, Status, TrainingOptions, TrainingResult
+from deepbots_cli.learning.runs.run import remove_incomplete
 from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
@@ -44,33 +39,10 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
 
-MAX_RETRIES = 20
-
-
-class RetryAttempt(BaseModel):
-    """A training of `train --retry`.
-
-    Attributes:
-        settings: The values that differ from the scenario, as text, by the path of the setting.
-        base: Number of the attempt that was diagnosed, from 1; 0 for the first one.
-        cause: Name of the cause that advised the last of the values, `text` is its sentence.
-    """
-
-    model_config = ConfigDict(frozen=True, strict=True)
-
-    settings: Mapping[str, str] = {}
-    base: NonNegativeInt = 0
-    cause: str = ""
-    text: str = ""
-
 
 class GroupRecord(CampaignRecord):
     """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for
-    their meaning.
-
-    A group of `train --retry` has one seed, the attempts so far, and the highest number of `retries` after
-    the first.
-    """
+    their meaning."""
 
     total_timesteps: PositiveInt | None = None
     stop_when_solved: bool = True
@@ -80,8 +52,6 @@ class GroupRecord(CampaignRecord):
     demonstrations: str | None = None
     callbacks: tuple[str, ...] = ()
     loggers: tuple[str, ...] = ()
-    retries: int = Field(default=0, ge=0, le=MAX_RETRIES)
-    attempts: tuple[RetryAttempt, ...] = Field(default=(), max_length=MAX_RETRIES + 1)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -91,95 +61,20 @@ class GroupRecord(CampaignRecord):
 
 @dataclass(frozen=True)
 class Group(Campaign[GroupRecord]):
-    """A group on disk, with a run for each seed, or for each attempt of `train --retry`."""
+    """A group on disk."""
 
     noun = "group"
     kind = SourceKind.GROUP
     record_name = GROUP_RECORD_NAME
     record_type = GroupRecord
 
-    def __post_init__(self) -> None:
-        attempts = self.record.attempts
-        is_ordered = all(attempt.base <= number for number, attempt in enumerate(attempts))
-        if not is_ordered or (attempts and len(self.record.seeds) > 1):
-            raise RunError(
-                f"{self.path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another"
-            )
-
     def run(self, seed: int) -> Path:
         """Return the folder of the run of a seed, which exists once its training has begun."""
         return self.path / f"seed-{seed}"
 
     @property
-    def attempts(self) -> list[Member]:
-        """The attempts of `train --retry`; empty for a group of seeds."""
-        attempts = enumerate(self.record.attempts, start=1)
-        return [Member(self.path / f"try-{number}", attempt.settings) for number, attempt in attempts]
-
-    @property
     def planned(self) -> list[Path]:
-        return [attempt.path for attempt in self.attempts] or [self.run(seed) for seed in self.record.seeds]
-
-    @property
-    def representatives(self) -> list[Path]:
-        """The folders of the runs that represent the group, as far as they have begun: those of all seeds, or
-        that of the best attempt.
-
-        Raises:
-            RunError: A record is damaged.
-        """
-        best = self.best
-        return self.runs if best is None else [best.path]
-
-    @property
-    def best(self) -> Member | None:
-        return self.attempts[self.best_attempt - 1] if self.attempts else None
-
-    def attempt_verdict(self, number: int) -> RunVerdict:
-        """Return the verdict about an attempt, from 1.
-
-        Raises:
-            RunError: The record of the attempt is damaged.
-        """
-        folder = self.planned[number - 1]
-        return (
-            run_verdict(folder, RunRecord.read(folder))
-            if folder_kind(folder) is SourceKind.RUN
-            else RunVerdict(None, None)
-        )
-
-    @property
-    def best_attempt(self) -> int:
-        """The number of the attempt with the best evaluation: solved, then by the measure of the task; of
-        equals the last one.
-
-        Raises:
-            RunError: A record is damaged.
-        """
-
-        verdicts = {
-            number: self.attempt_verdict(number) for number in range(1, len(self.record.attempts) + 1)
-        }
-        evaluations = [verdict.evaluation for verdict in verdicts.values() if verdict.evaluation is not None]
-        measure = self._measure(defines_success=any(evaluation.success_defined for evaluation in evaluations))
-
-        def order(number: int) -> tuple[bool, Rank, int]:
-            verdict = verdicts[number]
-            evaluation = verdict.evaluation
-            score = (-math.inf, -math.inf)
-            if evaluation is not None:
-                score = rank(measure, evaluation.success_rate, evaluation.mean_return)
-            return verdict.solved is True, score, number
-
-        return max(verdicts, key=order)
-
-    def _measure(self, *, defines_success: bool) -> Measure:
-        """Return the measure of the task that a training has recorded; nothing is compiled."""
-        for folder in self.runs:
-            result = RunRecord.read(folder).result
-            if result is not None and result.best is not None:
-                return result.best.measure
-        return measure_of(None, defines_success=defines_success)
+        return [self.run(seed) for seed in self.record.seeds]
 
     @property
     def runs_with_model(self) -> list[Path]:
@@ -252,32 +147,26 @@ def train_group(
     """
     if unknown := options.keys() - TrainingOptions.__annotations__.keys():
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
-    if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
-        raise UsageError(f"a group needs 1 to {MAX_SEEDS} different seeds")
     from deepbots_cli.learning.training import checked_settings
 
     compiled = api.with_learner(compiled)
+    record = _new_record(compiled, seeds, options)
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
-    with Group.created(path, new_record(compiled, seeds, options), compiled) as created:
+    with Group.created(path, record, compiled) as created:
         return _train_seeds(created, compiled, {}, on_seed, progress, build, executor, on_evaluation)
 
 
-def new_record(
-    compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0
-) -> GroupRecord:
-    """Return the record of a group whose trainings have these options; with `retries`, of a group of
-    attempts."""
+def _new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOptions) -> GroupRecord:
+    """Return the record of a group whose trainings have these options."""
     values: dict[str, Any] = {**options}
     values |= {name: tuple(values.get(name, ())) for name in ("callbacks", "loggers", "command")}
     for name in ("initialize_from", "demonstrations"):
         if values.get(name) is not None:
             # The group may be resumed from another working directory.
             values[name] = str(Path(values[name]).absolute())
-    values |= GroupRecord.common(compiled, values.get("engine"))
-    return GroupRecord(
-        seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **values
-    )
+    engine = values.pop("engine", None)
+    return GroupRecord.new(compiled, engine, seeds=tuple(seeds), **values)
 
 
 def resume_group(
@@ -305,11 +194,6 @@ def resume_group(
         UsageError: Another training uses the group, or a callback or logger does not exist.
     """
     resumed = Group.open(group)
-    if resumed.attempts:
-        raise UsageError(
-            f"{resumed.path} is a group of `train --retry`; continue it with: deepbots resume"
-            f" {quote(str(resumed.path))}"
-        )
     options = {
         "callbacks": None if callbacks is None else tuple(callbacks),
         "loggers": None if loggers is None else tuple(loggers),
@@ -322,8 +206,8 @@ def resume_group(
             from deepbots_cli.learning.sb3 import plugins
 
             plugins.check(callbacks or (), loggers or ())
-        if changes:  # a later call continues with them if this one is interrupted
-            resumed = resumed.changed(**changes)
+        # A later call continues with the changes if this one is interrupted.
+        resumed = resumed.changed(status="running", **changes)
         compiled = resumed.compiled(permissions=permissions)
         return _train_seeds(resumed, compiled, changes, on_seed, progress, build, executor, on_evaluation)
 
@@ -387,7 +271,15 @@ def _train_seeds(
                     break
     finished_runs = {result.run for result in trained if not result.interrupted}
     waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in finished_runs)
+    group.changed(status=_status(failed, waiting))
     return GroupTraining(group.path, tuple(trained), skipped, failed, waiting)
+
+
+def _status(failed: Mapping[int, str], waiting: Sequence[int]) -> Status:
+    """Return the status of a group after a call that leaves these seeds."""
+    if failed:
+        return "failed"
+    return "interrupted" if waiting else "finished"
 
 
 def _stops(interruption: Interruption, reporter: GroupReporter) -> bool:
@@ -466,11 +358,24 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
     group ends before."""
     if item.begin is not None and item.begin() is False:
         return None
-    arguments = {"progress": _AttemptReporter(attempt)} if item.local is None else item.local
+    from deepbots_cli.learning.training import resume, train
+
+    further = {"progress": _AttemptReporter(attempt)} if item.local is None else item.local
     is_repeated = attempt.number > 1
-    return train_member(
-        item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **arguments
+    if is_repeated:
+        # A training that goes on has the lock of the run, and `resume` would fail.
+        has_ended(item.path)
+    if folder_kind(item.path) is not SourceKind.RUN:
+        remove_incomplete(item.path)
+        options = {**item.options, **item.changes}
+        return train(item.compiled, run=item.path, seed=item.seed, **options, **further)
+    record = RunRecord.read(item.path)
+    is_done = record.status == "finished" and record.total_timesteps == item.changes.get(
+        "total_timesteps", record.total_timesteps
     )
+    if is_repeated and is_done and record.result is not None:
+        return TrainingResult(run=item.path, initialized_from=record.initialized_from, **vars(record.result))
+    return resume(item.path, permissions=item.compiled.permissions, **item.changes, **further)
 
 
 class _AttemptReporter(Reporter):

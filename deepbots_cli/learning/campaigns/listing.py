@@ -14,18 +14,17 @@ from typing import Any, Literal
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.campaigns.campaign import Campaign
+from deepbots_cli.learning.campaigns.campaign import Campaign, State
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.decline import Decline, decline_of
-from deepbots_cli.learning.runs.directories import is_training, numbered_files
+from deepbots_cli.learning.runs.directories import numbered_files
 from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import ChosenBy, RunRecord, changed_settings
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
-State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
 """The number of bytes at the end of a log that contain its last 100 episodes."""
 _MAX_STATE_BYTES = 100_000_000
@@ -51,7 +50,7 @@ class ListedRun:
     """
 
     path: Path
-    state: State
+    state: State | Literal["unreadable"]
     scenario: str = "?"
     source: str = ""
     digest: str = ""
@@ -173,27 +172,15 @@ def _decline(path: Path, record: RunRecord) -> Decline | None:
 
 def _listed_group(path: Path) -> ListedRun:
     group = Group.open(path)
-    counted = group.representatives
-    listed = _listed_campaign(group, counted)
-    runs = [run for run in listed.runs if run.path in counted and run.problem is None]
+    listed = _listed_campaign(group)
+    runs = [run for run in listed.runs if run.problem is None]
     returns = [run.mean_return for run in runs if run.mean_return is not None]
     rates = [run.success_rate for run in runs if run.success_rate is not None]
-    states = {run.state for run in listed.runs}
-    state: State
-    if is_training(path):
-        state = "training"
-    elif states & {"failed", "unreadable"}:
-        state = "failed"
-    else:
-        state = "interrupted"
-    if state != "training" and states == {"finished"} and len(listed.runs) == len(group.planned):
-        state = "finished"
     seeds = group.record.seeds
     is_evaluated = any(run.score == "evaluation" for run in runs)
     evaluated: Literal["evaluation"] | None = "evaluation" if is_evaluated else None
     return replace(
         listed,
-        state=state,
         digest=runs[0].digest if runs else "",
         settings=changed_settings(group.record.command),
         teacher=runs[0].teacher if runs else None,
@@ -210,21 +197,18 @@ def _listed_group(path: Path) -> ListedRun:
 
 def _listed_study(path: Path) -> ListedRun:
     study = Study.open(path)
-    listed = _listed_campaign(study, study.runs)
-    state: State = "finished" if len(listed.runs) >= study.record.trials else "interrupted"
-    if any(trial.state == "training" for trial in listed.runs):
-        state = "training"
-    return replace(listed, state=state, settings=study.record.set, planned=study.record.trials)
+    listed = _listed_campaign(study)
+    return replace(listed, settings=study.record.set, planned=study.record.trials)
 
 
-def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> ListedRun:
-    """Return the entry of a campaign, with its members, and the sums over those in the `counted` folders."""
+def _listed_campaign(campaign: Campaign[Any]) -> ListedRun:
+    """Return the entry of a campaign, with its members, and the sums over them."""
     members = tuple(map(read_listed, campaign.runs))
-    summed = [member for member in members if member.path in counted and member.problem is None]
+    summed = [member for member in members if member.problem is None]
     costs = [member.cpu_seconds for member in summed if member.cpu_seconds is not None]
     return ListedRun(
         campaign.path,
-        "interrupted",
+        campaign.state,
         scenario=campaign.record.scenario,
         source=campaign.record.source,
         engine=campaign.record.engine,

@@ -2,9 +2,9 @@
 values.
 
     runs/cartpole-tune-1/
-    ├── study.json           search space, seeds, objective, settings of the trainings, versions, command
+    ├── study.json           search space, seeds, objective, settings of the trainings, status, command
     ├── inputs/, resolved.yaml   the scenario, from which all trials are trained
-    ├── journal.log          the values, states and scores of the trials, by Optuna
+    ├── journal.log          the values, states and scores of the trials (`optuna.storages.JournalStorage`)
     ├── workers/             the output of workers
     └── trial-0/, trial-1/ ...   a group for each trial
 
@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,10 +34,11 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.document import inline_text
 from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
-from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord, Member
+from deepbots_cli.errors import MissingExtraError, RunError, StorageError, UsageError
+from deepbots_cli.files import unwritable_message
+from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.runs.directories import new_directory
+from deepbots_cli.learning.runs.directories import is_training, new_directory, run_lock
 from deepbots_cli.learning.runs.order import Measure, Rank, rank
 from deepbots_cli.learning.runs.records import versions
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
@@ -47,7 +48,6 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.campaigns.journal_file import JournalFile
     from deepbots_cli.learning.runs.statistics import Difference
 
 JOURNAL_NAME = "journal.log"
@@ -55,7 +55,9 @@ Objective = Literal["solved", "success_rate", "mean_return"]
 TrialState = Literal["running", "complete", "pruned", "failed"]
 
 _MAX_JOURNAL_BYTES = 200_000_000
-_LONG_JOURNAL_MB = 5
+_CLAIM_TIMEOUT_S = 300.0
+"""The time that a process waits for another one that takes a trial, in s. Taking a trial lasts less than a
+second."""
 _MAX_SCORE = 1e300  # larger scores, steps and returns are refused, so that sums stay finite
 _MAX_REASON = 10_000  # the largest number of characters of the reason of a failure
 
@@ -81,6 +83,10 @@ class StudyRecord(CampaignRecord):
     @property
     def lower_is_better(self) -> bool:
         return self.objective == "solved"
+
+    @property
+    def direction(self) -> Literal["minimize", "maximize"]:
+        return "minimize" if self.lower_is_better else "maximize"
 
     def score_interval(self, trial: StudyTrial) -> Interval | None:
         """Return the interval of the score of a trial over its seeds."""
@@ -130,16 +136,24 @@ class SeedScore:
 _SEED_SCORES = TypeAdapter(tuple[SeedScore, ...])
 
 
-@dataclass(frozen=True, kw_only=True)
-class StudyTrial(Member):
-    """A trial, as far as it has run. `score` is None unless it is complete, and `reason` is the reason of a
-    failure."""
+@dataclass(frozen=True)
+class StudyTrial:
+    """A trial, as far as it has run. `path` is the folder of its group, which exists once its training has
+    begun, and `values` are those that differ from the scenario, as text, by the path of the setting. `score`
+    is None unless the trial is complete, and `reason` is the reason of a failure."""
 
+    path: Path
+    values: Mapping[str, str]
     number: int
     state: TrialState
     score: float | None = None
     seeds: tuple[SeedScore, ...] = ()
     reason: str | None = None
+
+    @property
+    def assignments(self) -> list[str]:
+        """The values as for `--set`."""
+        return [f"{path}={value}" for path, value in self.values.items()]
 
     @property
     def success_rate(self) -> float | None:
@@ -211,13 +225,40 @@ class StudyReporter:
         """Called after a trial has ended."""
 
 
+@contextmanager
+def journal_errors(path: Path) -> Iterator[None]:
+    """Context in which the errors of Optuna are those of the journal, whose entries Optuna does not check.
+
+    Raises:
+        RunError: The journal is damaged.
+        StorageError: It cannot be read or written.
+    """
+    from optuna.exceptions import OptunaError
+
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(unwritable_message(path, error)) from error
+    except (
+        ArithmeticError,
+        AssertionError,
+        AttributeError,
+        LookupError,
+        OptunaError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        raise RunError(f"{path} is damaged, or was not written by deepbots") from error
+
+
 @dataclass(frozen=True)
 class Journal:
     """Optuna's study, read from its journal and written to it."""
 
+    path: Path
     study: optuna.Study
     storage: optuna.storages.JournalStorage
-    file: JournalFile
 
     @property
     def trials(self) -> list[optuna.trial.FrozenTrial]:
@@ -226,29 +267,8 @@ class Journal:
         Raises:
             RunError: The journal is damaged.
         """
-        with self.file.checked():
+        with journal_errors(self.path):
             return self.study.get_trials(deepcopy=False)
-
-    def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
-        """Return the importance of each key for the best quarter of the complete trials, by the scores of one
-        seed after the other; sums are 1.
-
-        This is PED-ANOVA (S. Watanabe, A. Bansal and F. Hutter, IJCAI 2023).
-        """
-        from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
-
-        def importances(seed: int) -> dict[str, float]:
-            def cost(trial: optuna.trial.FrozenTrial) -> float:
-                seed_score = float(trial.user_attrs["seeds"][seed]["score"])
-                return seed_score if lower_is_better else -seed_score
-
-            return get_param_importances(
-                self.study, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost
-            )
-
-        # Optuna warns that low values are good, which they are here.
-        with warnings.catch_warnings(action="ignore"), self.file.checked():
-            return [importances(seed) for seed in range(seeds)]
 
     def trial(self, number: int) -> optuna.trial.Trial:
         """Return a trial of any process, to report to.
@@ -258,7 +278,7 @@ class Journal:
         """
         import optuna
 
-        with self.file.checked():
+        with journal_errors(self.path):
             study_id = self.storage.get_study_id_from_name(self.study.study_name)
             trial_id = self.storage.get_trial_id_from_study_id_trial_number(study_id, number)
             return optuna.trial.Trial(self.study, trial_id)
@@ -274,17 +294,6 @@ class Study(Campaign[StudyRecord]):
     record_type = StudyRecord
     files = (*Campaign.files, JOURNAL_NAME)
 
-    @property
-    def reading_note(self) -> str | None:
-        """A note that the trials are read, if this takes seconds."""
-        path = self.path / JOURNAL_NAME
-        megabytes = path.stat().st_size // 1_000_000 if path.is_file() else 0
-        return (
-            f"reading the trials of {self.path} ({megabytes} MB) ..."
-            if megabytes > _LONG_JOURNAL_MB
-            else None
-        )
-
     def trial_folder(self, number: int) -> Path:
         return self.path / f"trial-{number}"
 
@@ -293,52 +302,39 @@ class Study(Campaign[StudyRecord]):
         return sorted(self.path.glob("trial-*"), key=lambda path: (len(path.name), path.name))
 
     @property
-    def best(self) -> StudyTrial | None:
-        return next(iter(self.ranked(self.trials())), None)
+    def is_training(self) -> bool:
+        return any(is_training(self.path, lock.name) for lock in self.path.glob(".process-*.lock"))
 
-    def connect(self) -> Journal:
-        """Open the journal, which is created if there is none.
+    @contextmanager
+    def locked(self) -> Iterator[Study]:
+        """Context with the study as it is now, which no other process changes within the block."""
+        with run_lock(self.path, ".next.lock", _CLAIM_TIMEOUT_S):
+            yield Study.open(self.path)
+
+    def connect(self, *, to_write: bool = False) -> Journal:
+        """Open the journal; `to_write` removes a last line that a crash has left incomplete.
 
         Raises:
             MissingExtraError: Optuna is not installed.
             RunError: The journal is damaged.
         """
         try:
-            import optuna
+            from optuna import load_study
         except ModuleNotFoundError as error:
             raise MissingExtraError("tune", "a search over values") from error
-        from optuna.storages import JournalStorage
-
-        from deepbots_cli.learning.campaigns.journal_file import JournalFile
-
         path = self.path / JOURNAL_NAME
-        level = optuna.logging.get_verbosity()
-        if path.exists() and not path.is_file():  # a pipe would be read for ever
-            raise RunError(f"{path} is not a regular file, so deepbots did not write it")
-        if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
+        if not path.is_file():  # a pipe would be read for ever
+            raise RunError(f"{path} is missing, or is not a regular file")
+        if path.stat().st_size > _MAX_JOURNAL_BYTES:
             raise RunError(f"{path} is larger than {_MAX_JOURNAL_BYTES} bytes, so deepbots did not write it")
-        # Otherwise Optuna reports each study that it creates.
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-        try:
-            direction: Literal["minimize", "maximize"] = (
-                "minimize" if self.record.lower_is_better else "maximize"
-            )
-            file = JournalFile(path)
-            name = self.record.scenario
-            with file.checked():
-                storage = JournalStorage(file)
-                present = [study for study in storage.get_all_studies() if study.study_name == name]
-                if not present:
-                    study = optuna.create_study(
-                        storage=storage, study_name=name, direction=direction, load_if_exists=True
-                    )
-                    return Journal(study, storage, file)
-                # `create_study` would write a line, even for a study that exists.
-                if [entry.name.lower() for entry in present[0].directions] != [direction]:
-                    raise ValueError("the journal of another objective")
-                return Journal(optuna.load_study(study_name=name, storage=storage), storage, file)
-        finally:
-            optuna.logging.set_verbosity(level)
+        with journal_errors(path):
+            if to_write:
+                _remove_incomplete_line(path)
+            storage = _journal_storage(path)
+            study = load_study(study_name=self.record.scenario, storage=storage)
+            if study.direction.name.lower() != self.record.direction:
+                raise ValueError("the journal of another objective")
+            return Journal(path, study, storage)
 
     def trials(self, journal: Journal | None = None) -> list[StudyTrial]:
         """Return all trials that have values, by number.
@@ -371,9 +367,7 @@ class Study(Campaign[StudyRecord]):
             ) from error
         state, reason = ("failed", str(reason)[:_MAX_REASON]) if reason else (state, None)
         folder = self.trial_folder(frozen.number)
-        return StudyTrial(
-            folder, values, number=frozen.number, state=state, score=score, seeds=seeds, reason=reason
-        )
+        return StudyTrial(folder, values, frozen.number, state, score, seeds, reason)
 
     def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
         """Return the complete trials, the best first.
@@ -424,7 +418,8 @@ def create_study(
 
     Raises:
         ScenarioError: The scenario has findings at error level.
-        UsageError: The scenario has no search, does not fit the objective, or the folder exists.
+        UsageError: The scenario has no search, does not fit the objective, an argument is outside its limits,
+            a seed is given twice, or the folder exists.
     """
     if find_spec("optuna") is None:
         raise MissingExtraError("tune", "a search over values")
@@ -459,16 +454,17 @@ def create_study(
         if (node := nodes[name]) is not None
     }
     present = {name: value for name, value in values.items() if value is not None}
-    record = StudyRecord(
-        **StudyRecord.common(compiled),
+    usual_timesteps = tune.timesteps or training.total_timesteps
+    record = StudyRecord.new(
+        compiled,
         set=tuple(
             text for text in compiled.overrides if re.split(r"[.=]", text, maxsplit=1)[0].strip() != TUNE
         ),
         search=checked.search,
         present=present if len(present) == len(checked.search) else {},
         seeds=tuple(range(tune.seeds) if seeds is None else seeds),
-        trials=trials or tune.trials,
-        total_timesteps=timesteps or tune.timesteps or training.total_timesteps,
+        trials=tune.trials if trials is None else trials,
+        total_timesteps=usual_timesteps if timesteps is None else timesteps,
         objective=final_objective,
         prune=tune.prune if prune is None else prune,
         seed=seed,
@@ -476,5 +472,42 @@ def create_study(
         command=tuple(command),
     )
     with Study.created(new_directory(folder, runs, program.name, "tune"), record, compiled) as study:
-        study.connect()
+        _create_journal(study)
         return study
+
+
+def _journal_storage(path: Path) -> optuna.storages.JournalStorage:
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+
+    return JournalStorage(JournalFileBackend(str(path), JournalFileOpenLock(str(path))))
+
+
+def _create_journal(study: Study) -> None:
+    import optuna
+
+    path, record = study.path / JOURNAL_NAME, study.record
+    level = optuna.logging.get_verbosity()
+    # Otherwise Optuna reports each study that it creates.
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        with journal_errors(path):
+            optuna.create_study(
+                storage=_journal_storage(path), study_name=record.scenario, direction=record.direction
+            )
+    finally:
+        optuna.logging.set_verbosity(level)
+
+
+def _remove_incomplete_line(path: Path) -> None:
+    """Remove a last line without an end from a journal. Optuna would append to it, which makes the journal
+    unreadable."""
+    from optuna.storages.journal import JournalFileOpenLock
+
+    lock = JournalFileOpenLock(str(path))
+    lock.acquire()  # no other process is writing a line
+    try:
+        with path.open("r+b") as file:
+            file.truncate(file.read().rfind(b"\n") + 1)
+    finally:
+        lock.release()

@@ -9,30 +9,33 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.calls import Attempt, Watcher
-from deepbots_cli.learning.campaigns.campaign import evaluate_once
 from deepbots_cli.learning.campaigns.group import Group, resume_group, train_group
 from deepbots_cli.learning.campaigns.study import (
     Journal,
     Objective,
     SeedScore,
     Study,
+    StudyRecord,
     StudyReporter,
     TrialProgress,
     TrialResult,
+    journal_errors,
 )
 from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.program import Program
@@ -54,13 +57,10 @@ WARM_UP = 2
 """The number of points of the first training at which no trial is pruned, because its first evaluations are
 uncertain."""
 MIN_COMPARED = 5
-"""The number of complete trials before one is pruned, as in Optuna's median pruner."""
+"""The number of complete trials before one is pruned."""
 UNSOLVED = 2.0
 """The score of a training without a model, the upper bound of all others."""
 _MAX_EVALUATIONS_BYTES = 200_000_000
-_CLAIM_TIMEOUT_S = 300.0
-"""The time that a process waits for another one that takes a trial, in s. Taking a trial lasts less than a
-second."""
 _MAX_FAILED_FIRST = 3
 """The number of trials that may fail at the beginning. More failures are due to the settings, not the
 values."""
@@ -96,6 +96,7 @@ def run_study(
             `Executor.map`.
     """
     with ExitStack() as stack:
+        stack.enter_context(_at_work(study))
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
@@ -116,6 +117,25 @@ def run_study(
                 raise
             return False
         return not search.is_stopping and not search.left
+
+
+@contextmanager
+def _at_work(study: Study) -> Iterator[None]:
+    """Context in which this process trains the study. The last process that ends without an error writes
+    whether the study is finished."""
+    name = f".process-{uuid4().hex}.lock"
+    try:
+        with run_lock(study.path, name):
+            with study.locked() as current:
+                current.changed(status="running")
+            yield
+    finally:
+        (study.path / name).unlink(missing_ok=True)
+    with study.locked() as current:
+        ended = [trial for trial in current.connect().trials if trial.state.is_finished()]
+        is_done = len(ended) >= current.record.trials
+        if is_done or not current.is_training:
+            current.changed(status="finished" if is_done else "interrupted")
 
 
 @dataclass(frozen=True)
@@ -143,7 +163,7 @@ class _Search(Watcher):
         self._study = study
         self._reporter = reporter
         self._permissions = permissions
-        self._journal = study.connect()
+        self._journal = study.connect(to_write=True)
         self._numbers: list[int] = []
         self._locks: dict[int, ExitStack] = {}
         self.left: set[int] = set()
@@ -219,7 +239,7 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
 
     with ExitStack() as stack:
         # One process at a time: two could choose the same trial.
-        with run_lock(study.path, ".next.lock", _CLAIM_TIMEOUT_S):
+        with study.locked() as current:
             trials = journal.trials
             number = None
             for trial in trials:
@@ -237,8 +257,8 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
             seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
             journal.study.sampler = TPESampler(seed=seed)
             is_waiting = any(trial.state.name == "WAITING" for trial in trials)
-            with journal.file.checked():
-                if number is None and (is_waiting or len(trials) < study.record.trials):
+            with journal_errors(journal.path):
+                if number is None and (is_waiting or len(trials) < current.record.trials):
                     if not trials and study.record.present:
                         journal.study.enqueue_trial(dict(study.record.present))
                     number = journal.study.ask().number
@@ -265,7 +285,7 @@ def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
     from optuna.trial import TrialState
 
     trial = journal.trial(number)
-    with journal.file.checked():
+    with journal_errors(journal.path):
         trial.set_user_attr("seeds", [asdict(seed) for seed in result.seeds])
         if result.reason is not None:
             trial.set_user_attr("reason", result.reason)
@@ -288,7 +308,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     permissions = taken.permissions
     record = study.record
     folder = study.trial_folder(number)
-    journal = study.connect()
+    journal = study.connect(to_write=True)
     # A node that was lost may still be at work.
     if attempt.number > 1 and not has_ended(folder):
         return TrialResult("running")
@@ -320,6 +340,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     stop_requested = any(result.stop_requested for result in trained.trained)
     group = Group.open(folder)
     if follower.is_pruned():
+        group.changed(status="finished")
         return TrialResult("pruned", stop_requested=stop_requested)
     if trained.interrupted and trained.waiting:
         return TrialResult("running", stop_requested=True)
@@ -328,7 +349,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         return TrialResult("failed", reason=reason, stop_requested=stop_requested)
     try:
         for path in group.runs_with_model:
-            evaluate_once(path, permissions)
+            _evaluate_once(path, permissions)
     except KeyboardInterrupt:
         return TrialResult("running", stop_requested=True)
     except StorageError:
@@ -342,6 +363,19 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         None,
         stop_requested,
     )
+
+
+def _evaluate_once(path: Path, permissions: Permissions) -> None:
+    """Evaluate the best model of a run and keep the evaluation, unless the run has one.
+
+    Raises:
+        RunError: The run has no model.
+    """
+    from deepbots_cli.learning.evaluation import evaluate
+
+    run = Run.open(path)
+    if quoted_evaluation(path, run.record) is None:
+        run.write_evaluation(evaluate(run, permissions=permissions).model_dump(mode="json"))
 
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:
@@ -400,13 +434,19 @@ def score(
     return 1.0 + added
 
 
+def _pruner(record: StudyRecord) -> optuna.pruners.BasePruner:
+    from optuna.pruners import MedianPruner, NopPruner
+
+    if not record.prune:
+        return NopPruner()
+    return MedianPruner(MIN_COMPARED, n_warmup_steps=WARM_UP + 1, n_min_trials=MIN_COMPARED)
+
+
 class _Follower(Reporter):
-    """Reports the evaluations of the trainings of a trial to the journal, and determines when the trial is
-    pruned.
+    """Reports the evaluations of the trainings of a trial to the journal, where Optuna prunes the trial.
 
     After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of
-    this score and those of the seeds before it goes to the journal. A trial is pruned where this mean is
-    worse than the median of the complete trials at the same point. Everything is read from the files of the
+    this score and those of the seeds before it goes to the journal. Everything is read from the files of the
     runs, so a trial that is continued reports the same.
     """
 
@@ -415,6 +455,7 @@ class _Follower(Reporter):
     ) -> None:
         self._study = study
         self._journal = journal
+        journal.study.pruner = _pruner(study.record)
         self._attempt = attempt
         self._seed = (0, 0, 0)
         self._trial = journal.trial(number)
@@ -458,39 +499,21 @@ class _Follower(Reporter):
         self._report(len(self._runs) - 1, GRID)
 
     def _is_worse(self, index: int, point: int) -> bool:
-        """Report the scores up to a point of the training at `index`, and return whether the score at the
-        point is worse than the median."""
-        value = self._report(index, point)
-        step = GRID * index + point
-        complete = [
-            trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"
-        ]
-        other_values = [values[step] for values in complete if step in values]
-        if (
-            value is None
-            or not self._study.record.prune
-            or step <= WARM_UP
-            or len(other_values) < MIN_COMPARED
-        ):
-            return False
-        return (
-            value > median(other_values)
-            if self._study.record.lower_is_better
-            else value < median(other_values)
-        )
+        """Report the scores up to a point of the training at `index`, and return whether Optuna prunes the
+        trial."""
+        self._report(index, point)
+        with journal_errors(self._journal.path):
+            return self._trial.should_prune()
 
-    def _report(self, index: int, point: int) -> float | None:
-        """Report the scores up to a point of the training at `index`, each once, and return the score at the
-        point."""
-        step = GRID * index + point
-        reported = dict(self._journal.trials[self._trial.number].intermediate_values)
+    def _report(self, index: int, point: int) -> None:
+        """Report the scores up to a point of the training at `index`, each once."""
+        reported = self._journal.trials[self._trial.number].intermediate_values
         for number in range(1, point + 1):
-            value = self._score(index, number) if GRID * index + number not in reported else None
+            step = GRID * index + number
+            value = None if step in reported else self._score(index, number)
             if value is not None:
-                with self._journal.file.checked():
-                    self._trial.report(value, GRID * index + number)
-                reported[GRID * index + number] = value
-        return reported.get(step)
+                with journal_errors(self._journal.path):
+                    self._trial.report(value, step)
 
     def _score(self, index: int, point: int) -> float | None:
         """Return the mean score of the trainings up to `index` at a point of the last one; None before its

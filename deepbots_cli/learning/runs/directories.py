@@ -28,9 +28,30 @@ _LOCK_WAIT_S = 1.0
 
 
 class RecordFormat(BaseModel, strict=True):
-    """The format entry of a record, which determines whether this version can read the rest."""
+    """The entries of a record that say which version of deepbots can read the rest."""
 
     format: int = Field(ge=0, lt=2**31)
+    deepbots: str = Field(default="", pattern=r"^[\w.+-]{0,40}$")
+
+
+def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) -> M:
+    """Read the record of a run, a group or a study (`noun`) of format `number`.
+
+    Raises:
+        RunError: The record has another format, or as for `read_json`.
+    """
+    written = read_json(path, RecordFormat, limit)
+    if written.format != number:
+        version = (
+            f"deepbots {written.deepbots}, which wrote it"
+            if written.deepbots
+            else "the version that wrote it"
+        )
+        raise RunError(
+            f"{path.parent} is a {noun} of format {written.format}, but this version of deepbots reads format"
+            f" {number}; use {version}"
+        )
+    return read_json(path, model, limit)
 
 
 def read_json(path: Path, model: type[M], limit: int) -> M:
@@ -51,15 +72,20 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     try:
         return model.model_validate_json(content)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        field = ".".join(str(part)[:40] for part in first["loc"])
-        if field:
-            reason = f"'{field}': {first['msg']}"
-        elif first["type"] == "json_invalid":
-            reason = "it is not valid JSON"
-        else:
-            reason = first["msg"]
-        raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}") from error
+        raise RunError(f"{path} is damaged: {validation_text(error)}") from error
+
+
+def validation_text(error: ValidationError) -> str:
+    """Return the first field that does not fit a model, and the reason, in one line."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    field = ".".join(str(part)[:40] for part in first["loc"])
+    if field:
+        reason = f"'{field}': {first['msg']}"
+    elif first["type"] == "json_invalid":
+        reason = "it is not valid JSON"
+    else:
+        reason = first["msg"]
+    return " ".join(reason.split())[:200]
 
 
 def write_text(path: Path, text: str) -> None:
@@ -184,9 +210,10 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = _LOCK_WAIT_S) ->
         yield
 
 
-def is_training(folder: Path) -> bool:
-    """Return whether a training is at work in the directory of a run or a group."""
-    path = folder / ".lock"
+def is_training(folder: Path, name: str = ".lock") -> bool:
+    """Return whether a training is at work in the directory of a run or a group; `name` is that of its
+    lock."""
+    path = folder / name
     if path.is_symlink() or not path.is_file():
         return False
     from filelock import FileLock, Timeout  # needs the extra `train`

@@ -3,7 +3,7 @@
 A policy is better if it has a higher value of the measure of the task. This is the measure that `solved`
 names. Without `solved`, it is the success rate if the scenario defines success, else the mean return. The
 other measure orders policies that are equal in the first. The order applies to the models of a training, to
-attempts and trials, and to the output of commands.
+trials, and to the output of commands.
 
 Evaluations during a training are small, so the best of many looks better than it is. A training therefore
 keeps the models of its best evaluations, and plays new starts with them before it chooses one

@@ -17,9 +17,8 @@ from typing import Any, Literal, NamedTuple, Self, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.curriculum import CompletedStage, LevelSpread
-from deepbots_cli.learning.runs.directories import RecordFormat, is_training, read_json, write_text
+from deepbots_cli.learning.runs.directories import is_training, read_record, write_text
 from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.program.task import Solved
@@ -335,15 +334,7 @@ class RunRecord(BaseModel):
             RunError: The record is missing, damaged, or was written in a format that this deepbots does not
                 know.
         """
-        path = folder / RECORD_NAME
-        version = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
-        if version != FORMAT:
-            age = "a newer version of deepbots" if version > FORMAT else "an older version of deepbots"
-            raise RunError(
-                f"{folder} is a run of format {version}, written by {age}, but this version reads format"
-                f" {FORMAT}; use the version that wrote it"
-            )
-        return read_json(path, cls, _MAX_RECORD_BYTES)
+        return read_record(folder / RECORD_NAME, cls, "run", FORMAT, _MAX_RECORD_BYTES)
 
 
 def write_record(folder: Path, record: RunRecord) -> None:
