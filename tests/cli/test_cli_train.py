@@ -455,7 +455,7 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_refused_in_one_sentence(
     shutil.copytree("mine", "mine2")
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
     for changed, message in (
-        (json.dumps(record | {"format": record["format"] + 1}), "written by a newer version of deepbots"),
+        (json.dumps(record | {"format": record["format"] + 1}), "but this version of deepbots reads format"),
         (
             json.dumps(record | {"seed": "zero"}),
             "mine/run.json is damaged: 'seed': Input should be a valid integer",

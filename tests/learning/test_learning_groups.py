@@ -135,6 +135,16 @@ def test_a_group_goes_on_with_the_options_of_a_resume_that_was_interrupted(tmp_p
     assert resume_group(group, build=stand_in.build).skipped == (0, 1)
 
 
+def test_a_group_that_was_resumed_for_an_impossible_number_of_timesteps_can_still_be_opened(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
+    """Its record was called damaged from then on."""
+    group = Path(shutil.copytree(trained_group.group, tmp_path / "group"))
+    with pytest.raises(UsageError, match="'total_timesteps': Input should be greater than 0"):
+        resume_group(group, total_timesteps=-5, build=stand_in.build)
+    assert read_listed(group).state == "finished"
+
+
 def test_a_group_that_trains_to_the_end_continues_seeds_that_stopped_as_solved(tmp_path: Path) -> None:
     training = replace(SHORT, total_timesteps=2_000)
     easy = stand_in.compiled(training=training, solved=Solved(2, mean_return=-1e6))

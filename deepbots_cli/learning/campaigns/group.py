@@ -206,8 +206,8 @@ def resume_group(
             from deepbots_cli.learning.sb3 import plugins
 
             plugins.check(callbacks or (), loggers or ())
-        # A later call continues with the changes if this one is interrupted.
-        resumed = resumed.changed(status="running", **changes)
+        if changes:  # a later call continues with them if this one is interrupted
+            resumed = resumed.changed(status="running", **changes)
         compiled = resumed.compiled(permissions=permissions)
         return _train_seeds(resumed, compiled, changes, on_seed, progress, build, executor, on_evaluation)
 
@@ -227,6 +227,8 @@ def _train_seeds(
     seeds, options = group.record.seeds, group.record.options
     skipped = tuple(seed for seed in seeds if _is_complete(group, seed, changes))
     left = [seed for seed in seeds if seed not in skipped]
+    if left:
+        group = group.changed(status="running")
     items = [
         _SeedTraining(group.run(seed), seed, compiled, options, _changes_of(group, seed, changes))
         for seed in left
