@@ -14,14 +14,14 @@ from typing import Any, Literal
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.campaigns.campaign import Campaign, State
+from deepbots_cli.learning.campaigns.campaign import Campaign
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import numbered_files
 from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import ChosenBy, RunRecord, changed_settings
+from deepbots_cli.learning.runs.records import ChosenBy, RunRecord, State, changed_settings
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 

@@ -33,7 +33,6 @@ from deepbots_cli.learning.campaigns.study import (
 from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
@@ -388,13 +387,8 @@ def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) ->
         return SeedScore(seed, UNSOLVED)
     evaluation = quoted.evaluation
     rate = evaluation.success_rate
-    met = (
-        evaluation.solved
-        if evaluation.solved is not None
-        else solved is not None and meets_solved(solved, evaluation.mean_return, rate)
-    )
     steps = None
-    if met:
+    if evaluation.solved:
         steps = run.result.solved_at.steps if run.result.solved_at else run.result.steps
     value = score(
         record.objective,

@@ -1,7 +1,8 @@
 """Runs: the directory of a training, and what follows from its files, without torch and without a world.
 
 run.py                the run directory, written atomically and checked when read; models of runs
-records.py            the content of `run.json` and of the evaluations of a run
+records.py            the content of `run.json`
+evaluations.py        an evaluation: its scores, circumstances and episodes
 directories.py        directories of runs, groups and studies: names, locks, files that are written whole
 episodes.py           results of episodes: log, statistics, solved, summaries with intervals
 generations.py        windows over training episodes, equally many of each world

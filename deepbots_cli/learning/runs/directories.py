@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
 
+import deepbots_cli
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
@@ -42,14 +43,11 @@ def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) 
     """
     written = read_json(path, RecordFormat, limit)
     if written.format != number:
-        version = (
-            f"deepbots {written.deepbots}, which wrote it"
-            if written.deepbots
-            else "the version that wrote it"
-        )
+        same = "an earlier state of " * (written.deepbots == deepbots_cli.__version__)
+        version = f"{same}deepbots {written.deepbots}" if written.deepbots else "the version of deepbots"
         raise RunError(
             f"{path.parent} is a {noun} of format {written.format}, but this version of deepbots reads format"
-            f" {number}; use {version}"
+            f" {number}; use {version} that wrote it"
         )
     return read_json(path, model, limit)
 
