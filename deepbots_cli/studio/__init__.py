@@ -4,8 +4,8 @@ files.py          the open files: revisions, merged changes, drafts of unsaved t
 language.py       findings, completion, hover and fixes of the open files
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
-following.py      which training the robot follows
-commands.py       the commands that the studio runs, and the training whose curve it shows
+shown.py          what the page shows: whose robot, which tab, which curve, which notice, what starts
+commands.py       the commands that the studio runs
 tasks.py          processes of commands, which survive the server
 task_process.py   what runs in such a process
 trainings.py      the learning curve and the time left of a training, from its files

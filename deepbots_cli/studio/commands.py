@@ -1,4 +1,4 @@
-"""The commands that the studio runs, and the training whose curve it shows."""
+"""The commands that the studio runs."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import asyncio
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.tasks import Task, Tasks
-from deepbots_cli.studio.trainings import WatchedTraining, result_text
+from deepbots_cli.studio.trainings import result_text
 
 RUNS_FOLDER = "runs"
 STUDIO_FOLDER = ".studio"
@@ -72,32 +71,16 @@ class Commands:
 
     Attributes:
         tasks: All commands of this and of earlier servers.
-        task: The command whose output is shown, if any.
-        training: The training whose curve is shown, if any.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        permissions: Permissions,
-        tell: Callable[[Literal["task", "training"]], None],
-        say: Callable[[str], None],
-    ) -> None:
-        """Create the commands of a folder.
-
-        Args:
-            tell: It is called after each change, with what has changed.
-            say: It shows a message to the person.
-        """
-        self._folder, self._permissions = folder, permissions
-        self._tell, self._say = tell, say
+    def __init__(self, folder: Path, permissions: Permissions, on_start: Callable[[Task], None]) -> None:
+        """Create the commands of a folder. `on_start` is called with each command that was started."""
+        self._folder, self._permissions, self._on_start = folder, permissions, on_start
         self.tasks = Tasks(folder / RUNS_FOLDER / STUDIO_FOLDER / "tasks")
-        self.task: Task | None = None
-        self.training: WatchedTraining | None = None
-        self._was_running: set[Path] = set()
+        self._was_running = {task.path for task in self.tasks.running}
 
     def run(self, words: Sequence[str], run: Path | None = None, output: Path | None = None) -> Task:
-        """Start a command in a process of its own, and show its output.
+        """Start a command in a process of its own.
 
         Args:
             run: The run directory that it makes or reads, relative to the folder.
@@ -107,12 +90,10 @@ class Commands:
             UsageError: The folder cannot be written.
         """
         words = [*words, *self.permission_options(words[0])]
-        self.task = self.tasks.start(words, folder=self._folder, run=run, output=output)
-        if run is not None and words[0] in _TRAINING_VERBS:
-            self.watch(run)
-        self._was_running.add(self.task.path)
-        self._tell("task")
-        return self.task
+        task = self.tasks.start(words, folder=self._folder, run=run, output=output)
+        self._was_running.add(task.path)
+        self._on_start(task)
+        return task
 
     def train(self, scenario: str, options: Sequence[str] = ()) -> Task:
         """Train a scenario in a new run directory."""
@@ -145,23 +126,16 @@ class Commands:
         code = process.returncode or 0
         return (messages if code and not output else output).decode("utf-8", "replace"), code
 
-    @property
-    def training_task(self) -> Task | None:
-        """The newest command that trains the shown run."""
-        if self.training is None:
-            return None
-        tasks = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
-        return next((task for task in tasks if self._folder / task.record.run == self.training.path), None)
+    def trained_run(self, task: Task) -> Path | None:
+        """Return the run that a command trains; None for other commands."""
+        is_training = task.record.words[0] in _TRAINING_VERBS and bool(task.record.run)
+        return self._folder / task.record.run if is_training else None
 
-    def show(self, task: Task) -> None:
-        """Show the output of a command."""
-        self.task = task
-        self._tell("task")
-
-    def watch(self, run: Path) -> None:
-        """Show the curve of a run."""
-        self.training = WatchedTraining(self._folder / run)
-        self._tell("training")
+    def newest_training(self, stem: str) -> Path | None:
+        """Return the run of the newest training of the scenario with this name, if any."""
+        name = self.new_run(stem).name.rpartition("-")[0]
+        runs = map(self.trained_run, reversed(self.tasks.all))
+        return next((run for run in runs if run and run.name.rpartition("-")[0] == name), None)
 
     def new_run(self, stem: str) -> Path:
         """Return the name of a new run directory, relative to the folder."""
@@ -178,7 +152,7 @@ class Commands:
         options = [f"--allow-path={Path(folder).absolute()}" for folder in folders]
         return [*options, "--allow-code"] if self._permissions.code and verb in _CODE_VERBS else options
 
-    def _end_of(self, task: Task) -> str:
+    def end_of(self, task: Task) -> str:
         """Return a sentence about a command that has ended."""
         code, run = task.exit_code, task.record.run
         name = f"{task.record.words[0]} of {run}" if run else task.record.words[0]
@@ -192,44 +166,9 @@ class Commands:
             return f"{run}: {result_text(read_listed(self._folder / run))}"
         return f"{name} has ended; the tab Commands shows its output"
 
-    def adopt_running(self) -> None:
-        """Show what an earlier server has started and still runs."""
-        running = self.tasks.running
-        self._was_running = {task.path for task in running}
-        for task in running:
-            self.show(task)
-            if task.record.words[0] in _TRAINING_VERBS:
-                self.watch(Path(task.record.run))
-
-    def watch_newest(self, stem: str) -> None:
-        """Show the newest training of the scenario with this name, unless another training runs."""
-        if self.training_task is not None and self.training_task.is_running:
-            return
-        name = self.new_run(stem).name.rpartition("-")[0]
-        trained = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
-        runs = (self._folder / task.record.run for task in trained)
-        newest = next((run for run in runs if run.name.rpartition("-")[0] == name), None)
-        self.training = WatchedTraining(newest) if newest is not None else None
-        self._tell("training")
-
-    def look(self) -> None:
-        """Notice commands that have ended."""
+    def look(self) -> tuple[list[Task], bool]:
+        """Return the commands that have ended since the last look, and whether any runs."""
         self.tasks.reap()
         running = {task.path for task in self.tasks.running}
-        ended = self._was_running - running
-        self._was_running = running
-        for task in self.tasks.all:
-            if task.path in ended:
-                if self.training is not None and task.record.run:
-                    self.training.watch_again()
-                self._say(self._end_of(task))
-        if running or ended:
-            self._tell("task")
-
-    async def read_training(self) -> None:
-        """Read the curve again, if it is due."""
-        training, task = self.training, self.training_task
-        is_running = task is not None and task.is_running
-        if training is not None and training.is_due(is_running=is_running):
-            await asyncio.to_thread(training.read)
-            self._tell("training")
+        ended, self._was_running = self._was_running - running, running
+        return [task for task in self.tasks.all if task.path in ended], bool(running)

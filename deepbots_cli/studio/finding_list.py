@@ -26,15 +26,9 @@ class FindingList:
         session: Session,
         editor: Editor,
         explain: Callable[[str], object],
-        say: Callable[[str], object],
     ) -> None:
-        """Create the list.
-
-        Args:
-            explain: It opens the explanation of a word.
-            say: It shows a message.
-        """
-        self._session, self._editor, self._explain, self._say = session, editor, explain, say
+        """Create the list. `explain` opens the explanation of a word."""
+        self._session, self._editor, self._explain = session, editor, explain
         self._shown: tuple[OpenFile, tuple[EditorFinding, ...]] | None = None
         self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
 
@@ -63,7 +57,7 @@ class FindingList:
         nearest = min(same, key=lambda other: abs(other.start[0] - finding.start[0]), default=finding)
         fix = next((fix for fix in language.fixes(file, nearest) if fix.title == title), None)
         if fix is None:
-            self._say("the text has changed, and this fix no longer applies")
+            self._session.shown.say("the text has changed, and this fix no longer applies")
         else:
             lines = file.edit(fix.edits)
             self._session.edited(file)

@@ -26,7 +26,6 @@ class InspectTab:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._read: tuple[object, ...] = ()
-        self.is_shown = False
         with (
             ui.element("div").classes("studio-scroll").props('tabindex="0" role="region" aria-label="Tables"')
         ):
@@ -37,7 +36,7 @@ class InspectTab:
         """Read the tables if the saved text has changed since."""
         session = self._session
         texts = tuple((path, file.saved) for path, file in session.files.items())
-        if not self.is_shown or self._read == (session.current, texts):
+        if session.shown.tab != "Inspect" or self._read == (session.current, texts):
             return
         self._read = (session.current, texts)
         try:

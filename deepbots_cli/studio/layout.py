@@ -86,12 +86,12 @@ class Notices:
 
     def __init__(self) -> None:
         self._place = ui.element("div").classes("studio-notices").props('role="status" aria-live="polite"')
-        self._text = ""
 
-    def show(self, text: str, *, is_warning: bool = False) -> None:
-        """Show a message for some seconds, in place of the one before."""
+    def show(self, text: str, *, is_warning: bool) -> None:
+        """Show a message for some seconds, in place of the one before; an empty one only removes it."""
         self._place.clear()
-        self._text = text
+        if not text:
+            return
         with self._place, ui.element("div").classes("studio-notice") as box:
             # A new element begins the animation that hides it.
             box.style(f"animation-duration: {_NOTICE_S}s").props(f"title={json.dumps(text)}")
@@ -100,8 +100,3 @@ class Notices:
             ui.timer(_NOTICE_S, box.delete, once=True)
             ui.label(text)
             ui.button("×", on_click=self._place.clear).props('dense flat aria-label="Close the notice"')
-
-    def withdraw(self, text: str | None = None) -> None:
-        """Remove a message that no longer holds, if it is the one that is shown; by default, any."""
-        if text in (None, self._text):
-            self._place.clear()

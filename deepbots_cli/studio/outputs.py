@@ -75,6 +75,7 @@ class TaskOutput:
         if self._sentence is not None:
             sentence = result_of(task)
             self._sentence.set_text(sentence or ("running ..." if code is None else ""))
+            self._sentence.classes(**{"add" if code is None else "remove": "studio-runs"})
             if sentence:
                 self._details.props(remove="open")
 
@@ -115,7 +116,6 @@ class Result:
     def update(self) -> None:
         if self._task is not None and self._output is not None:
             self._output.show(self._task)
-            self._box.classes(replace=f"studio-result {'studio-runs' if self._task.is_running else ''}")
 
     def shows(self, place: ui.element) -> bool:
         """Return whether an element that `fill` has returned is still the one for content."""
@@ -146,7 +146,7 @@ class CommandTab:
         self._output = TaskOutput()
 
     def update(self) -> None:
-        task = self._session.commands.task
+        task = self._session.shown.task
         options = {
             entry.path.name: f"{entry.path.name} {entry.command}"
             for entry in reversed(self._session.commands.tasks.all[-30:])
@@ -164,9 +164,9 @@ class CommandTab:
 
     def _choose(self, name: str | None) -> None:
         task: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
-        if task is not None and task is not self._session.commands.task:
-            self._session.commands.show(task)
+        if task is not None and task is not self._session.shown.task:
+            self._session.shown.show_task(task)
 
     def _stop_command(self) -> None:
-        if self._session.commands.task is not None:
-            self._session.commands.task.stop()
+        if self._session.shown.task is not None:
+            self._session.shown.task.stop()

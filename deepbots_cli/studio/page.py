@@ -23,7 +23,8 @@ from deepbots_cli.studio.meanings import Meaning
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
-from deepbots_cli.studio.session import HAS_ERRORS, Session, Topic
+from deepbots_cli.studio.session import HAS_ERRORS, Session
+from deepbots_cli.studio.shown import TABS, Topic
 from deepbots_cli.studio.start import StartPage
 from deepbots_cli.studio.training_tab import TrainingTab
 from deepbots_cli.words import counted
@@ -59,6 +60,7 @@ class StudioPage:
 
     def __init__(self, session: Session) -> None:
         self._session = session
+        self._shown = shown = session.shown
         self._file: OpenFile | None = None
         self._banner_key: tuple[object, ...] = ()
         self._dark = ui.dark_mode(value=None)
@@ -101,7 +103,8 @@ class StudioPage:
             "training": (self._training.update, self._robot.show_offer),
             "runs": (self._runs.update, self._robot.update_sources),
             "task": (self._training.update, self._runs.update_output, self._command.update),
-            "notice": (lambda: self._notices.show(session.notice),),
+            "notice": (lambda: self._notices.show(shown.notice, is_warning=shown.is_warning),),
+            "tab": (lambda: self._tabs.set_value(shown.tab), update_inspect),
         }
         self._show_areas(starts=session.current is None)
         ui.context.client.on_delete(session.listen(self._changed))
@@ -159,28 +162,23 @@ class StudioPage:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
         self._banner.set_visibility(False)
         self._editor = Editor(self._typed, self._key)
-        self._list = FindingList(self._session, self._editor, self._explain, self._notices.show)
+        self._list = FindingList(self._session, self._editor, self._explain)
 
     def _add_work(self) -> None:
-        self._tabs = ui.tabs().props("dense no-caps align=left")
-        with self._tabs as tabs:
-            train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
-            inspect = ui.tab("Inspect")
-
-        with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
+        shown = self._shown
+        self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
+        with self._tabs.props("dense no-caps align=left"):
+            train, runs, command, inspect = map(ui.tab, TABS)
+        panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
+        with panels.props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(runs):
-                self._runs = RunsTab(self._session, tabs.set_value, self._write_values, self._train)
+                self._runs = RunsTab(self._session, self._write_values, self._train)
             with ui.tab_panel(train):
                 self._training = TrainingTab(self._session, self._guarded, self._runs)
             with ui.tab_panel(command):
                 self._command = CommandTab(self._session)
             with ui.tab_panel(inspect):
                 self._inspect = InspectTab(self._session)
-        tabs.on_value_change(lambda event: self._show_tab(str(event.value)))
-
-    async def _show_tab(self, name: str) -> None:
-        self._inspect.is_shown = name == "Inspect"
-        await self._inspect.update()
 
     # Changes of the session
 
@@ -266,7 +264,7 @@ class StudioPage:
         if self._session.scenarios() or len(self._session.files) > 1:
             self._guarded(lambda: self._session.close_file(file.path))
         else:
-            self._notices.show("write another scenario first: New ...")
+            self._shown.say("write another scenario first: New ...")
 
     def _resolve(self, act: Callable[[], None]) -> None:
         if self._file is not None:
@@ -294,7 +292,7 @@ class StudioPage:
         self._status.set_text(text)
         kind = findings[0].severity if findings else "good"  # errors come first
         if not errors:
-            self._notices.withdraw(HAS_ERRORS)
+            self._shown.withdraw(HAS_ERRORS)
         self._status.classes(replace=f"studio-status studio-state studio-state-{kind}")
         sections = {line: name for name, line in language.outline(file)}
         if sections and sections != self._outline.options:
@@ -308,7 +306,7 @@ class StudioPage:
         try:
             act()
         except UsageError as error:
-            self._notices.show(str(error), is_warning=True)
+            self._shown.say(str(error), is_warning=True)
 
     def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
         file = self._session.files.get(path)
@@ -325,14 +323,14 @@ class StudioPage:
             self._train()
 
     def _train(self) -> None:
-        self._tabs.set_value("Train")
+        self._shown.open_tab("Train")
         self._show_part("work")
         self._training.train()
 
     def _save_file(self) -> None:
         file = self._file
         if file is not None and file.is_modified:
-            self._notices.withdraw()
+            self._shown.withdraw()
             self._guarded(lambda: self._session.save(file))
 
     def _format(self) -> None:
@@ -342,7 +340,7 @@ class StudioPage:
                 self._file.edit(edits)
                 self._session.edited(self._file)
             else:
-                self._notices.show(
+                self._shown.say(
                     HAS_ERRORS
                     if self._session.language.has_errors(self._file.path)
                     else "the layout is canonical already"
@@ -354,6 +352,7 @@ class StudioPage:
             return
 
         def choose() -> None:
+            self._shown.withdraw()
             file = self._session.open(Path(path))
             self._show_file(file)
             if not file.read_only and self._session.language.is_scenario(file):
@@ -371,7 +370,7 @@ class StudioPage:
 
         def write() -> None:
             lines = self._session.write_values(values)
-            self._notices.show(
+            self._shown.say(
                 f"{values_text(values)} is in the text; save it, or press Train, which saves it too"
             )
             if self._file is not None and self._file.path == self._session.current:
@@ -382,7 +381,6 @@ class StudioPage:
 
     def _show_scenario(self, path: Path) -> None:
         """Show the robot and the trainings of a scenario, and close the results of another one."""
-        self._notices.withdraw()
         self._session.show(path)
         self._runs.close_result()
         self._training.close_result()
@@ -390,6 +388,7 @@ class StudioPage:
     async def _new(self, kind: Kind, origin: str) -> None:
         path = await new_scenario(self._session, kind, origin)
         if path is not None:
+            self._shown.withdraw()
             self._show_areas(starts=False)
             self._guarded(lambda: self._show_scenario(path))
             self._show_file(self._session.files.get(path))

@@ -20,8 +20,8 @@ _FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
 """The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
 both cores, and a letter typed in the text was shown after a second."""
 _START_S, _PATIENCE_S = 40.0, 10.0
-"""The times in s after which a process that has not started, or does not answer, is ended by the next save: a
-reset may draw forever."""
+"""The times in s after which a process that has not started, or has not read its files, is late: the next save
+or *Restart* ends it."""
 _MAX_CRASHES = 3
 """The number of crashes without a reload in between after which the process is not started again."""
 
@@ -54,7 +54,7 @@ class Robot:
     def show(self, reference: str | Path, driver: str | None = None) -> None:
         """Show a scenario or a run, in the process that runs, if there is one."""
         self.reference, self.driver, self.crashes = str(reference), driver, 0
-        if self._process is None or self.is_stuck or self.state is None:
+        if self._process is None or self.is_late or self.state is None:
             self._start()
         else:
             self.state = None
@@ -62,24 +62,31 @@ class Robot:
             self._ask(self._loads + 1)
             self._on_change()
 
-    def save(self, changed: tuple[str, ...]) -> None:
-        """Read the files again; the parameters `changed` take the values of the file."""
+    def save(self, scenario: Path, changed: tuple[str, ...]) -> None:
+        """Read the files of a scenario again, or for the first time in place of another source, whose world
+        stays while they have errors; the parameters `changed` take the values of the file."""
+        if self.reference != str(scenario):
+            self.reference, self.driver = str(scenario), None
         self.crashes = 0
-        if self._process is None or self.is_stuck:
+        if self._process is None or self.is_late:
             self._start()
         else:
-            self._send(Command(verb="reload", names=changed))
+            self._send(Command(verb="reload", name=self.reference, names=changed))
             self._ask(self._loads + 1)
+            self._on_change()
 
     @property
     def is_current(self) -> bool:
         """Whether the world is that of the files, as they were when they were to be read last."""
         state = self.state
-        return state is not None and state.state == "running" and state.loaded >= self._loads
+        if state is None or state.state != "running" or state.text or state.reference != self.reference:
+            return False
+        return state.loaded >= self._loads
 
     @property
-    def is_stuck(self) -> bool:
-        """Whether the process has not read the files long after it was asked to."""
+    def is_late(self) -> bool:
+        """Whether the process has not read the files long after it was asked to: it may still do so, for
+        example on a slow machine that loads a policy, or draw a start forever."""
         return self._deadline is not None and time.monotonic() > self._deadline
 
     def _ask(self, loads: int) -> None:
@@ -91,8 +98,7 @@ class Robot:
         asyncio.get_running_loop().call_later(wait + 1.0, self._look)
 
     def _look(self) -> None:
-        if self.is_stuck and self._process is not None:
-            self.problem = "the simulation does not answer; change the file and save it, or press Restart"
+        if self.is_late:
             self._on_change()
 
     def set_driver(self, name: str) -> None:
@@ -110,7 +116,7 @@ class Robot:
 
     def restart(self) -> None:
         """Begin the episode anew; a process that is gone is started."""
-        if self._process is None or self.is_stuck:
+        if self._process is None or self.is_late:
             self.crashes = 0
             self._start()
         else:

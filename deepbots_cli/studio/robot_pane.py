@@ -35,10 +35,8 @@ out. A class of the page says where the keys go, because the browser does not ap
 _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _CLOSING_MS = 300
 _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
-_ROBOT_TEXTS = {
-    None: "starting",
-    "running": "",
-    "outdated": "the saved file has errors; the robot is that of the last version without errors",
+_STATES = {
+    "outdated": "the saved file has errors; until they are corrected, the robot is that of {name} as it was before",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
 }
@@ -51,7 +49,7 @@ _DRIVERS = {
 _DRIVEN_BY = {
     "random": "driven by random actions",
     "zero": "driven by the middle of each range",
-    "policy": "driven by the policy of {run}",
+    "policy": "driven by the policy of {name}",
     "you": "driven by you",
 }
 _BY_SCRIPT = "driven by the script {driver}, which is rules written by hand, and not by a learned policy"
@@ -99,7 +97,7 @@ class RobotPane:
                 ' aria-label="Keyboard into the page of the robot"'
             )
             enter.classes("studio-enter").on("click", js_handler=_ENTER)
-            self._follow = ui.button("Follow the training", on_click=lambda: session.following.turn(True))
+            self._follow = ui.button("Follow the training", on_click=lambda: session.shown.follow(True))
             self._follow.props('dense outline no-caps title="show the newest policy of the training"')
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
         with ui.element("div").classes("studio-scene"):
@@ -139,7 +137,7 @@ class RobotPane:
         for run in reversed(session.runs[-_MAX_RUNS:]):
             if not run.runs and run.problem is None:
                 options[str(run.path)] = run.path.name
-        value = session.robot.reference or str(session.current)
+        value = session.shown.source or str(session.current)
         # A training that has just begun is not listed yet. Another value would be taken as a choice.
         options.setdefault(value, Path(value).name)
         if options != self._shown.options or value != self._shown.value:
@@ -148,22 +146,10 @@ class RobotPane:
     def update(self) -> None:
         """Show the state of the robot."""
         self.update_sources()
-        robot = self._session.robot
         self.show_offer()
+        robot, starts = self._session.robot, self._session.shown.robot_starts
         state = robot.state
-        text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
-        if not robot.reference:
-            text = "there is no scenario in this folder yet; New ... at the top writes one"
-        if state is not None and state.state == "running" and not robot.problem:
-            text = _DRIVEN_BY.get(state.driver, _BY_SCRIPT).format(
-                run=Path(robot.reference).name, driver=state.driver
-            )
-        if state is not None and state.note:
-            text = f"{Path(robot.reference).name}: {state.note}"
-        if state is not None and state.text and not robot.problem:
-            text = state.text
-        self._robot_text.set_text(text)
-        starts = state is None and robot.reference and not robot.problem
+        self._robot_text.set_text(robot_text(self._session))
         self._robot_text.classes(replace=f"studio-status {'studio-starts' if starts else ''}")
         drivers = list(state.drivers) if state else []
         driver = state.driver if state and state.driver in drivers else None
@@ -182,12 +168,12 @@ class RobotPane:
 
     def show_offer(self) -> None:
         """Offer to follow a training that runs."""
-        self._follow.set_visibility(self._session.following.is_offered)
+        self._follow.set_visibility(self._session.shown.may_follow)
 
     def _show_picture(self) -> None:
         """Show a picture in place of the live page, for a browser that cannot draw it."""
         robot = self._session.robot
-        key = (robot.reference, robot.state.loaded if robot.state else 0)
+        key = (self._session.shown.source, robot.state.loaded if robot.state else 0)
         if key != self._picture_key:
             self._picture_key = key
             self._frame.set_visibility(False)
@@ -253,8 +239,8 @@ class RobotPane:
                 ui.button(label, on_click=act).props("dense outline no-caps")
 
     def _show_source(self, reference: str | None) -> None:
-        if reference and reference != self._session.robot.reference:
-            self._session.robot.show(reference)
+        if reference and reference != self._session.shown.source:
+            self._session.shown.show_robot(Path(reference))
 
     def _set_driver(self, name: str | None) -> None:
         state = self._session.robot.state
@@ -273,3 +259,23 @@ class RobotPane:
         """Lead the keyboard into the page of the robot, whose keys drive."""
         # A list that is closing takes the focus back first.
         ui.run_javascript(f"setTimeout({_ENTER}, {_CLOSING_MS})")
+
+
+def robot_text(session: Session) -> str:
+    """Return of what the robot is, who drives it, or why there is none, in a sentence."""
+    robot, state = session.robot, session.robot.state
+    asked, name = Path(robot.reference).name, Path(session.shown.source).name
+    if not robot.reference:
+        return "there is no scenario in this folder yet; New ... at the top writes one"
+    if robot.problem:
+        return robot.problem
+    if robot.is_late:
+        return f"{asked} takes long to load, and is shown as soon as it is; Restart begins anew"
+    if state is None:
+        return f"starting {asked} ..."
+    if state.text:
+        return state.text
+    if state.note:
+        return f"{name}: {state.note}"
+    text = _STATES.get(state.state) or _DRIVEN_BY.get(state.driver, _BY_SCRIPT)
+    return text.format(name=name, driver=state.driver)

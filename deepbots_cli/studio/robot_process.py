@@ -44,7 +44,8 @@ class Command(BaseModel, strict=True, frozen=True):
     """A command to the process.
 
     `show` shows the scenario or run `name`, driven by `value`, or by its default if that is empty. `reload`
-    reads the files again, after the parameters `names` have returned to the values of the file.
+    reads the files of `name`, after the parameters `names` have returned to the values of the file; while they
+    have errors, the world before stays.
     """
 
     verb: Literal["show", "reload", "driver", "parameter", "restart", "frame_rate"]
@@ -58,6 +59,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
 
     Attributes:
         address: The URL of the page, with its token.
+        reference: The scenario or run of the world; empty while there is none.
         state: `running`; `outdated`, if the files have errors and the world is an earlier one; `errors`, if
             there was none; `failed`, if the process could not start.
         text: The reason of `errors` and `failed`.
@@ -71,9 +73,11 @@ class RobotState(BaseModel, strict=True, frozen=True):
         ended: How the last episode of the present driver ended; empty before.
         last, best: The returns of the last and of its best episode, None before one.
         goal: The mean return with which the task is solved, None without one.
+        evaluations: The mean return of each evaluation that the tab *Training* of the page lists.
     """
 
     address: str = ""
+    reference: str = ""
     state: Literal["running", "outdated", "errors", "failed"]
     text: str = ""
     loaded: int = 0
@@ -90,6 +94,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     last: float | None = None
     best: float | None = None
     goal: float | None = None
+    evaluations: tuple[float, ...] = ()
 
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
@@ -152,8 +157,7 @@ def _obey(page: Page, command: Command) -> None:
     if command.verb == "show":
         page.show_source(command.name, command.value or None)
     elif command.verb == "reload":
-        page.restore_parameters(command.names)
-        page.reload()
+        page.reload_source(command.name, command.names)
     elif command.verb == "parameter":
         page.change_parameter(command.name, command.value)
     elif command.verb == "frame_rate":
@@ -172,6 +176,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         return RobotState(address=page.address, state="errors", loaded=loaded)
     return RobotState(
         address=page.address,
+        reference=player.opened.shown.reference,
         state="outdated" if page.outdated else "running",
         text=playback.stopped[0] if playback.stopped else "",
         loaded=loaded,
@@ -188,6 +193,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         last=playback.last_return,
         best=playback.best_return if playback.last_return is not None else None,
         goal=solved.mean_return if (solved := player.program.agent.solved) is not None else None,
+        evaluations=training.mean_returns if (training := page.panel.training) is not None else (),
     )
 
 

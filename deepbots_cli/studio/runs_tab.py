@@ -92,12 +92,11 @@ class RunsTab:
     def __init__(
         self,
         session: Session,
-        show_tab: Callable[[str], object],
         write_advice: Callable[[dict[str, str]], None],
         train: Callable[[], None],
     ) -> None:
-        self._session = session
-        self._show_tab, self._write_advice, self._train = show_tab, write_advice, train
+        self._session, self._shown = session, session.shown
+        self._write_advice, self._train = write_advice, train
         self._is_dark = False
         self._compared: tuple[ui.echart, dict[str, Curves]] | None = None
         self._names: set[str] = set()
@@ -199,7 +198,7 @@ class RunsTab:
             if result is not None:
                 await result
         except UsageError as error:
-            self._session.say(str(error))
+            self._shown.say(str(error), is_warning=True)
 
     def _select(self, event: events.GenericEventArguments) -> None:
         """Select the row that was clicked, and no other one unless a key for several is pressed."""
@@ -226,23 +225,23 @@ class RunsTab:
         text = str(self._timesteps.value or "").strip()
         options = ["--timesteps", text] if text else []
         self._session.commands.run(["resume", str(run), *options], run)
-        self._show_tab("Train")
+        self._shown.open_tab("Train")
 
     def _show_curve(self, run: Path) -> None:
-        self._session.commands.watch(run)
-        self._show_tab("Train")
+        self._shown.show_training(self._session.folder / run)
+        self._shown.open_tab("Train")
 
     def watch(self, run: Path) -> None:
         """Show the robot of a run, which its policy drives."""
-        robot, path = self._session.robot, self._session.folder / run
-        if robot.reference == str(path) and robot.state is not None and robot.state.driver == POLICY:
-            self._session.say(f"the robot is driven by the policy of {run.name} already")
+        path, state = self._session.folder / run, self._session.robot.state
+        if self._session.robot.is_current and self._shown.source == str(path) and state.driver == POLICY:
+            self._shown.say(f"the robot is driven by the policy of {run.name} already")
         else:
-            robot.show(path)
+            self._shown.show_robot(path)
 
     def make_file(self, words: list[str], name: str, run: Path) -> None:
         """Write a file about a run by a command, and show how far it is."""
-        self._show_tab("Runs")
+        self._shown.open_tab("Runs")
         self._show_output(run, self._session.commands.run_with_output([*words, str(run)], run, name))
 
     def make_video(self, run: Path) -> None:
@@ -262,7 +261,7 @@ class RunsTab:
 
     async def compare(self, *paths: Path) -> None:
         """Show which of two runs is better, in a sentence, what differs, and their curves over each other."""
-        self._show_tab("Runs")
+        self._shown.open_tab("Runs")
         folder, changes = self._session.folder, self._session.run_changes
         # The earlier run is the first one.
         begun = {path: change.started for path in paths if (change := changes.get(folder / path))}
@@ -288,7 +287,7 @@ class RunsTab:
 
     async def diagnose(self, path: Path) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
-        self._show_tab("Runs")
+        self._shown.open_tab("Runs")
         place = self._fill(f"Looking at {path.name}, which takes some seconds ...", path)
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
         if not self._result.shows(place):  # it was closed, or shows something newer
@@ -399,7 +398,7 @@ class RunsTab:
         task = self._session.commands.run(command, path)
         if path is not None:
             self._session.training_options["--timesteps"] = ""  # which were too few
-            self._show_tab("Train")
+            self._shown.open_tab("Train")
         else:
             output.clear()
             self._result.watch(task, output)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 from deepbots_cli.cli.inspected import brief_tables
 from deepbots_cli.document import Permissions
@@ -23,9 +22,9 @@ from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
 from deepbots_cli.studio.files import Drafts, OpenFile, difference, read_text
-from deepbots_cli.studio.following import Following
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
+from deepbots_cli.studio.shown import Shown, Topic
 
 _WATCH_INTERVAL_S = 0.5
 _DRAFT_INTERVAL_S = 2.0
@@ -35,7 +34,6 @@ _MAX_FILES = 500
 _ROBOT_TABLES = ("links", "joints")
 """The tables of `deepbots inspect --full` that the page also shows."""
 
-Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
 HAS_ERRORS = "the scenario has errors; correct them first"
 
@@ -47,12 +45,11 @@ class Session:
         folder: The folder, beyond which no file is opened but those that its scenarios read.
         state_folder: The folder of drafts and tasks, which need not exist.
         files: The open files by path, in the order of opening.
-        current: The scenario that the robot shows and that commands get.
-        commands: The commands that run, and the training whose curve is shown.
+        current: The scenario that is edited, and that commands get.
+        shown: What the page shows.
+        robot, commands: The process of the robot, and the commands that run.
         runs: The runs of the folder, the newest last.
         run_changes: The start and the changes of each run, by its path.
-        notice: The last message for the person.
-        following: The training that the robot follows.
         training_options: The options for the next training, by name, such as `--seed`; empty texts for those
             of the file.
     """
@@ -62,16 +59,13 @@ class Session:
         self.permissions = permissions
         self.files: dict[Path, OpenFile] = {}
         self.current: Path | None = None
-        self.robot = Robot(permissions, self._robot_changed)
-        self.commands = Commands(self.folder, permissions, self._tell, self.say)
+        self.robot = Robot(permissions, lambda: self.shown.robot_changed())
+        self.commands = Commands(self.folder, permissions, lambda task: self.shown.started(task))
+        self.shown = Shown(self.robot, self.commands, self._tell)
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
-        self.notice = ""
-        self.following = Following(self.robot, self.commands)
         self.training_options = {"--timesteps": "", "--seed": ""}
-        self._problem = ""
-        self._restarts = False
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
@@ -83,7 +77,7 @@ class Session:
     @property
     def language(self) -> Language:
         if self._language is None:
-            self._language = Language(self.permissions, lambda path: self._tell("findings"), self.say)
+            self._language = Language(self.permissions, lambda path: self._tell("findings"), self.shown.say)
         return self._language
 
     # Listeners
@@ -93,25 +87,9 @@ class Session:
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
-    def say(self, sentence: str) -> None:
-        """Show a message on all pages."""
-        self.notice = sentence
-        self._tell("notice")
-
     def _tell(self, topic: Topic) -> None:
         for listener in list(self._listeners):
             listener(topic)
-
-    def _robot_changed(self) -> None:
-        problem, self._problem = self._problem, self.robot.problem
-        if self._problem and self._problem != problem:
-            self.say(self._problem)
-        state = self.robot.state
-        if self._restarts and state is not None and self.robot.is_current:
-            self._restarts = False
-            changes = state.changes.replace(" -> ", " → ")
-            self.say(f"the robot has started again, with {changes or 'the saved text'}")
-        self._tell("robot")
 
     # Files
 
@@ -159,7 +137,9 @@ class Session:
         else:
             file = OpenFile(real, removed, is_restored=True, is_gone=True)
         if file.is_restored:
-            self.say(f"{file.path.name} has unsaved changes of an earlier session; save or discard them")
+            self.shown.say(
+                f"{file.path.name} has unsaved changes of an earlier session; save or discard them"
+            )
         self.files[real] = file
         self.language.update(file)
         self._tell("files")
@@ -171,9 +151,9 @@ class Session:
         if self.current != file.path:
             self.current = file.path
             self.training_options["--timesteps"] = ""  # of the scenario before
-            self.commands.watch_newest(file.path.stem)
+            self.shown.show_newest_training(file.path.stem)
             self._written = self._saved_parameters()
-            self.robot.show(file.path)
+            self.shown.show_robot(file.path)
         self._tell("files")
 
     def removed_drafts(self) -> dict[Path, str]:
@@ -234,10 +214,7 @@ class Session:
             name for (path, name), text in now.items() if self._written.get((path, name), text) != text
         }
         self._written = now
-        # The robot of a run stays until the text has no errors.
-        if self.language.has_errors(self.current) or not self.following.leave(self.current):
-            self._restarts = True
-            self.robot.save(tuple(changed))
+        self.shown.restart_robot(self.current, tuple(changed))
 
     def _saved_parameters(self) -> dict[tuple[Path, str], str]:
         """Return the parameters as they are written in each saved file that the current scenario reads."""
@@ -293,11 +270,11 @@ class Session:
     async def picture(self) -> bytes:
         """Return a picture (PNG) of the shown scenario or run at the start of an episode; empty if there is
         none, for example because the scenario has errors."""
-        if not self.robot.reference:
+        if not self.shown.source:
             return b""
         with TemporaryDirectory() as folder:
             path = Path(folder, "robot.png")
-            _, code = await self.commands.call(["render", self.robot.reference, "-o", str(path)])
+            _, code = await self.commands.call(["render", self.shown.source, "-o", str(path)])
             return await asyncio.to_thread(path.read_bytes) if code == 0 else b""
 
     def saved_name(self) -> str:
@@ -322,14 +299,14 @@ class Session:
 
     async def run_forever(self) -> None:
         """Watch files, tasks and trainings until it is canceled."""
-        self.commands.adopt_running()
+        self.shown.adopt_running()
         while True:
             try:
                 await self._look()
             except Exception as error:  # noqa: BLE001 - drafts must be kept, whatever fails
                 sentence = str(error) if isinstance(error, DeepbotsError | OSError) else repr(error)
-                if self.notice != sentence:
-                    self.say(sentence)
+                if self.shown.notice != sentence:
+                    self.shown.say(sentence)
             await asyncio.sleep(_WATCH_INTERVAL_S)
 
     async def _look(self) -> None:
@@ -339,13 +316,10 @@ class Session:
             for file in self.files.values():
                 self._keep_draft(file)
         self._look_at_files()
-        self.commands.look()
         if self._listeners and now - self._last_runs > _RUNS_INTERVAL_S:
             self._last_runs = now
             await self.read_runs()
-        if self._listeners:
-            await self.commands.read_training()
-        self.following.look()
+        await self.shown.look(reads=bool(self._listeners))
 
     async def close(self) -> None:
         """Keep unsaved texts, and end the robot. Commands go on."""
@@ -390,8 +364,8 @@ class Session:
             self._drafts.keep(file)
         except OSError as error:
             sentence = f"unsaved text cannot be kept: {(error.strerror or 'error').lower()}"
-            if self.notice != sentence:
-                self.say(sentence)
+            if self.shown.notice != sentence:
+                self.shown.say(sentence)
 
 
 def _real_path(path: Path) -> Path | None:

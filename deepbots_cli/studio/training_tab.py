@@ -72,8 +72,8 @@ class TrainingTab:
             self._seed = self._option("Seed", "--seed", "0", _SEED)
             self._follows = ui.checkbox(
                 "Robot follows",
-                value=session.following.is_on,
-                on_change=lambda event: session.following.turn(bool(event.value)),
+                value=session.shown.follows,
+                on_change=lambda event: session.shown.follow(bool(event.value)),
             ).props('dense title="show the newest policy of the training in the robot"')
         with ui.element("div").classes("studio-bar studio-line"):
             self._solved = ui.icon(ICONS["check"]).classes("studio-solved")
@@ -120,8 +120,7 @@ class TrainingTab:
         options = [word for name, value in values.items() if value for word in (name, value)]
 
         def train() -> None:
-            task = self._session.commands.train(self._session.saved_name(), options)
-            self._session.following.begin(self._session.folder / task.record.run)
+            self._session.commands.train(self._session.saved_name(), options)
             self._result.close()
 
         self._guarded(train)
@@ -131,25 +130,23 @@ class TrainingTab:
         self._result.close()
 
     def update(self) -> None:
-        training, task = self._session.commands.training, self._session.commands.training_task
-        self._stop.set_enabled(task is not None and task.is_running)
+        shown = self._session.shown
+        training, task, is_running = shown.training, shown.training_task, shown.trains
+        self._stop.set_enabled(is_running)
         self._result.update()
-        self._follows.set_value(self._session.following.is_on)
+        self._follows.set_value(shown.follows)
         self._command.set_text("" if task is None else task.command)
-        is_running = task is not None and task.is_running
         run = None if training is None else training.listed
         solved = None if run is None or is_running else run.solved
         self._solved.set_visibility(solved is True)
         further = {"Compare"} if self._others else set()
         has_ended = run is not None and not is_running and run.state != "training"
         ended = {"Watch", "Video", "Resume"} if has_ended else set()
-        shown = {True: {"Watch", "Video", *further}, False: {_WHY}, None: ended}[solved]
+        offered = {True: {"Watch", "Video", *further}, False: {_WHY, *ended}, None: ended}[solved]
         for label, button in self._next.items():
-            button.set_visibility(label in shown)
-        starts = is_running and training is not None and not training.curves.returns
-        kind = {True: "studio-solved", False: "studio-unsolved", None: "studio-starts" if starts else ""}[
-            solved
-        ]
+            button.set_visibility(label in offered)
+        starts = "studio-starts" if shown.training_starts else ""
+        kind = {True: "studio-solved", False: "studio-unsolved", None: starts}[solved]
         self._text.classes(replace=f"studio-status {kind}")
         self._steps.set_visibility(training is None)
         if training is None or run is None:
@@ -192,7 +189,7 @@ class TrainingTab:
     @property
     def _others(self) -> list[Path]:
         """The other runs of the scenario of the training, relative to the folder, the newest at the end."""
-        training, folder = self._session.commands.training, self._session.folder
+        training, folder = self._session.shown.training, self._session.folder
         if training is None or training.listed is None:
             return []
         scenario, runs = training.listed.scenario, self._session.runs
@@ -200,7 +197,7 @@ class TrainingTab:
         return [path.relative_to(folder) for path in others]
 
     async def _act(self, act: Callable[..., Awaitable[None] | None]) -> None:
-        training = self._session.commands.training
+        training = self._session.shown.training
         if training is not None:
             await self._runs.act(act, training.path.relative_to(self._session.folder))
 
@@ -214,7 +211,7 @@ class TrainingTab:
         )
 
     def _stop_training(self) -> None:
-        task = self._session.commands.training_task
+        task = self._session.shown.training_task
         if task is not None:
             task.stop()
 

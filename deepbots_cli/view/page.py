@@ -176,9 +176,15 @@ class Page:
         """The values that replace those of the file, by parameter."""
         return self._changed
 
-    def restore_parameters(self, names: Collection[str]) -> None:
-        """Return these parameters to the values of the file; the world shows them from its next reload on."""
-        self._changed = {name: text for name, text in self._changed.items() if name not in names}
+    def reload_source(self, reference: str, names: Collection[str]) -> None:
+        """Read a scenario again, whose parameters `names` return to the values of the file, or show it in
+        place of another source; while it has errors, the world before stays."""
+        is_same = self.player is not None and self.player.opened.shown.reference == reference
+        self._source = dataclasses.replace(self._source, reference=reference)
+        self._changed = {name: text for name, text in self._changed.items() if is_same and name not in names}
+        if not is_same:
+            self.playback.forget()
+        self.reload(again=is_same)
 
     def show_source(self, reference: str, driver: str | None = None) -> None:
         """Show another scenario or run from its first episode, driven by `driver` or by its default.
@@ -188,7 +194,8 @@ class Page:
         """
         self._source = dataclasses.replace(self._source, reference=reference)
         self._changed = {}
-        self.playback.leave(driver)
+        self.playback.close_players()
+        self.playback.forget(driver)
         self.reload(again=False)
         self._cameras.refit()
 

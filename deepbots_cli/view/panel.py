@@ -11,14 +11,18 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from shlex import quote
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from deepbots_cli.errors import RunError
+from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.runtime.overview import follows_robot
 from deepbots_cli.view import panel_html, training_logs
 from deepbots_cli.view.episodes import Player
@@ -385,18 +389,27 @@ def _term_value(term: str, agent: AgentFrame) -> float:
 
 
 class TrainingTab:
-    """The stages and evaluations of the training of a run."""
+    """The stages and evaluations of the training of a run. `mean_returns` are those of the evaluations."""
 
     def __init__(self, gui: viser.GuiApi, run: Run) -> None:
         self.text = gui.add_html("")
-        self._read_at = -math.inf
+        self.mean_returns: tuple[float, ...] = ()
+        self._path: Path | None = None
+        self._read_at = 0.0
+        self._stamps: Mapping[Path, object] = {}
         self.read(run)
 
     def read(self, run: Run) -> None:
-        """Read the logs; while the training runs, at most once in `_TRAINING_INTERVAL_S`."""
-        if time.monotonic() - self._read_at < _TRAINING_INTERVAL_S:
+        """Read the logs of a run if they have changed; those of the same run at most once in
+        `_TRAINING_INTERVAL_S`."""
+        now = time.monotonic()
+        if run.path == self._path and now - self._read_at < _TRAINING_INTERVAL_S:
             return
-        self._read_at = math.inf
+        self._path, self._read_at = run.path, now
+        stamps = file_stamps([run.path / RECORD_NAME, run.monitor])
+        if stamps == self._stamps:
+            return
+        self._stamps, self.mean_returns = stamps, ()
         try:
             record = RunRecord.read(run.path)
             episodes, evaluations = training_logs.logs_of(run.path)
@@ -405,12 +418,11 @@ class TrainingTab:
                 "the training cannot be shown", html.escape(str(error)), "#D55E00"
             )
             return
+        self.mean_returns = tuple(fmean(evaluation["returns"]) for evaluation in evaluations)
         rows = panel_html.training_rows(
             training_logs.stage_starts(record, episodes), evaluations, success=run.program.defines_success
         )
         self.text.content = panel_html.table(rows)
-        if record.state(run.path) == "training":
-            self._read_at = time.monotonic()
 
 
 class ShowTab:

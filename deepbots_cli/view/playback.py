@@ -129,10 +129,8 @@ class Playback:
         self.worlds = []
         self.rival = None
 
-    def leave(self, driver: str | None) -> None:
-        """Close the worlds, and forget the results, before those of another source with its `driver` are
-        shown."""
-        self.close_players()
+    def forget(self, driver: str | None = None) -> None:
+        """Forget the episode and the results, before those of another source with its `driver` are shown."""
         self.driver, self.paused, self.episode = driver, False, 0
         self._forget_results()
 

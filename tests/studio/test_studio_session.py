@@ -53,7 +53,7 @@ class Running:
     def _heard(self, topic: str) -> None:
         self.topics.append(topic)
         if topic == "notice":
-            self.notices.append(self.session.notice)
+            self.notices.append(self.session.shown.notice)
 
     async def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
@@ -214,10 +214,9 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             session = running.session
             session.show(Path("mine.yaml"))
             await running.runs()
-            session.following.turn(True)
+            session.shown.follow(True)
             session.commands.train("mine.yaml", ["--timesteps", "1_000_000"])
-            session.following.begin(folder / "runs" / "mine-1")
-            robot, training = session.robot, session.commands.training_task
+            robot, training = session.robot, session.shown.training_task
             assert training is not None
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
             await running.until(lambda: robot.state is not None and "policy" in robot.state.note)
@@ -227,21 +226,20 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             await running.runs()
             assert robot.reference == str(folder / "mine.yaml")
             # The page offers to follow the training again, while it runs.
-            assert session.following.is_offered
+            assert session.shown.may_follow
             training.stop()
             await running.until(lambda: not training.is_running, 120)
-            assert not session.following.is_offered
+            assert not session.shown.may_follow
 
             # A training that has just ended is shown, too.
-            session.following.turn(True)
+            session.shown.follow(True)
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
             await running.runs()
 
             # From a robot that shows a policy, the next training is followed without being asked.
-            session.following.turn(False)
+            session.shown.follow(False)
             assert robot.reference == str(folder / "runs" / "mine-1")
             session.commands.train("mine.yaml", ["--timesteps", "512"])
-            session.following.begin(folder / "runs" / "mine-2")
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-2"))
             await running.runs()
             await running.until(lambda: not session.commands.tasks.running, 120)
@@ -313,19 +311,19 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
             assert (robot.state.driver, robot.state.changed) == ("zero", {})
             assert robot.state.parameters == {"fall_angle": "20 deg"}
 
-            robot.show(folder / "broken.yaml")
+            session.shown.show_robot(folder / "broken.yaml")
             await running.until(lambda: robot.state is not None)
             assert robot.state.state == "errors"
 
-            robot.show(folder / "other.yaml")
+            session.shown.show_robot(folder / "other.yaml")
             await running.runs()
             assert (running.robot_pid, robot.address) == (pid, address)
             assert robot.state.driver == "random"
 
-            robot.show(folder / "runs" / "gone")
+            session.shown.show_robot(folder / "runs" / "gone")
             await running.until(lambda: robot.problem)
             assert "gone" in robot.problem
-            robot.show(folder / "mine.yaml")
+            session.shown.show_robot(folder / "mine.yaml")
             await running.runs()
 
     asyncio.run(run())
@@ -364,7 +362,7 @@ def test_a_robot_that_does_not_answer_is_named_and_ended_by_the_next_save(folder
             pid = running.robot_pid
             os.kill(pid, signal.SIGSTOP)
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
-            await running.until(lambda: "does not answer" in session.robot.problem)
+            await running.until(lambda: session.robot.is_late)
             _writes(session, SCENARIO.replace("15 deg", "25 deg"))
             await running.until(lambda: session.robot.state is None)
             await running.runs()
@@ -407,33 +405,33 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             task = session.commands.train(session.saved_name(), ["--timesteps", "20000"])
             assert task.record.run == "runs/mine-1"
             await running.until(
-                lambda: session.commands.training is not None and session.commands.training.curves.returns,
+                lambda: session.shown.training is not None and session.shown.training.curves.returns,
                 120,
             )
-            return len(session.commands.training.curves.returns)
+            return len(session.shown.training.curves.returns)
 
     async def second(points: int) -> None:
         async with Running(folder) as running:
             session = running.session
             assert [task.record.run for task in session.commands.tasks.running] == ["runs/mine-1"]
             await running.until(
-                lambda: session.commands.training is not None and session.commands.training.curves.returns
+                lambda: session.shown.training is not None and session.shown.training.curves.returns
             )
-            assert session.commands.training_task is session.commands.task
-            await running.until(lambda: len(session.commands.training.curves.returns) > points, 120)
-            assert session.commands.training.listed.state == "training"
+            assert session.shown.training_task is session.shown.task
+            await running.until(lambda: len(session.shown.training.curves.returns) > points, 120)
+            assert session.shown.training.listed.state == "training"
             # Stop keeps the policy.
-            session.commands.task.stop()
-            await running.until(lambda: not session.commands.task.is_running)
-            await running.until(lambda: session.commands.training.listed.state != "training")
+            session.shown.task.stop()
+            await running.until(lambda: not session.shown.task.is_running)
+            await running.until(lambda: session.shown.training.listed.state != "training")
             await running.until(lambda: any("mine-1 was stopped" in notice for notice in running.notices))
             # The curve goes on when the training does.
             session.commands.run(["resume", "runs/mine-1", "--timesteps", "40000"], Path("runs/mine-1"))
             await running.until(
-                lambda: getattr(session.commands.training.listed, "state", "") == "training", 120
+                lambda: getattr(session.shown.training.listed, "state", "") == "training", 120
             )
-            session.commands.task.stop()
-            await running.until(lambda: not session.commands.task.is_running)
+            session.shown.task.stop()
+            await running.until(lambda: not session.shown.task.is_running)
             assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
             await session.read_runs()
             assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from contextlib import closing
@@ -90,6 +91,23 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
         text = page.panel.training.text.content
     (done,) = run.record.result.stages
     assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
+
+
+def test_the_tab_training_shows_the_evaluations_of_the_run_that_is_shown_now(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    first = _trained(tmp_path, "cartpole")
+    second = shutil.copytree(first, tmp_path / "second")
+    for run, value in ((first, 8.0), (second, 9.0)):
+        line = {"steps": 64, "stage": None, "returns": [value], "lengths": [8], "successes": [False]}
+        (run / "evaluations" / "training.jsonl").write_text(json.dumps(line) + "\n")
+    with closing(Page(Showing(str(first)), port=0)) as page:
+        panel = page.panel
+        page.show_source(str(second))
+        assert page.panel is panel
+        assert panel.training.mean_returns == (9.0,)
+        assert "return 9<" in panel.training.text.content
 
 
 def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
