@@ -22,6 +22,7 @@ levels.py       levels of the curriculum
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 symmetry.py     the mirror symmetry of a training
 search.py       the search of `tune`
+syntax.py       the fix of a syntax error, after which the scenario has the fewest errors
 topics.py       the ROS 2 topics of sensors and actuators
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
@@ -71,6 +72,7 @@ from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, s
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
 from deepbots_cli.compiler.search import compile_search
 from deepbots_cli.compiler.symmetry import symmetry
+from deepbots_cli.compiler.syntax import verify_fix
 from deepbots_cli.compiler.topics import report_topics_of_no_agent, topics
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
@@ -151,6 +153,7 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
     `to_train` chooses the learner of a scenario without `train` too.
     """
     try:
+        verify_fix(document, lambda other: len(check(other, to_train=to_train).findings.errors))
         if has_several_agents(document):
             return _check_agents(document, to_train=to_train)
         checked = _check(document)

@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics.findings import (
     Source,
     Span,
     TooManyFindings,
+    edited,
     exceptions_as_findings,
 )
 from deepbots_cli.diagnostics.registry import RULES, Rule, Severity
@@ -37,5 +38,6 @@ __all__ = [
     "Source",
     "Span",
     "TooManyFindings",
+    "edited",
     "exceptions_as_findings",
 ]

@@ -14,7 +14,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from typing import NamedTuple
@@ -120,6 +120,15 @@ class Edit:
 
     span: Span
     text: str
+
+
+def edited(source: Source, edits: Iterable[Edit]) -> str:
+    """Return the text of a source after edits that do not overlap."""
+    text = source.text
+    # Of edits with the same start, the insertion is applied last, since its text is not to be removed.
+    for edit in sorted(edits, key=lambda edit: (edit.span.start, edit.span.end), reverse=True):
+        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
+    return text
 
 
 @dataclass(frozen=True)
@@ -259,9 +268,10 @@ class Findings:
         last = Finding("DB005", too_many.finding.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 
-    def replace_help(self, finding: Finding, help: str) -> None:
-        """Replace the help of a finding that was added."""
-        self._found[finding.sort_key] = replace(finding, help=help)
+    def replace(self, finding: Finding, other: Finding) -> None:
+        """Replace a finding that was added by another one."""
+        del self._found[finding.sort_key]
+        self._found[other.sort_key] = other
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(sorted(self._found.values(), key=lambda f: f.sort_key))

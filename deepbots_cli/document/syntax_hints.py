@@ -7,6 +7,7 @@ the error determines the correction.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -255,7 +256,7 @@ def _brackets(problem: _Problem) -> Finding | None:
         if finding.fix is not None:
             return finding
         closing = _CLOSING[text[opening]]
-        if _is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
+        if is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
             headline, help = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
             span = Span(problem.source, problem.at, problem.at + 1)
             return problem.finding(headline, help, problem.at, fix=Fix((Edit(span, closing),), safe=False))
@@ -276,7 +277,7 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     gaps = [gap.start() for gap in _NEXT_PAIR.finditer(text, opening, end) if gap.end() <= problem.at]
     # A key on another line than the bracket is rather one behind a bracket that is not closed.
     read = problem.at + 1 if opening >= problem.line_start else len(text) + 1
-    if not gaps or not _is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", read):
+    if not gaps or not is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", read):
         return None
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
@@ -295,19 +296,20 @@ def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
     line = text[text.rfind("\n", 0, at) + 1 : end if end >= 0 else len(text)]
     closed_line = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
     help, fix = f"add the closing `{closing}`", None
-    if len(closed_line) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
+    if len(closed_line) <= _MAX_WRITTEN and is_readable(text, problem.at + len(closing)):
         help = f"{help}: `{closed_line}`"
         fix = Fix((Edit(Span(problem.source, at, at), closing),), safe=False)
     return problem.finding(f"this `{sign}` is not closed", help, opening, fix=fix)
 
 
-def _is_readable(text: str, end: int) -> bool:
-    """Return whether the YAML parser reads the text beyond the offset `end`."""
+def is_readable(text: str, end: int | None = None) -> bool:
+    """Return whether the YAML parser reads the text beyond the offset `end`, or the whole text."""
     try:
         for _ in yaml.parse(text, Loader=LOADER):
             pass
     except MarkedYAMLError as error:
-        return error.problem_mark is not None and error.problem_mark.index > end
+        mark = error.problem_mark
+        return end is not None and mark is not None and mark.index > end
     except yaml.YAMLError:
         return False
     return True
@@ -525,6 +527,29 @@ def _behind_value(problem: _Problem) -> Finding | None:
 def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:
     """Return the fix that indents the line at `start` by `after` spaces, in place of `before` characters."""
     return Fix((Edit(Span(problem.source, start, start + before), " " * after),), safe=False)
+
+
+def reindentations(finding: Finding) -> Iterator[Finding]:
+    """Yield other findings for a syntax error whose fix changes an indentation: those of the lines around it,
+    each with another indentation, the smallest changes first."""
+    edits = finding.fix.edits if finding.fix is not None else ()
+    if any(edit.span.text.strip(" ") or edit.text.strip(" ") for edit in edits) or not edits:
+        return
+    source = finding.span.source
+    at = finding.span.start
+    problem = _Problem(source, at, at, "", "")
+    below = problem.line_below(problem.line_start)
+    levels = _levels_above(problem)
+    near = [problem.line_at(problem.line_start), problem.line_above(problem.line_start), below, *levels]
+    lines = dict.fromkeys(line for line in near if line is not None)
+    depths = {0} | {indent for line in lines for indent in (line.indent, line.indent + _STEP)}
+    moves = [(line, depth) for line in lines for depth in depths if depth != line.indent]
+    for line, depth in sorted(moves, key=lambda move: abs(move[1] - move[0].indent)):
+        text = problem.rest_of_line(line.start).strip()
+        headline = f"{line.name} is indented by {line.indent}, which does not fit the lines around it"
+        help = f"indent it by {depth}: `{' ' * depth}{text[:MAX_SHOWN]}`"
+        fix = _indented(problem, line.start, line.indent, depth)
+        yield problem.finding(headline, help, line.start + line.indent, max(1, len(line.key)), fix)
 
 
 def _continues(line: _Line, below: _Line | None) -> bool:

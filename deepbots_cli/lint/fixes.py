@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Source, edited
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.document.nodes import MappingNode, enclosing_entry
@@ -234,15 +234,6 @@ def _are_fixed(fixes: Sequence[Finding], before: LintResult, after: LintResult) 
     """Whether none of the findings `fixes` remains."""
     remaining = _counted(before.findings) - _counted(fixes)
     return not _counted(fixes) & (_counted(after.findings) - remaining)
-
-
-def edited(source: Source, edits: Iterable[Edit]) -> str:
-    """Return the text of a source after edits that do not overlap."""
-    text = source.text
-    # Of edits with the same start, the insertion is applied last, since its text is not to be removed.
-    for edit in sorted(edits, key=lambda edit: (edit.span.start, edit.span.end), reverse=True):
-        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
-    return text
 
 
 def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit]) -> list[Finding]:

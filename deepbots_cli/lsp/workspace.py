@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -21,6 +21,7 @@ from pygls import uris
 from pygls.workspace import PositionCodec
 
 from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.syntax import does_harm
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
@@ -38,6 +39,8 @@ _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
 _UTF_16 = PositionCodec()
 
+_MAX_EXAMINED = 3
+"""The number of errors whose fixes are examined, each by a check of the whole scenario."""
 _NAMELESS = "<untitled {:08x}>"
 
 
@@ -233,9 +236,20 @@ def analyze(
     except UsageError:  # it is a folder, or the name is not possible for a file
         return DocumentAnalysis(document, drafts)
     checked = check(loaded)
-    findings = all_findings(checked, preview=preview)
+    findings = _without_harmful_fixes(checked, all_findings(checked, preview=preview))
     selected_findings = (*selection.inactive_rules(), *filter(selection.selects, findings))
     return DocumentAnalysis(document, drafts, selected_findings, checked, settings_error, selection)
+
+
+def _without_harmful_fixes(checked: CheckedScenario, findings: list[Finding]) -> list[Finding]:
+    """Return the findings; the first errors without the fixes that would leave more errors."""
+    document = checked.document
+    errors = [finding for finding in findings if finding.severity == "error" and finding.fix]
+    if document.root is not None:  # the compiler examines the fix of a syntax error
+        for finding in errors[:_MAX_EXAMINED]:
+            if does_harm(finding, document, lambda other: len(check(other).findings.errors)):
+                findings[findings.index(finding)] = replace(finding, fix=None)
+    return findings
 
 
 class Locator:

@@ -456,7 +456,8 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
             if isinstance(node, nodes.MappingNode):
                 for key in node.keys_without_value:
                     if finding := vague.get(key.span):
-                        findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
+                        help = _help_for_missing_value(data, (*path, key.text))
+                        findings.replace(finding, replace(finding, help=help))
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:

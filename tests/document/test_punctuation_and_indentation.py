@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 
+from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.diagnostics import Finding, edited
+from deepbots_cli.lsp.workspace import Document, analyze, uri_of
 from tests.document.test_missing_colons import SCENARIO, findings_of
 
 TEXT = SCENARIO.replace(
@@ -143,3 +149,54 @@ def test_keys_below_an_empty_section_are_indented(section: str, names: str) -> N
 def test_a_key_of_the_language_below_an_empty_section_is_not_part_of_it() -> None:
     wrong = SCENARIO.replace("reward:\n  alive: 1\n", "reward:\n")
     assert all(finding.fix is None for finding in findings_of(wrong))
+
+
+def _moved_lines(text: str, spaces: int) -> Iterator[tuple[int, str]]:
+    """Yield each line by its number from 1, and the text with the line moved to the right, or to the left."""
+    lines = text.splitlines(keepends=True)
+    for number, line in enumerate(lines):
+        words = line.lstrip(" ")
+        depth = len(line) - len(words) + spaces
+        if depth >= 0 and words[0] not in "#\n":
+            yield number + 1, "".join([*lines[:number], " " * depth + words, *lines[number + 1 :]])
+
+
+def _errors(text: str) -> list[Finding]:
+    path = Path("mine.yaml").absolute()
+    findings = analyze(Document(uri_of(path), 1, text, path), {}).findings
+    return [finding for finding in findings if finding.severity == "error"]
+
+
+def _is_improved(text: str) -> bool:
+    """Apply the fixes of the errors of a text, the first one of each round, and return whether each leaves no
+    more errors, and they end."""
+    for _ in range(4):
+        errors = _errors(text)
+        fix = next((finding.fix for finding in errors if finding.fix is not None), None)
+        if fix is None:
+            return True
+        text = edited(fix.edits[0].span.source, fix.edits)
+        if len(_errors(text)) > len(errors):
+            return False
+    return False
+
+
+def _template(name: str) -> str:
+    return next(iter(from_template(name, "mine").values())).decode()
+
+
+def test_correcting_the_indentation_of_a_section_does_not_lead_to_more_errors_in_a_circle() -> None:
+    right = _template("cartpole")
+    for spaces in (3, 2, 6, 7, 8):
+        wrong = right.replace("    actuators:\n", f"{' ' * spaces}actuators:\n")
+        assert wrong != right
+        assert _is_improved(wrong), spaces
+    assert _corrected(right.replace("    actuators:\n", "  actuators:\n")) == right
+
+
+@pytest.mark.parametrize("spaces", [spaces for spaces in range(-4, 5) if spaces])
+@pytest.mark.parametrize("name", Template)
+@pytest.mark.slow
+def test_a_fix_of_a_moved_line_leaves_no_more_errors_and_the_fixes_end(name: str, spaces: int) -> None:
+    moved = _moved_lines(_template(name), spaces)
+    assert [number for number, text in moved if not _is_improved(text)] == []

@@ -8,12 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli.diagnostics import Source
+from deepbots_cli.diagnostics import Source, edited
 from deepbots_cli.document import MappingNode, loads
 from deepbots_cli.document.edits import assigned_text, move_to_augment_fix
 from deepbots_cli.document.layout import to_yaml
 from deepbots_cli.document.nodes import to_data
-from deepbots_cli.lint.fixes import edited
 
 
 def root_of(text: str) -> MappingNode:
