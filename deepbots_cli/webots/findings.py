@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import DeepbotsError
 
 MAX_FINDINGS = 100
-"""The maximum number of findings about one project."""
+"""The maximum number of errors, and of warnings, about one project."""
+
+Help = str | Callable[[], str]
+"""A help, or the function that returns it, which is called only for findings that are kept."""
+
+
+Severity = Literal["error", "warning"]
 
 
 @dataclass(frozen=True)
 class WorldFinding:
     """One problem at one place. Errors keep a world from running; warnings name what it runs without."""
 
-    severity: Literal["error", "warning"]
+    severity: Severity
     span: Span
     headline: str
     help: str = ""
@@ -25,6 +33,12 @@ class WorldFinding:
     def __str__(self) -> str:
         text = f"{self.span.location}: {self.severity}: {self.headline}"
         return f"{text}\n  help: {self.help}" if self.help else text
+
+
+def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
+    """Return a help with the nearest of the names."""
+    near = nearest_word(name, names)
+    return f"did you mean '{near}'?" if near else otherwise
 
 
 class WorldError(DeepbotsError):
@@ -40,19 +54,22 @@ class WorldFindings:
 
     def __init__(self) -> None:
         self._findings: dict[tuple[str, str], WorldFinding] = {}
+        self._counts: Counter[str] = Counter()
 
-    def error(self, span: Span, headline: str, help: str = "") -> None:
-        self._add(WorldFinding("error", span, headline, help))
+    def error(self, span: Span, headline: str, help: Help = "") -> None:
+        self._add("error", span, headline, help)
 
-    def warning(self, span: Span, headline: str, help: str = "") -> None:
-        self._add(WorldFinding("warning", span, headline, help))
+    def warning(self, span: Span, headline: str, help: Help = "") -> None:
+        self._add("warning", span, headline, help)
 
     def append(self, finding: WorldFinding) -> None:
-        self._add(finding)
+        self._add(finding.severity, finding.span, finding.headline, finding.help)
 
-    def _add(self, finding: WorldFinding) -> None:
-        if len(self._findings) < MAX_FINDINGS:
-            self._findings.setdefault((finding.severity, finding.headline), finding)
+    def _add(self, severity: Severity, span: Span, headline: str, help: Help) -> None:
+        if self._counts[severity] < MAX_FINDINGS and (severity, headline) not in self._findings:
+            self._counts[severity] += 1
+            text = help if isinstance(help, str) else help()
+            self._findings[severity, headline] = WorldFinding(severity, span, headline, text)
 
     def __iter__(self) -> Iterator[WorldFinding]:
         return iter(

@@ -153,16 +153,15 @@ def _pit(fields: Fields) -> str:
     noise, seed = fields.number("noiseAmplitude"), int(fields.number("randomSeed"))
     radius = fields.positive("pitRadius")[0]
     draw = random.Random(seed).gauss
+    along_x = [(column / (columns - 1) - 0.5) * x / radius for column in range(columns)]
+    along_y = [(row / (rows - 1) - 0.5) * y / radius for row in range(rows)]
     heights = []
-    for row in range(rows):
-        for column in range(columns):
-            u, v = column / (columns - 1) - 0.5, row / (rows - 1) - 0.5
-            su, sv = u * x / radius, v * y / radius
+    for sv in along_y:
+        for su in along_x:
             bell = math.exp(-(su * su + sv * sv) / 2)
             share = 1 - noise + noise * draw(0.0, _PIT_ROUGHNESS)
-            is_in_pit = abs(su) < 3 and abs(sv) < 3
-            heights.append(z * bell * (1 - bell) * share if is_in_pit else 0.0)
-    grid = " ".join(f"{height:.6g}" for height in heights)
+            heights.append(z * bell * (1 - bell) * share if -3 < su < 3 and -3 < sv < 3 else 0.0)
+    grid = " ".join([f"{height:.6g}" for height in heights])
     return f"""Solid {{ translation IS translation rotation IS rotation name "pit"
       children [ DEF GRID Pose {{ translation {-x / 2!r} {-y / 2!r} 0 children [ Shape {{
         appearance IS appearance

@@ -9,15 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import resources
-from math import hypot, isfinite
+from math import hypot
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
-from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.webots.syntax import Item, Node, Parameter, Value, parse_interface
+from deepbots_cli.webots.findings import did_you_mean
+from deepbots_cli.webots.syntax import Node, Parameter, Value, parse_interface
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
@@ -137,7 +137,7 @@ def child(node: Node, field: str) -> Node | None:
 
 def children(node: Node, field: str = "children") -> list[Node]:
     """Return the nodes in a field; a PROTO node stays one."""
-    return [item for item in value_of(node, field).items if isinstance(item, Node)]
+    return value_of(node, field).nodes
 
 
 def walk(nodes: list[Node]) -> Iterator[Node]:
@@ -153,7 +153,7 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
         if node.body is not None:
             stack.append(node.body)
             continue
-        inner = [item for value in node.fields.values() for item in value.items if isinstance(item, Node)]
+        inner = [item for value in node.fields.values() for item in value.nodes]
         stack.extend(reversed(inner))
 
 
@@ -192,15 +192,13 @@ def check(nodes: list[Node], findings: WorldFindings) -> None:
 def _check_node(node: Node, findings: WorldFindings) -> None:
     kind = node_types().get(node.type)
     if kind is None:
-        near = nearest_word(node.type, node_types())
-        hint = f"did you mean {near}?" if near else ""
+        hint = partial(did_you_mean, node.type, node_types())
         findings.error(node.span, f"there is no node {node.type[:60]}", hint)
         return
     for name, value in node.fields.items():
         entry = kind.fields.get(name)
         if entry is None:
-            near = nearest_word(name, kind.fields)
-            hint = f"did you mean '{near}'?" if near else "it is ignored"
+            hint = partial(did_you_mean, name, kind.fields, "it is ignored")
             findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
         elif problem := type_problem(entry.type, value) or _slot_problem(name, value):
             findings.error(value.span, f"{node.type}.{name} is {problem}")
@@ -209,9 +207,9 @@ def _check_node(node: Node, findings: WorldFindings) -> None:
 def _slot_problem(name: str, value: Value) -> str:
     """Return why a node cannot be in a field; "" if it can."""
     kinds = _SLOTS.get(name, ())
-    for item in value.items if kinds else ():
-        is_known = isinstance(item, Node) and real(item).type in node_types()
-        if isinstance(item, Node) and is_known and not any(is_a(item, kind) for kind in kinds):
+    for item in value.nodes if kinds else ():
+        is_known = real(item).type in node_types()
+        if is_known and not any(is_a(item, kind) for kind in kinds):
             return f"a {item.type[:60]}, and not a {' or '.join(kinds[:3])}"
     return ""
 
@@ -225,10 +223,10 @@ def type_problem(kind: str, value: Value) -> str:
         return f"a list, and not {_described(kind)}"
     size = _SIZES.get(base)
     if size is None:
-        return _other_problem(kind, value.items, several=several)
-    if not all(isinstance(item, float) for item in value.items):
+        return _other_problem(kind, value, several=several)
+    if not value.types <= {float}:
         return f"not {_described(kind)}"
-    if not all(isfinite(item) for item in value.items if isinstance(item, float)):
+    if not value.is_finite:
         return "too large a number"
     count = len(value.items)
     if count % size or (not several and count != size):
@@ -236,15 +234,14 @@ def type_problem(kind: str, value: Value) -> str:
     return ""
 
 
-def _other_problem(kind: str, items: list[Item], *, several: bool) -> str:
-    if not several and len(items) != 1:
-        return f"not {_described(kind)}"
-    types: type | tuple[type, ...] = {
-        "Bool": bool,
-        "String": str,
-        "Node": Node if several else (Node, type(None)),
-    }.get(kind[2:], object)
-    return "" if all(isinstance(item, types) for item in items) else f"not {_described(kind)}"
+def _other_problem(kind: str, value: Value, *, several: bool) -> str:
+    types: set[type] = {
+        "Bool": {bool},
+        "String": {str},
+        "Node": {Node} if several else {Node, type(None)},
+    }.get(kind[2:], value.types)
+    fits = value.types <= types and (several or len(value.items) == 1)
+    return "" if fits else f"not {_described(kind)}"
 
 
 def _described(kind: str) -> str:

@@ -34,16 +34,24 @@ _IMPORT = re.compile(
 _EXPORT = re.compile(r"^[ \t]*export\s+(?=(?:function|class|const|let)\s+(\w+))", re.MULTILINE)
 _KEYS = {"Vec2f": "xy", "Vec3f": "xyz", "Rotation": "xyza", "Color": "rgb"}
 _SCRIPT = """'use strict';
+// V8 limits the memory of its heap, which buffers, WebAssembly, Intl and Temporal do not use.
+for (const name of Object.getOwnPropertyNames(globalThis)) {{
+  if (/.Array$|Buffer$|^(Atomics|DataView|Intl|Temporal|WebAssembly)$/.test(name)) delete globalThis[name];
+}}
 (() => {{
 const nothing = () => {{}};
 const console = {{log: nothing, warn: nothing, debug: nothing, error: nothing}};
 const read = text => JSON.parse(text, (key, value) => value === null ? undefined : value);
-const fields = read({fields});
-const context = read({context});
-{modules}
-let template_ = '';
-{body}
-return template_;
+let text;
+try {{
+  // The body of a function cannot end this script early.
+  text = new Function('fields', 'context', 'console', {body})(read({fields}), read({context}), console);
+}} catch (error) {{
+  try {{ text = `${{error}}`; }} catch {{ text = 'its error has no text'; }}
+  return '!fails: ' + (text.length > {limit} ? 'its error has a long text' : text);
+}}
+if (typeof text !== 'string') return '!returns before its end';
+return text.length > {limit} ? '!makes more than {limit_text}' : '=' + text;
 }})()"""
 
 
@@ -85,12 +93,10 @@ class Templates:
                     context.eval("0")
                     raise
         except JSEvalException as error:
-            raise TemplateError(f"fails: {_reason(error)}") from error
-        if not isinstance(rendered, str):
-            raise TemplateError("returns before its end")
-        if len(rendered.encode()) > MAX_BYTES:
-            raise TemplateError(f"makes more than {MAX_BYTES >> 20} MiB")
-        return rendered
+            raise TemplateError(_reason(f"fails: {error}")) from error
+        if not isinstance(rendered, str) or rendered[:1] != "=":
+            raise TemplateError(_reason(str(rendered)[1:]))
+        return rendered[1:]
 
     def _script(self, proto: Proto, node: Node) -> str:
         modules: dict[str, str] = {}
@@ -106,9 +112,13 @@ class Templates:
             "coordinate_system": "ENU",
             "webots_version": {"major": "R2025a", "revision": "0"},
         }
-        fields = _literal(_fields(proto.interface, node, 0))
+        lines = ("'use strict';", *modules.values(), "let template_ = '';", body, "return template_;")
         return _SCRIPT.format(
-            fields=fields, context=_literal(context), modules="\n".join(modules.values()), body=body
+            body=json.dumps("\n".join(lines)),
+            fields=_literal(_fields(proto.interface, node, 0)),
+            context=_literal(context),
+            limit=MAX_BYTES,
+            limit_text=f"{MAX_BYTES >> 20} MiB",
         )
 
     def _imported(self, text: str, modules: dict[str, str]) -> str:
@@ -200,9 +210,7 @@ def _fields(interface: Mapping[str, Parameter], node: Node, depth: int) -> dict[
     }
 
 
-def _reason(error: Exception) -> str:
-    """Return the line of an error of V8 that says what is wrong."""
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    named = [line for line in lines if re.match(r"\w*Error\b", line)]
-    text = (named or lines or [type(error).__name__])[0]
-    return "".join(letter if letter.isprintable() else "?" for letter in text)[:120]
+def _reason(message: str) -> str:
+    """Return the first line of a message of a script, as printable text."""
+    line = next(iter(message.strip().splitlines()), "")
+    return "".join(letter if letter.isprintable() else "?" for letter in line)[:120]

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
-from deepbots_cli.diagnostics import Source
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.webots import library
+from deepbots_cli.webots.findings import did_you_mean
 from deepbots_cli.webots.nodes import node_types, type_problem
 from deepbots_cli.webots.proto_templates import TemplateError, Templates
 from deepbots_cli.webots.syntax import (
+    MAX_NODES,
     Node,
     Parameter,
     Proto,
@@ -30,12 +32,13 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.project import Files
     from deepbots_cli.webots.syntax import Document, Extern, Item
 
-MAX_NESTED_PROTOS = 20
-"""The maximum depth of PROTO nodes in the bodies of others."""
-MAX_NODES = 100_000
-"""The maximum number of nodes of a world."""
+MAX_PROTO_BYTES = 4 * 2**20
+"""The maximum size of all PROTO files of a world, and of the bodies that templates and `library.py` make."""
+MAX_LEVELS = 150
+"""The maximum depth of a world with all that PROTO and USE stand for; a level takes four calls of Python."""
 
 _HEADER = "#VRML_SIM R2025a utf8\n"
+_TOO_MANY_NODES = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
 
 
 @dataclass(frozen=True)
@@ -59,52 +62,71 @@ class Scope:
         )
 
 
+class Extent(NamedTuple):
+    """The number of nodes that a node stands for, with itself, and of their levels."""
+
+    nodes: int
+    levels: int
+
+
 class Expander:
     """Gives each PROTO node of a world its body."""
 
     def __init__(self, files: Files, findings: WorldFindings, *, allow_code: bool = False) -> None:
         self.files, self.findings = files, findings
         self._templates = Templates(files) if allow_code else None
-        self._count = 0
+        self._clones = self._length = 0
         self._read: dict[str, Proto | None] = {}
-        self._expanded_ids: set[int] = set()
+        self._extents: dict[Node, Extent] = {}
+        self._library_bodies: dict[str, Node] = {}
 
-    def expand(self, nodes: list[Node], scope: Scope) -> None:
-        """Expand nodes in place.
+    def expand(self, nodes: list[Node], scope: Scope) -> int:
+        """Expand nodes in place. Return the number of nodes that all of them stand for: a node counts as
+        often as USE and IS repeat it.
 
         Raises:
-            WorldSyntaxError: The world has too many nodes.
+            WorldSyntaxError: The world has too many nodes, or too many levels of them.
         """
+        count = 0
         for node in nodes:
-            self._expand(node, scope, "", 0)
+            count += self._expand(node, scope, "", (), 0).nodes
+            _check_extent(node, Extent(count, 1), 0)
+        return count
 
-    def _expand(self, node: Node, scope: Scope, slot: str, nested: int) -> None:
-        if id(node) in self._expanded_ids:
-            return
-        self._expanded_ids.add(id(node))
-        self._count += 1
-        if self._count > MAX_NODES:
-            raise WorldSyntaxError(node.span, f"the world has more than {MAX_NODES:,} nodes")
-        for name, value in node.fields.items():
-            for item in value.items:
-                if isinstance(item, Node):
-                    self._expand(item, scope, name, nested)
-        if node.type in node_types() and node.type not in scope.protos:
-            return
-        proto = self._proto(node, scope, slot)
-        if proto is None:
-            return
-        if nested >= MAX_NESTED_PROTOS:
-            self.findings.error(node.span, f"PROTO {node.type} contains itself")
-            _empty(node)
-            return
-        self._check_fields(node, proto)
-        node.interface = proto.interface
-        body = self._body(node, proto)
-        if body is None:
-            return
-        node.body = body
-        self._expand(body, Scope.of_proto(proto) if proto.source else scope, slot, nested + 1)
+    def _expand(self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
+        """Expand a node at a level of the world, in the bodies of PROTOs."""
+        extent = self._extents.get(node)
+        if extent is None:
+            _check_extent(node, Extent(1, 1), level)
+            extent = self._extents[node] = self._expand_once(node, scope, slot, outer, level + 1)
+        _check_extent(node, extent, level)
+        return extent
+
+    def _expand_once(
+        self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int
+    ) -> Extent:
+        inner = [
+            self._expand(item, scope, name, outer, level)
+            for name, value in node.fields.items()
+            for item in value.nodes
+        ]
+        is_proto = node.type not in node_types() or node.type in scope.protos
+        proto = self._proto(node, scope, slot) if is_proto else None
+        if proto is not None:
+            inner = []
+            if proto in outer:
+                self.findings.error(node.span, f"PROTO {node.type} contains itself")
+                _empty(node)
+            else:
+                self._check_fields(node, proto)
+                node.interface = proto.interface
+                node.body = self._body(node, proto)
+                inside = Scope.of_proto(proto) if proto.source else scope
+                if node.body is not None:
+                    inner = [self._expand(node.body, inside, slot, (*outer, proto), level)]
+        return Extent(
+            1 + sum(extent.nodes for extent in inner), 1 + max((extent.levels for extent in inner), default=0)
+        )
 
     def _proto(self, node: Node, scope: Scope, slot: str) -> Proto | None:
         """Return the definition of a node; a finding names one that is missing."""
@@ -142,6 +164,7 @@ class Expander:
         if path is None:
             return None
         source = self.files.read(path)
+        self._add_length(len(source.text), Span(source, 0, 0))
         document = parse(source, is_proto=True)
         proto = document.protos.get(name)
         if proto is None:
@@ -149,12 +172,18 @@ class Expander:
             self.findings.error(first_proto.span, f"PROTO {first_proto.name} in a file for {name}")
         return proto
 
+    def _add_length(self, length: int, span: Span) -> None:
+        self._length += length
+        if self._length > MAX_PROTO_BYTES:
+            raise WorldSyntaxError(
+                span, f"the PROTOs of the world are larger than {MAX_PROTO_BYTES >> 20} MiB"
+            )
+
     def _check_fields(self, node: Node, proto: Proto) -> None:
         for name, value in list(node.fields.items()):  # a copy: fields are deleted on the way
             entry = proto.interface.get(name)
             if entry is None:
-                near = nearest_word(name, proto.interface)
-                hint = f"did you mean '{near}'?" if near else "it is ignored"
+                hint = partial(did_you_mean, name, proto.interface, "it is ignored")
                 if not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
                     self.findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
                 del node.fields[name]
@@ -165,8 +194,11 @@ class Expander:
     def _body(self, node: Node, proto: Proto) -> Node | None:
         if isinstance(proto, library.LibraryProto):
             text = proto.build(node)
-            source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {{ {text} }}")
-            root = parse(source, is_proto=True).protos[proto.name].body[0]
+            self._add_length(len(text), node.span)
+            if text not in self._library_bodies:
+                source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {{ {text} }}")
+                self._library_bodies[text] = parse(source, is_proto=True).protos[proto.name].body[0]
+            root = self._library_bodies[text]
         elif proto.template:
             rendered = self._rendered(proto, node)
             if rendered is None:
@@ -194,6 +226,7 @@ class Expander:
         except TemplateError as error:
             self.findings.error(node.span, f"the template of PROTO {proto.name} {error}")
             return None
+        self._add_length(len(text), node.span)
         source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {text}")
         body = parse(source, is_proto=True).protos[proto.name].body
         if body:
@@ -210,9 +243,9 @@ class Expander:
             return memo[id(node)]
         copy = Node(node.type, node.span, node.name, is_internal=True)
         memo[id(node)] = copy
-        self._count += 1
-        if self._count > MAX_NODES:
-            raise WorldSyntaxError(instance.span, f"the world has more than {MAX_NODES:,} nodes")
+        self._clones += 1
+        if self._clones > MAX_NODES:
+            raise WorldSyntaxError(instance.span, _TOO_MANY_NODES)
         for name, value in node.fields.items():
             if not value.alias:
                 copy.fields[name] = self._clone_value(value, instance, interface, memo)
@@ -227,11 +260,25 @@ class Expander:
     def _clone_value(
         self, value: Value, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]
     ) -> Value:
+        if Node not in value.types:
+            return value
         items: list[Item] = [
             self._clone(item, instance, interface, memo) if isinstance(item, Node) else item
             for item in value.items
         ]
         return Value(value.span, items, value.in_brackets)
+
+
+def _check_extent(node: Node, extent: Extent, level: int) -> None:
+    """Check the limits of a world for a node at a level.
+
+    Raises:
+        WorldSyntaxError: The node stands for too many nodes or levels.
+    """
+    if extent.nodes > MAX_NODES:
+        raise WorldSyntaxError(node.span, _TOO_MANY_NODES)
+    if level + extent.levels > MAX_LEVELS:
+        raise WorldSyntaxError(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
 
 
 def _empty(node: Node) -> None:

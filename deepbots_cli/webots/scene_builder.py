@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION
+from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.nodes import (
     child,
     children,
@@ -40,9 +41,13 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import Files, World
+    from deepbots_cli.webots.shapes import Shape
     from deepbots_cli.webots.syntax import Node
 
 MAX_BODIES = 2000
+MAX_POINTS = 1_000_000
+"""The maximum number of points and heights of all bounding objects, each as often as it is used; a face counts
+as two points."""
 UNIT: Triple = (1.0, 1.0, 1.0)
 _UNSUPPORTED = frozenset(["Track", "Propeller", "Charger", "Fluid"])
 _DEVICE_SLOTS = ("device", "device2", "device3")
@@ -52,7 +57,7 @@ def build_scene(world: World) -> Scene:
     """Return the scene of a world, with its findings added to those of the world.
 
     Raises:
-        WorldError: The world has errors already.
+        WorldError: The world has errors already, or is too large.
     """
     world.findings.require_none()
     scene = Scene(world.nodes, world.files)
@@ -79,6 +84,8 @@ class _Site:
 class _Builder:
     def __init__(self, scene: Scene, files: Files, findings: WorldFindings) -> None:
         self.scene, self.files, self.findings = scene, files, findings
+        self._shapes: dict[tuple[Node, Triple], Shape | None] = {}
+        self._points = 0
 
     def read_world_info(self, info: Node) -> None:
         scene = self.scene
@@ -180,7 +187,7 @@ class _Builder:
 
     def _body(self, node: Node, parent: Body | None, frame: Frame, robot: Robot | None) -> Body:
         if len(self.scene.bodies) >= MAX_BODIES:
-            self.findings.error(node.span, f"the world has more than {MAX_BODIES:,} bodies")
+            raise _too_many(node, f"{MAX_BODIES:,} bodies")
         body = Body(len(self.scene.bodies), node, parent, frame, robot)
         body.velocity = vector(node, "linearVelocity"), vector(node, "angularVelocity")
         self.scene.bodies.append(body)
@@ -223,8 +230,13 @@ class _Builder:
             self._add_shape(node, body, frame, scale, owner)
 
     def _add_shape(self, node: Node, body: Body, frame: Frame, scale: Triple, owner: Node) -> None:
-        shape = shape_of(node, scale, self.files, self.findings)
+        if (node, scale) not in self._shapes:
+            self._shapes[node, scale] = shape_of(node, scale, self.files, self.findings)
+        shape = self._shapes[node, scale]
         if shape is not None:
+            self._points += len(shape.vertices) + 2 * len(shape.faces) + len(shape.heights)
+            if self._points > MAX_POINTS:
+                raise _too_many(node, f"{MAX_POINTS:,} points of meshes and grids")
             material = text(owner, "contactMaterial")
             reflection = _reflection(owner)
             body.geometries.append(Geometry(shape, frame, material, owner, 0.0, reflection))
@@ -410,6 +422,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     _Turn = Callable[[Triple], Triple]
+
+
+def _too_many(node: Node, limit: str) -> WorldError:
+    return WorldError([WorldFinding("error", node.span, f"the world has more than {limit}")])
 
 
 def _frame_of(node: Node) -> Frame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from math import pi
 from typing import TYPE_CHECKING, Literal
@@ -46,7 +47,7 @@ class Shape:
     heights: Sequence[float] = ()
     columns: int = 0
 
-    @property
+    @cached_property
     def volume(self) -> float:
         """In m^3; 0 for planes and grids."""
         match self.kind:

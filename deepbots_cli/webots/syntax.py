@@ -13,6 +13,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from math import isfinite
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Source, Span
@@ -22,23 +24,31 @@ from deepbots_cli.webots.findings import WorldFinding
 MAX_BYTES = 8 * 2**20
 """The maximum size of one file. The largest world of the four projects of deepworlds has 23 kB."""
 MAX_DEPTH = 64
-"""The maximum depth of nodes and lists in each other."""
-MAX_TOKENS = 1_500_000
-"""The maximum number of words in one file."""
+"""The maximum depth of nodes and lists in each other, with those that USE repeats."""
+MAX_TOKENS = 250_000
+"""The maximum number of words in one file; a number in a list of numbers is not a word."""
+MAX_NUMBERS = 1_000_000
+"""The maximum number of numbers in the lists of one file."""
+MAX_NODES = 20_000
+"""The maximum number of nodes of a file, and of a world with all that PROTO and USE stand for."""
 
 OLDEST_RELEASE = (2022, "a")
 """The first release whose worlds have z upward, and cylinders along z."""
 
-# Possessive in strings, so that one without an end costs linear time.
+_NUMBER = r"""[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s,\[\]{}"\#]|\Z)"""
+# Possessive, so that a string without an end costs linear time.
 _TOKEN = re.compile(
-    r"""[\s,]+|\#[^\n]*                # white space, commas and comments
-    |("[^"\\]*+(?:\\.[^"\\]*+)*")              # 1: a string
-    |([\[\]{}])                        # 2: a bracket
-    |([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s,\[\]{}"\#]|\Z))  # 3: a number
-    |([^\s,\[\]{}"\#]+)                # 4: a word
+    rf"""(?:[\s,]++|\#[^\n]*+)*+       # white space, commas and comments
+    (?:("[^"\\]*+(?:\\.[^"\\]*+)*+")  # 1: a string
+    |([\[\]{{}}])                      # 2: a bracket
+    |({_NUMBER})                      # 3: a number
+    |([^\s,\[\]{{}}"\#]+)              # 4: a word
+    |(\Z)                             # 5: the end
+    |("))                             # 6: a string without its end
     """,
     re.VERBOSE | re.DOTALL,
 )
+_NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})++")
 _NAME = re.compile(r"[^\W\d][\w.+-]*\Z")
 _HEADER = re.compile(r"#VRML_SIM\s+(\S+)\s+utf8")
 _RELEASE = re.compile(r"R(20\d\d)([a-z])")
@@ -87,6 +97,21 @@ class Value:
     items: list[Item]
     in_brackets: bool = False
     alias: str = ""
+
+    @cached_property
+    def types(self) -> set[type]:
+        """The types of the items."""
+        return set(map(type, self.items))
+
+    @cached_property
+    def is_finite(self) -> bool:
+        """Whether all numbers are finite."""
+        return all(isfinite(item) for item in self.items if isinstance(item, float))
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The items that are nodes."""
+        return [item for item in self.items if isinstance(item, Node)] if Node in self.types else []
 
 
 class Parameter(NamedTuple):
@@ -157,13 +182,21 @@ class _Token(NamedTuple):
     start: int
 
 
+class _Definition(NamedTuple):
+    """A node that has a name, and its depth; 0 before its end."""
+
+    node: Node
+    depth: int
+
+
 class _Parser:
     def __init__(self, source: Source) -> None:
         self.source, self.text = source, source.text
         if len(self.text) > MAX_BYTES:
             raise self._error(0, f"the file is larger than {MAX_BYTES >> 20} MiB")
-        self.definitions: dict[str, Node] = {}
-        self.depth = self.count = 0
+        self.last_statement = max(self.text.rfind("%<"), self.text.rfind("%{"))  # of a template
+        self.definitions: dict[str, _Definition] = {}
+        self.depth = self.deepest = self.words = self.numbers = self.nodes = 0
         self.token = _Token(0, "", 0)
         self.end = 0
         self.take()
@@ -173,20 +206,16 @@ class _Parser:
     def take(self) -> _Token:
         """Return the present token, and go to the next one."""
         before = self.token
-        while True:
-            if self.end >= len(self.text):
-                self.token = _Token(0, "", len(self.text))
-                return before
-            match = _TOKEN.match(self.text, self.end)
-            if match is None:
-                raise self._error(self.end, "a string without its end", 'write " after its last character')
-            self.end = match.end()
-            if match.lastindex is not None:
-                break
-        self.count += 1
-        if self.count > MAX_TOKENS:
-            raise self._error(match.start(), f"the file has more than {MAX_TOKENS:,} words")
-        self.token = _Token(match.lastindex, match[0], match.start())
+        match = _TOKEN.match(self.text, self.end)
+        assert match is not None  # any text begins with one of the alternatives
+        self.end = match.end()
+        kind = match.lastindex or 0
+        self.token = _Token(kind % 5, match[kind], match.start(kind))
+        if kind == 6:
+            raise self._error(self.token, "a string without its end", 'write " after its last character')
+        self.words += 1
+        if self.words > MAX_TOKENS:
+            raise self._error(self.token, f"the file has more than {MAX_TOKENS:,} words")
         return before
 
     def _span(self, token: _Token) -> Span:
@@ -270,7 +299,7 @@ class _Parser:
         if self.token.text != "{":
             raise self._unexpected("'{'")
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
-        if _is_template(self.text, self.token.start):
+        if self.last_statement > self.token.start:
             if not may_be_template:
                 message = f"PROTO {name.text} is a template, which only a file of its own may be"
                 raise self._error(name, message, f"write it as protos/{name.text}.proto")
@@ -330,9 +359,13 @@ class _Parser:
     def node(self, name: str = "") -> Node:
         token = self.word("the type of a node")
         node = Node(token.text, self._span(token), name)
+        self.nodes += 1
+        if self.nodes > MAX_NODES:
+            raise self._error(token, f"the file has more than {MAX_NODES:,} nodes")
         if name:
-            self.definitions[name] = node
+            self.definitions[name] = _Definition(node, 0)
         self.expect("{")
+        outer, self.deepest = self.deepest, self.depth
         self._deeper(token)
         while self.token.text != "}":
             if self.token.text in ("hidden", "unconnected"):
@@ -343,10 +376,14 @@ class _Parser:
             node.fields[key.text] = self.value()
         self.take()
         self.depth -= 1
+        if name:
+            self.definitions[name] = _Definition(node, self.deepest - self.depth)
+        self.deepest = max(outer, self.deepest)
         return node
 
-    def _deeper(self, token: _Token) -> None:
-        self.depth += 1
+    def _deeper(self, token: _Token, levels: int = 1) -> None:
+        self.depth += levels
+        self.deepest = max(self.deepest, self.depth)
         if self.depth > MAX_DEPTH:
             raise self._error(token, f"nodes are more than {MAX_DEPTH} levels deep")
 
@@ -358,7 +395,10 @@ class _Parser:
             self._deeper(first)
             value.in_brackets = True
             while self.token.text != "]" or self.token.kind != 2:
-                value.items.append(self.item())
+                if self.token.kind == 3:
+                    value.items += self.number_list()
+                else:
+                    value.items.append(self.item())
             self.depth -= 1
             self.take()
         elif first.text == "IS" and first.kind == 4:
@@ -370,6 +410,19 @@ class _Parser:
         else:
             value.items.append(self.item())
         return value
+
+    def number_list(self) -> list[float]:
+        """Return the present number and those that follow it."""
+        first = self.token
+        match = _NUMBERS.match(self.text, first.start)
+        assert match is not None
+        self.end = match.end()
+        self.take()
+        items = [float(text) for text in match[0].replace(",", " ").split()]
+        self.numbers += len(items)
+        if self.numbers > MAX_NUMBERS:
+            raise self._error(first, f"the file has more than {MAX_NUMBERS:,} numbers")
+        return items
 
     def item(self) -> Item:
         token = self.token
@@ -389,7 +442,12 @@ class _Parser:
             name = self.take().text
             if name not in self.definitions:
                 raise self._error(token, f"USE of '{name[:40]}', which no DEF names before")
-            return self.definitions[name]
+            node, depth = self.definitions[name]
+            if not depth:
+                raise self._error(token, f"USE of '{name[:40]}' within itself")
+            self._deeper(token, depth)
+            self.depth -= depth
+            return node
         if token.text == "DEF":
             self.take()
             return self.node(self.take().text)
@@ -397,9 +455,4 @@ class _Parser:
 
 
 def _unquoted(text: str) -> str:
-    return re.sub(r"\\(.)", r"\1", text[1:-1], flags=re.DOTALL)
-
-
-def _is_template(text: str, start: int) -> bool:
-    """Return whether the body of a PROTO contains a statement in JavaScript or Lua."""
-    return "%<" in text[start:] or "%{" in text[start:]
+    return "\\".join(part.replace("\\", "") for part in text[1:-1].split("\\\\"))
