@@ -12,7 +12,7 @@ from typing import Any
 from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise, usual_settings
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, Trend, usual_settings
 from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.learning.runs.order import measure_of
 
@@ -46,7 +46,7 @@ def one_ending(evidence: TrainingEvidence) -> Numbers | None:
         not is_failure
         or share < 0.9
         or len(evidence.program.endings) < 2
-        or returns_rise(evidence) is not None
+        or evidence.return_trend.direction == "rises"
     ):
         return None
     return {
@@ -153,24 +153,25 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
     advice="{advice}",
 )
 def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
-    length = training_length(evidence)
-    rise = returns_rise(evidence)
-    subject = f"stage '{evidence.stage}'" if evidence.stage else "the training"
-    if rise is not None and plateau(evidence) is None:
-        first, last, gain, chance = rise
-        numbers = {**length, "first": first, "last": last, "gain": gain, "chance": chance}
-        if (too_slow := _too_slow(evidence, last, gain)) is not None:
+    length, success, trend = training_length(evidence), evidence.success_trend, evidence.return_trend
+    measure, form = "mean return", "{:.3g}"
+    if success.direction == "rises":
+        measure, form, trend = "success rate", "{:.1%}", success
+    elif plateau(evidence) is not None:
+        return None
+    if trend.direction == "rises":
+        numbers = {**length, "first": trend.before, "last": trend.late, "gain": trend.gain}
+        if measure == "mean return" and (too_slow := _too_slow(evidence, trend)) is not None:
             return {**numbers, **too_slow}
-        mean = (
-            f"the mean return of the last quarter of {subject} is {last:.3g}, {gain:.3g} above that of the"
-            " first half"
-        )
+        before, late = (form.format(value) for value in (trend.before, trend.late))
+        whole = f"stage '{evidence.stage}'" if evidence.stage else "the training"
         return {
             **numbers,
             "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
-            "finding": f"The policy still learns: {mean}",
+            "finding": f"The policy still learns: the {measure} rises from {before} in the second quarter of"
+            f" {whole} to {late} in the last one",
         }
-    if length["share"] >= 0.5 or evidence.is_running or rise is not None:
+    if length["share"] >= 0.5 or evidence.is_running:
         return None
     result = None if evidence.earlier_solved is None else evidence.earlier_solved[0].record.result
     if evidence.earlier_solved is None or result is None:
@@ -182,16 +183,15 @@ def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
     return {**length, "likelihood": _SHORTER_LIKELIHOOD, "finding": finding}
 
 
-def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str, Any] | None:
+def _too_slow(evidence: TrainingEvidence, trend: Trend) -> dict[str, Any] | None:
     """Return what to change if the mean return of `solved` is many trainings away; None if it is not.
 
-    The return is extrapolated: it goes on to rise as from the first half of the training to its last quarter.
+    The return is extrapolated: it goes on to rise as from the second quarter of the training to its last one.
     """
     solved = evidence.program.agent.solved
     if solved is None or solved.mean_return is None or not evidence.is_last_stage:
         return None
-    early, late = evidence.episodes_between(0.0, 0.5), evidence.episodes_between(0.75, 1.0)
-    steps = (solved.mean_return - last) * float(late.steps.mean() - early.steps.mean()) / gain
+    steps = (solved.mean_return - trend.late) * 0.5 * evidence.stage_steps / trend.gain
     if steps <= _FAR * max(evidence.planned, evidence.steps):
         return None
     settings, change = {}, "reward progress towards the task in small steps, or let a script teach the policy"
@@ -202,8 +202,8 @@ def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str,
     return {
         "likelihood": 0.6,
         "finding": "The policy learns too slowly: the mean return of the last quarter of the training is"
-        f" {last:.3g}, {gain:.3g} above that of the first half. At this rate, {solved.mean_return:g} is about"
-        f" {float(f'{steps:.2g}'):,.0f} steps away",
+        f" {trend.late:.3g}, {trend.gain:.3g} above that of the second. At this rate, {solved.mean_return:g}"
+        f" is about {float(f'{steps:.2g}'):,.0f} steps away",
         "left": steps,
         "advice": f"Change something before you train longer: {change}.",
         "settings": {} if evidence.is_running else settings,

@@ -14,7 +14,7 @@ from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, returns_rise
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return
 
 _LIMITS = ("max_steps", "max_time")
 _CLEARLY_MORE = 0.05
@@ -463,7 +463,7 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
         SuccessRate(window.successes)
         for window in (evidence.episodes_between(0.0, 0.25), evidence.episodes_between(0.75, 1.0))
     ]
-    rise, term = returns_rise(evidence), rising_term(evidence)
+    returns, success, term = evidence.return_trend, evidence.success_trend, rising_term(evidence)
     rising = (
         "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
     )
@@ -484,15 +484,16 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
         return {**numbers, "likelihood": 0.925, "how": how}
     falls = rates[1].high < rates[0].low
     flat = (
-        plateau(evidence) is not None
+        success.direction in ("falls", "no longer rises")
+        and plateau(evidence) is not None
         and rates[1].rate <= rates[0].rate + 0.03
         and hides_success(evidence) is None
     )
-    if rise is None or not (falls or flat):
+    if returns.direction != "rises" or not (falls or flat):
         return None
     how = (
-        f"the mean return of the last quarter is {rise[1]:.3g}, {rise[2]:.3g} above that of the first"
-        " half, and the success rate "
+        f"the mean return of the last quarter is {returns.late:.3g}, {returns.gain:.3g} above that of the"
+        " second, and the success rate "
     )
     how += f"went from {rates[0]} in the first quarter to {rates[1]} in the last one"
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}

@@ -13,7 +13,7 @@ import numpy as np
 from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.insight.training import MIN_EPISODES, MIN_QUARTER, TrainingEvidence, Trend
 from deepbots_cli.learning.runs.draws import DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.program.levels import SUCCESS
@@ -24,9 +24,6 @@ from deepbots_cli.rollout.source import Source
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_MIN_QUARTER = 30
-"""Episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat."""
-_BINS = 20  # parts of a stage in which a plateau is sought
 _RARE = 0.03  # a success rate that is as good as none
 _MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
 _CHANCE = 1e-4  # of a value that has nothing to do with success to be named, over all values
@@ -151,13 +148,12 @@ def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:
     before = evidence.stages[evidence.stage_index - 1].name
     was = SuccessRate(evidence.episodes_of(before).successes[-100:])
     now = SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes)
-    rise = _rate(evidence.episodes_by_steps(0.75, 1.0)) - _rate(evidence.episodes_by_steps(0.5, 0.75))
     if (
         min(was.episodes, now.episodes) < MIN_EPISODES
         or was.rate < 0.5
         or now.rate > 0.1
         or now.high > 0.6 * was.low
-        or rise > 0.05
+        or evidence.success_trend.direction == "rises"
     ):
         return None
     if evidence.late_success.rate > 0.3:
@@ -277,14 +273,13 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
         return None
     third, last = (_measured(evidence.episodes_by_steps(*span), until) for span in ((0.5, 0.75), (0.75, 1.0)))
     if (
-        min(len(third), len(last)) < _MIN_QUARTER
+        min(len(third), len(last)) < MIN_QUARTER
         or last.mean() >= until.threshold
         or hides_success(evidence) is not None
     ):
         return None
-    error = float(np.hypot(third.std() / np.sqrt(len(third)), last.std() / np.sqrt(len(last))))
-    # At this pace, the criterion would take as long again as the whole stage.
-    if last.mean() - third.mean() > max(1.5 * error, 0.2 * (until.threshold - last.mean())):
+    trend = evidence.success_trend if until.metric == "success_rate" else evidence.return_trend
+    if trend.direction == "rises":
         return None
     if evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95:
         return None  # it is learned: an easy stage that counts
@@ -335,82 +330,48 @@ def _stays_rare(evidence: TrainingEvidence) -> bool:
     third, last = evidence.episodes_by_steps(0.5, 0.75), evidence.episodes_by_steps(0.75, 1.0)
     return (
         evidence.is_mature
-        and min(len(third), len(last)) >= _MIN_QUARTER
+        and min(len(third), len(last)) >= MIN_QUARTER
         and max(_rate(third), _rate(last)) <= _RARE
     )
 
 
-def plateau(evidence: TrainingEvidence) -> tuple[int, float, float] | None:
-    """Return the step since which the success rate of the present stage has been flat, and the lowest and
-    highest rate since then.
-
-    It is flat if it did not rise over the last half of the stage, also without exploration. The result is
-    None if success is rare, or nearly certain.
-    """
+def plateau(evidence: TrainingEvidence) -> Trend | None:
+    """Return the trend of the success rate of the present stage if it does not rise, by `trend_of`; None if
+    success is rare, or nearly certain, and in the first half of the planned steps."""
     if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    quarters = [evidence.episodes_by_steps(k / 4, (k + 1) / 4).successes for k in (1, 2, 3)]
-    if min(map(len, quarters)) < _MIN_QUARTER:
+    trend, late = evidence.success_trend, evidence.episodes_by_steps(0.5, 1.0)
+    if trend == Trend() or trend.direction == "rises" or _rate(late) > 0.9:
         return None
-    rates = [float(successes.mean()) for successes in quarters]
-    chance = [0.5 * np.sqrt(0.25 / len(successes) + 0.25 / len(quarters[2])) for successes in quarters]
-    if (
-        rates[2] - rates[1] > 0.05 + chance[1]
-        or rates[2] - rates[0] > 0.1 + chance[0]
-        or fmean(rates[1:]) > 0.9
-    ):
-        return None
-    quarter, middle = (evidence.first_step + share * evidence.stage_steps for share in (0.25, 0.5))
-    early = [
-        float(s)
-        for evaluation in evidence.evaluations
-        if quarter < evaluation.get("steps", np.inf) < middle
-        for s in evaluation["successes"]
-    ]
-    if early and evidence.late_success.rate > max(0.9, fmean(early) + 0.15):
-        return None
-    bins = [evidence.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
-    late, first = fmean(rates[1:]), _BINS
-    while first and (
-        not len(last_bin := bins[first - 1])
-        or abs(last_bin.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(last_bin))
-    ):
-        first -= 1
-    first = min(first, _BINS // 2)
-    levels = [
-        float(successes.mean()) for successes in bins[first:] if len(successes) >= MIN_EPISODES
-    ] or rates[1:]
-    return round(evidence.first_step + first / _BINS * evidence.stage_steps), min(levels), max(levels)
+    return trend
 
 
 @statement(
     "success_plateau",
-    "The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}."
-    " In the second half of {half_of}, the policy succeeds in {success}.",
+    "{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which is {change}."
+    " In the second half of {whole}, the policy succeeds in {success}.",
     advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
-    " diagnose RUN --episode failed` shows which condition they miss. More steps alone are unlikely"
-    " to help.",
+    " diagnose RUN --episode failed` shows which condition they miss.{more}",
 )
 def success_plateau(evidence: TrainingEvidence) -> Numbers | None:
-    level = plateau(evidence)
+    trend = plateau(evidence)
     if (
-        level is None
+        trend is None
         or some_starts_fail(evidence) is not None
         or stuck_in_stage(evidence) is not None
         or hides_success(evidence) is not None
     ):
         return None
-    since, low, high = level
-    late = SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes)
     return {
-        "likelihood": 0.6,
-        "since": since,
-        "low": Percentage(low),
-        "high": Percentage(high),
-        "steps": evidence.steps,
-        "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
-        "half_of": "the stage" if evidence.stage else "the training",
-        "success": late,
+        "likelihood": 0.6 if trend.direction else 0.45,
+        "verdict": f"The success rate {trend.direction or 'may still rise'}",
+        "before": Percentage(trend.before),
+        "late": Percentage(trend.late),
+        "change": f"{100 * trend.gain:+.1f} percentage points (95 % interval {100 * trend.low:+.1f} to"
+        f" {100 * trend.high:+.1f})",
+        "whole": f"stage '{evidence.stage}'" if evidence.stage else "the training",
+        "success": SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes),
+        "more": " More steps alone are unlikely to help." if trend.direction else " More steps may help.",
     }
 
 
@@ -422,7 +383,8 @@ def success_plateau(evidence: TrainingEvidence) -> Numbers | None:
     " train more on these starts, for example with a curriculum that draws them more often at first.",
 )
 def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
-    is_flat = plateau(evidence) is not None or stuck_in_stage(evidence) is not None
+    trend = plateau(evidence)
+    is_flat = trend is not None or stuck_in_stage(evidence) is not None
     if not is_flat and not evidence.final_episodes:  # they may still be learned
         return None
     source, episodes = _episodes_with_draws(evidence)
@@ -449,7 +411,9 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         for b in parts
     ]
     shares = "; ".join(f"{_range(part, label)} {part.success_rate:.0%}" for part in parts)
-    flat = "The success rate no longer rises, and it" if is_flat else "Success"
+    flat = (
+        f"The success rate {trend.direction}, and it" if trend is not None and trend.direction else "Success"
+    )
     sees = evidence.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
     return {
@@ -579,7 +543,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
     )
-    if share >= 0.8 and not returns_rise(evidence):
+    if share >= 0.8 and evidence.return_trend.direction != "rises":
         though = (
             f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is"
             " in a local optimum of this term"

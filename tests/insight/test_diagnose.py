@@ -63,7 +63,7 @@ def test_a_rise_that_is_far_from_its_goal_is_not_advised_to_go_on(short):
     (cause,) = diagnose(with_logs(short, 30 + np.arange(200) / 400 + noise))
     assert cause.cause == "too_few_steps"
     assert cause.text.startswith("The policy learns too slowly: ")
-    assert "At this rate, 195 is about 2,100,000 steps away" in cause.text
+    assert "At this rate, 195 is about 2,200,000 steps away" in cause.text
     assert cause.advice.startswith("Change something before you train longer: ")
     assert "resume" not in cause.command
     assert "train.total_timesteps" not in cause.settings
@@ -204,6 +204,26 @@ def test_a_success_rate_that_is_flat_is_a_plateau_whatever_the_return_does(carri
     assert causes_of(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == [
         "too_few_steps"
     ]
+
+
+@pytest.mark.parametrize(
+    ("rates", "expected"),
+    [
+        ((0.01, 0.06), "The policy still learns: the success rate rises from 3.1% "),
+        ((0.05, 0.12), "The policy still learns: the success rate rises from "),
+        ((0.5, 0.58), "The success rate may still rise: it was 53% "),
+        ((0.3, 0.3), "The success rate no longer rises: it was 30% "),
+        ((0.0, 0.6, 0.6, 0.6, 0.6), "The success rate no longer rises: it was 60% "),
+        ((0.0, 0.6, 0.5, 0.4), "The success rate falls: it was 56% "),
+    ],
+)
+def test_a_success_rate_that_rises_slowly_is_not_said_to_rise_no_longer(carriage, rates, expected):
+    """In 1,700 episodes, whose successes are spread as evenly as their rate allows."""
+    rate = np.interp(np.linspace(0, 1, 1700), np.linspace(0, 1, len(rates)), rates)
+    good = np.diff(np.floor(np.cumsum(rate)), prepend=0.0)
+    texts = [cause.text for cause in diagnose(with_logs(carriage, 5 * good, np.full(1700, 60), success=good))]
+    assert any(text.startswith(expected) for text in texts), texts
+    assert ("no longer rises" in expected) == any("no longer rises" in text for text in texts)
 
 
 def test_the_starts_that_fail_are_named_with_the_value_that_they_draw(carriage):
