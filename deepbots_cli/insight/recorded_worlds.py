@@ -6,8 +6,9 @@ values are those of the observation, in SI units, and the reward terms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from itertools import islice
 from math import inf
 from typing import Any, NamedTuple
@@ -18,7 +19,8 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
+from deepbots_cli.insight.conditions import Comparison, InstrumentedProgram, instrument_program, measure
+from deepbots_cli.insight.missed import inner_comparisons
 from deepbots_cli.insight.world_changes import Act, Array
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program
@@ -28,8 +30,8 @@ from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_cli.words import counted, sentence_list, unit_text
 
 EPISODES, MAX_STEPS = 6, 100
-"""The number of compared episodes, and the largest number of steps of each. A small difference grows, so late
-steps say nothing more about its cause."""
+"""The number of compared episodes, and the largest number of steps of each if all end alike. A small difference
+grows, so later steps say nothing more about its cause."""
 _THRESHOLD = 0.01
 """Two values of a number differ if they are further apart than this share of the width that the number spans
 in the first world."""
@@ -49,6 +51,8 @@ _MAX_SAME_SHARE = 1e-3
 same effect."""
 REWARD = "reward."
 """The prefix of the name of a reward term."""
+CONDITION = "share of steps with "
+"""The prefix of the name of a condition of a success."""
 _UNITS = {
     57.29577951308232: "in degrees instead of radians",
     0.017453292519943295: "in radians instead of degrees",
@@ -64,9 +68,11 @@ class EngineWorld(NamedTuple):
 
     program: Program
     engine: str | None
+    permissions: Permissions = Permissions()
 
 
-class Difference(NamedTuple):
+@dataclass(frozen=True)
+class Difference:
     """A number of the observation, or a reward term, that differs.
 
     Attributes:
@@ -95,13 +101,7 @@ class RecordedEpisode(NamedTuple):
     start: Start
     actions: Sequence[Any]
     values: Array
-
-
-class ChangeEffect(NamedTuple):
-    """Changes with the same effect, and the values of all episodes with one of them."""
-
-    texts: list[str]
-    values: list[Array]
+    is_success: bool = False
 
 
 class ValueColumn(NamedTuple):
@@ -121,7 +121,17 @@ def columns_of(watch: InstrumentedProgram) -> list[ValueColumn]:
             if number.name in signals
         ),
         *(ValueColumn(f"{REWARD}{term.name}", "") for term in watch.program.agent.reward),
+        *(ValueColumn(f"{CONDITION}{leaf.text}", "") for leaf in _success_conditions(watch)),
     ]
+
+
+def _success_conditions(watch: InstrumentedProgram) -> list[Comparison]:
+    """Return the comparisons of the successes, each text once."""
+    conditions = (watch.conditions.get(name) for name in (*watch.program.agent.success, "goal_reached"))
+    leaves = [
+        leaf for condition in conditions if condition is not None for leaf in inner_comparisons(condition)
+    ]
+    return [*{leaf.text: leaf for leaf in leaves}.values()]
 
 
 def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
@@ -132,13 +142,15 @@ def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
 
 class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """A world that records the actions of an episode, and its values: those of the observation in SI units,
-    and the reward terms."""
+    the reward terms, and the conditions of the successes (1 or 0). `act` changes the actions."""
 
-    def __init__(self, world: EngineWorld, permissions: Permissions) -> None:
+    def __init__(self, world: EngineWorld) -> None:
         self._watch = instrument_program(world.program, include_observation=True)
-        self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=permissions)
+        self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=world.permissions)
         super().__init__(self._supervisor)
         self.actions: list[Any] = []
+        self.act: Act = lambda action: action
+        self._conditions = _success_conditions(self._watch)
         self._rows: list[list[float]] = []
 
     def reset(
@@ -154,7 +166,7 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return outcome
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        outcome = self.env.step(action)
+        outcome = self.env.step(self.act(action))
         self.actions.append(action)
         self._note()
         return outcome
@@ -168,6 +180,7 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
             [
                 *(number for name in _kept_signals(self._watch).values() for number in values[name]),
                 *terms.values(),
+                *(float(measure(leaf, values).holds) for leaf in self._conditions),
             ]
         )
 
@@ -181,44 +194,66 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return np.array(self._rows, float)
 
 
+World = EngineWorld | RecordingWrapper
+"""A world to build, or one that exists."""
+
+
+ChangedWorld = tuple[World, Act | None]
+"""A world, and the change of the actions in it."""
+
+
+@dataclass
+class ChangeEffect:
+    """Changes with the same effect, the values of all episodes with one of them, and the world with it; None
+    for a change of measured numbers only."""
+
+    texts: list[str]
+    values: list[Array]
+    world: Callable[[], ChangedWorld] | None = None
+
+
+@contextmanager
+def _recorder(world: World, act: Act | None) -> Iterator[RecordingWrapper]:
+    """Yield the recorder of a world, and close it if it is built here."""
+    recorder = RecordingWrapper(world) if isinstance(world, EngineWorld) else world
+    recorder.act = act or (lambda action: action)
+    with closing(recorder) if recorder is not world else nullcontext():
+        yield recorder
+
+
 def record_episodes(
-    run: Run, world: EngineWorld, model: ModelName, seed: int, episodes: int, permissions: Permissions
+    run: Run,
+    world: World,
+    model: ModelName,
+    starts: Iterable[Start],
+    *,
+    act: Act | None = None,
+    max_steps: int | None = None,
 ) -> list[RecordedEpisode]:
-    """Return episodes of the policy of a run in a world, from the starts of an evaluation with this seed."""
+    """Return episodes of the policy of a run in a world, of at most `max_steps` steps."""
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
-    episodes_recorded = []
-    with torch_settings(), closing(RecordingWrapper(world, permissions)) as recorder:
+    recorded = []
+    with torch_settings(), _recorder(world, act) as recorder:
         driver = PolicyDriver(load_model(run, model, recorder), recorder, deterministic=True)
-        for number in range(episodes):
-            start = Start.of_evaluation(seed, number)
-            for _ in islice(steps(recorder, driver, start), MAX_STEPS + 1):
-                pass
-            episodes_recorded.append(RecordedEpisode(start, recorder.actions, recorder.values))
-    return episodes_recorded
+        for start in starts:
+            *_, step = islice(steps(recorder, driver, start), None if max_steps is None else max_steps + 1)
+            is_success = bool(step.info.get("is_success"))
+            recorded.append(RecordedEpisode(start, recorder.actions, recorder.values, is_success))
+    return recorded
 
 
-def repeat_episodes(
-    world: EngineWorld, recorded: Sequence[RecordedEpisode], permissions: Permissions
-) -> list[Array]:
-    """Return the values of each episode with its start and actions in a world."""
-    with closing(RecordingWrapper(world, permissions)) as recorder:
-        return repeat_episodes_in(recorder, recorded)
-
-
-def repeat_episodes_in(
-    recorder: RecordingWrapper, recorded: Sequence[RecordedEpisode], act: Act = lambda action: action
-) -> list[Array]:
-    """Return the values of each episode with its start and actions in a world that exists; `act` changes the
-    actions."""
+def repeat_episodes(world: World, recorded: Sequence[RecordedEpisode], act: Act | None = None) -> list[Array]:
+    """Return the values of each episode with its start and actions in a world; `act` changes the actions."""
     values = []
-    for episode in recorded:
-        driver = sequence_driver([act(action) for action in episode.actions])
-        with suppress(EvaluationError):  # an ending is true at the reset
-            for _ in islice(steps(recorder, driver, episode.start), len(episode.actions) + 1):
-                pass
-        values.append(recorder.values)
+    with _recorder(world, act) as recorder:
+        for episode in recorded:
+            again = steps(recorder, sequence_driver(episode.actions), episode.start)
+            with suppress(EvaluationError):  # an ending is true at the reset
+                for _ in islice(again, len(episode.actions) + 1):
+                    pass
+            values.append(recorder.values)
     return values
 
 
@@ -244,7 +279,9 @@ class ValueComparison:
         self._second = [*repeated]
         # A number that never changes has no width to divide by.
         self._width = np.maximum(np.ptp(np.vstack(self._first), axis=0), 1e-9) if width is None else width
-        self._numbers = [index for index, column in enumerate(columns) if not column.name.startswith(REWARD)]
+        self._numbers = [
+            index for index, column in enumerate(columns) if not column.name.startswith((REWARD, CONDITION))
+        ]
         self._base = self._errors(self._first)
         self._early = [self._small_until(*pair) for pair in zip(self._first, self._second, strict=True)]
 
@@ -261,7 +298,7 @@ class ValueComparison:
         """
         squares = []
         for candidate, second, usual, most in zip(
-            values, self._second, self._first, until or [MAX_STEPS + 1] * len(self._first), strict=True
+            values, self._second, self._first, until or map(len, self._first), strict=True
         ):
             length = min(len(usual), len(second), most)
             count = min(length, len(candidate))
@@ -333,8 +370,12 @@ class ValueComparison:
         numbers = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
         recorded, repeated = [], []
         for number in numbers:
-            length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
-            start, actions, values = self.recorded[number]
+            start, actions, values, _ = self.recorded[number]
+            repeated_values = self._second[number]
+            length = min(len(values), len(repeated_values))
+            apart_numbers = np.abs(values[:length] - repeated_values[:length])[:, self._numbers]
+            begin = np.argmax((apart_numbers > _THRESHOLD * self._width[self._numbers]).any(axis=1))
+            length = min(max(self._early[number], _LEAST_STEPS + 1), int(begin) + _PROBED_STEPS + 1)
             recorded.append(RecordedEpisode(start, actions[: length - 1], values[:length]))
             repeated.append(self._second[number][:length])
         return ValueComparison(self._columns, recorded, repeated, self._width)
@@ -348,6 +389,8 @@ class ValueComparison:
         """Return the columns that differ, in the order in which they begin to."""
         rows = []
         for index, column in enumerate(self._columns):
+            if column.name.startswith(CONDITION):
+                continue
             first: tuple[int, int] | None = None
             for number, (first_values, second_values) in enumerate(
                 zip(self._first, self._second, strict=True)

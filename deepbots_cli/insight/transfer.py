@@ -167,7 +167,10 @@ def transfer(
     settings["episodes"] = first.episodes
     second = evaluate(run, scenario=scenario, engine=engine, **settings)
     program = trained_in.program if scenario is None else scenario.program
-    worlds = EngineWorld(trained_in.program, run.record.engine), EngineWorld(program, engine)
+    worlds = (
+        EngineWorld(trained_in.program, run.record.engine, permissions),
+        EngineWorld(program, engine, permissions),
+    )
     watch = on_world or (lambda count, planned: None)
     comparison = compare_worlds(
         run,
@@ -176,7 +179,7 @@ def transfer(
         seed=root,
         model=model,
         episodes=EPISODES if max_steps == inf else QUICK_EPISODES,
-        permissions=permissions,
+        outcomes=[*zip(first.outcomes, second.outcomes, strict=True)],
         on_world=watch,
     )
     robustness = None

@@ -20,27 +20,31 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, exp, floor, log
-from typing import NamedTuple, TypeVar
+from statistics import fmean
+from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from deepbots_cli.document import Document, MappingNode, Permissions
+from deepbots_cli.document import Document, MappingNode
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.recorded_worlds import (
     EPISODES,
+    MAX_STEPS,
     REWARD,
+    ChangedWorld,
     ChangeEffect,
     Difference,
     EngineWorld,
     RecordedEpisode,
     RecordingWrapper,
+    ValueColumn,
     ValueComparison,
+    World,
     columns_of,
     record_episodes,
     repeat_episodes,
-    repeat_episodes_in,
 )
 from deepbots_cli.insight.world_changes import (
     Act,
@@ -64,6 +68,8 @@ from deepbots_cli.learning.robustness import (
     plans,
 )
 from deepbots_cli.learning.runs.run import ModelName, Run
+from deepbots_cli.program import Program
+from deepbots_cli.rollout import Episode, Start
 
 T = TypeVar("T")
 
@@ -84,14 +90,41 @@ _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _MAX_JOINED = 3
 """The number of changes with the same effect that are named; more are counted."""
+_PHASE, _LATEST = 50, 1_000
+"""The steps before outcomes part that are compared, and the latest step at which they may part."""
+_CLEARLY_APART, _MOST_APART = 0.1, 6
+"""The least difference of two means in this phase, as a share of the width, and the number that is kept."""
+_CHECKED, _CHECKED_EPISODES = 3, 20
+"""The causes whose effect on the success is evaluated, and the episodes of each evaluation."""
+_LEAST_SUCCESS = 0.2
+"""The difference of two success rates from which causes are evaluated by it."""
 
 
-class Cause(NamedTuple):
-    """A change of the first world that makes it more like the other one. `explained` is the share of the
-    squared differences that it removes."""
+@dataclass(frozen=True)
+class Cause:
+    """A change of the first world that makes it more like the other one.
+
+    `explained` is the share of the squared differences that it removes. `success` is the success rate of the
+    policy in the first world with this change, and `explained_success` the share of the difference between
+    the success rates in the two worlds that it makes; None where this was not evaluated.
+    """
 
     text: str
     explained: float
+    success: float | None = None
+    explained_success: float | None = None
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The steps before the outcomes of the policy part: `episodes` of `of` end in another way in the other
+    world. `first` and `last` are the range of these steps, and `differences` the largest of their means."""
+
+    episodes: int
+    of: int
+    first: int
+    last: int
+    differences: tuple[Difference, ...]
 
 
 @dataclass(frozen=True)
@@ -99,7 +132,8 @@ class WorldComparison:
     """The result of a comparison: `differences` in the order in which they begin, `causes` from the one that
     explains most, and in words the kinds of changes `tried`.
 
-    A cause explains numbers of the observation, so there is none if only reward terms differ.
+    A cause explains numbers of the observation, so there is none if only reward terms differ. `success` holds
+    the success rates in both worlds, in the episodes in which causes are evaluated by it.
     """
 
     episodes: int
@@ -107,6 +141,8 @@ class WorldComparison:
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
     tried: tuple[str, ...] = ()
+    parting: Parting | None = None
+    success: tuple[float, float] | None = None
 
     @property
     def observation_differs(self) -> bool:
@@ -122,10 +158,10 @@ def compare_worlds(
     seed: int,
     model: ModelName = "best",
     episodes: int = EPISODES,
-    permissions: Permissions = Permissions(),
+    outcomes: Sequence[tuple[Episode, Episode]] = (),
     on_world: Callable[[int, int], object] = lambda count, planned: None,
 ) -> WorldComparison:
-    """Compare two worlds by the actions of a policy.
+    """Compare two worlds by the actions of a policy, up to the step in which its outcomes part.
 
     Args:
         run: The run of the policy.
@@ -133,6 +169,7 @@ def compare_worlds(
         second: The world that repeats its actions.
         document: The scenario of `first`, from `robustness.base_document`.
         seed: Root seed of the starts.
+        outcomes: The episodes of the evaluations with this seed, in both worlds.
         on_world: Called in each of four rounds, with the number of kinds of changes done, and of all.
 
     Raises:
@@ -143,16 +180,30 @@ def compare_worlds(
             f"{first.program.name} has copies of a robot, whose worlds cannot be compared step by step"
         )
     columns = columns_of(instrument_program(first.program, include_observation=True))
-    recorded = record_episodes(run, first, model, seed, episodes, permissions)
-    comparison = ValueComparison(columns, recorded, repeat_episodes(second, recorded, permissions))
-    result = WorldComparison(
-        len(recorded), max(len(episode.actions) for episode in recorded), tuple(comparison.differences()), ()
-    )
+    parted = [number for number, (here, there) in enumerate(outcomes) if _end(here) != _end(there)]
+    late = [number for number in parted if _parting_step(outcomes[number]) <= _LATEST][:episodes]
+    numbers = [*late, *(number for number in range(episodes) if number not in late)][:episodes]
+    longest = max([MAX_STEPS, *(_parting_step(outcomes[number]) for number in late)])
+
+    def record(
+        world: World, numbers: Iterable[int], max_steps: int | None, act: Act | None = None
+    ) -> list[RecordedEpisode]:
+        starts = (Start.of_evaluation(seed, number) for number in numbers)
+        return record_episodes(run, world, model, starts, act=act, max_steps=max_steps)
+
+    recorded = record(first, numbers, longest)
+    comparison = ValueComparison(columns, recorded, repeat_episodes(second, recorded))
+    parting = None
+    if late:
+        pairs = [*zip(recorded, record(second, late, longest), strict=False)]
+        parting = Parting(len(parted), len(outcomes), *_phase(columns, pairs))
+    size = len(recorded), max(len(episode.actions) for episode in recorded)
+    result = WorldComparison(*size, tuple(comparison.differences()), (), parting=parting)
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
-    with closing(RecordingWrapper(first, permissions)) as unchanged:
-        kinds = [*_kinds(first, unchanged, document, permissions)]
+    with closing(RecordingWrapper(first)) as unchanged:
+        kinds = [*_kinds(first, unchanged, document)]
         for row in _simulated_causes(comparison, kinds, on_world):
             duplicate = next(
                 (other for other in rows if comparison.all_same([other.values], [row.values])), None
@@ -161,11 +212,64 @@ def compare_worlds(
                 rows.append(row)
             else:
                 duplicate.texts.extend(row.texts)
-    causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
-    likely = sorted(
-        (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
-    )  # stable
-    return replace(result, causes=tuple(likely), tried=(_MEASURED, *tried_amounts(kinds)))
+                duplicate.world = duplicate.world or row.world
+        explained = [(comparison.explained(row.values), row) for row in rows]
+        likely = [(share, row) for share, row in explained if share >= _LEAST_EXPLAINED]
+        likely.sort(key=lambda pair: -pair[0])  # stable
+        causes = [Cause(_either(row.texts), share) for share, row in likely]
+        success = _success_rates(first.program, outcomes)
+        if success is not None:
+            count = len(outcomes[:_CHECKED_EPISODES])
+            for index, (_, row) in enumerate(likely[:_CHECKED]):
+                if row.world is not None:
+                    changed, act = row.world()
+                    rate = fmean(episode.is_success for episode in record(changed, range(count), None, act))
+                    share = (success[0] - rate) / (success[0] - success[1])
+                    causes[index] = replace(causes[index], success=rate, explained_success=share)
+    return replace(result, causes=tuple(causes), tried=(_MEASURED, *tried_amounts(kinds)), success=success)
+
+
+def _end(episode: Episode) -> tuple[bool, str | None]:
+    return episode.is_success, episode.ended_by
+
+
+def _parting_step(pair: tuple[Episode, Episode]) -> int:
+    """Return the step in which the outcomes of an episode in two worlds part: the earlier one of their ends."""
+    return min(episode.length for episode in pair)
+
+
+def _success_rates(
+    program: Program, outcomes: Sequence[tuple[Episode, Episode]]
+) -> tuple[float, float] | None:
+    """Return the success rates in both worlds of the episodes in which causes are evaluated, if they differ."""
+    if not program.defines_success or not outcomes:
+        return None
+    first, second = (
+        fmean(episode.is_success for episode in world)
+        for world in zip(*outcomes[:_CHECKED_EPISODES], strict=True)
+    )
+    return (first, second) if abs(first - second) >= _LEAST_SUCCESS else None
+
+
+def _phase(
+    columns: Sequence[ValueColumn], pairs: Sequence[tuple[RecordedEpisode, RecordedEpisode]]
+) -> tuple[int, int, tuple[Difference, ...]]:
+    """Return the first and the last step of the phase in which the outcomes of pairs of episodes part, and
+    the columns whose means in it differ most."""
+    lasts = [min(len(episode.actions) for episode in pair) for pair in pairs]
+    here, there = (
+        np.vstack([episode.values[max(0, last - _PHASE + 1) : last + 1] for episode, last in parts])
+        for parts in (zip(world, lasts, strict=True) for world in zip(*pairs, strict=True))
+    )
+    width = np.ptp(np.vstack([one.values for pair in pairs for one in pair]), axis=0) + 1e-9
+    means = here.mean(axis=0), there.mean(axis=0)
+    shares = np.abs(means[1] - means[0]) / width
+    order = [index for index in np.argsort(-shares, kind="stable") if shares[index] >= _CLEARLY_APART]
+    rows = [
+        Difference(*columns[index], 0, 0, *(float(mean[index]) for mean in means), float(shares[index]))
+        for index in order[:_MOST_APART]
+    ]
+    return max(0, min(lasts) - _PHASE + 1), max(lasts), tuple(rows)
 
 
 def _either(texts: Sequence[str]) -> str:
@@ -176,7 +280,8 @@ def _either(texts: Sequence[str]) -> str:
 def _simulated(comparison: ValueComparison, kind: Kind, amount: float) -> list[Array] | None:
     """Return the values with a change; None if the change does not fit this scenario."""
     try:
-        values = kind.simulate(amount, comparison.recorded)
+        world, act = kind.changed(amount)
+        values = repeat_episodes(world, comparison.recorded, act)
     except DeepbotsError:
         return None
     return values if all(np.isfinite(array).all() for array in values) else None
@@ -202,7 +307,8 @@ def _simulated_causes(
         amount = scores.best_amount(group.first)
         values = _simulated(comparison, group.first, amount)
         if values is not None:
-            effects.append(ChangeEffect([kind.text(amount) for kind in group.kinds], values))
+            texts = [kind.text(amount) for kind in group.kinds]
+            effects.append(ChangeEffect(texts, values, partial(group.first.changed, amount)))
     return effects
 
 
@@ -327,7 +433,7 @@ class Kind:
     Attributes:
         family: The changed property in words, without names.
         name: Its name, which an amount follows.
-        simulate: Simulates episodes with an amount of it.
+        changed: Returns the world with an amount of it.
         amounts: The amounts that are tried, sorted.
         probes: The amounts that are simulated first.
         form: The format of an amount; empty if the change has none.
@@ -335,7 +441,7 @@ class Kind:
 
     family: str
     name: str
-    simulate: Callable[[float, Sequence[RecordedEpisode]], list[Array]]
+    changed: Callable[[float], ChangedWorld]
     amounts: tuple[float, ...] = (1.0,)
     probes: tuple[float, ...] = (1.0,)
     form: str = ""
@@ -355,20 +461,14 @@ def tried_amounts(kinds: Iterable[Kind]) -> Iterator[str]:
         yield f"{family} ({smallest} .. {largest})" if form else family
 
 
-def _kinds(
-    world: EngineWorld, unchanged: RecordingWrapper, document: Document, permissions: Permissions
-) -> Iterator[Kind]:
+def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) -> Iterator[Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 
-    def with_actions(
-        act: Callable[[float], Act],
-    ) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
-        return lambda amount, recorded: repeat_episodes_in(unchanged, recorded, act(amount))
+    def with_actions(act: Callable[[float], Act]) -> Callable[[float], ChangedWorld]:
+        return lambda amount: (unchanged, act(amount))
 
-    def with_plan(plan: Plan) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
-        return lambda amount, recorded: repeat_episodes(
-            EngineWorld(changed_program(document, plan.change(amount)), world.engine), recorded, permissions
-        )
+    def with_plan(plan: Plan) -> Callable[[float], ChangedWorld]:
+        return lambda amount: (world._replace(program=changed_program(document, plan.change(amount))), None)
 
     for family, name, act in changed_actions(world.program):
         yield Kind(family, name, with_actions(partial(without_amount, act)))

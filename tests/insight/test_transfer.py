@@ -22,6 +22,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 from tests.few import few
+from tests.insight.logs import train_shuttle
 
 BRIEF = (
     "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network:"
@@ -319,7 +320,7 @@ def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
 
 def test_each_family_of_changes_is_listed_once_with_the_amounts_of_all_its_kinds() -> None:
     def kind(family: str, *amounts: float) -> Kind:
-        return Kind(family, family, lambda amount, recorded: [], amounts, form="{:g} N*m")
+        return Kind(family, family, lambda amount: (None, None), amounts, form="{:g} N*m")
 
     kinds = [kind("limit", 1, 5), kind("push", 6, 7), kind("limit", 0.2, 3), kind("drag", 2, 4)]
     assert [*tried_amounts(kinds)] == [
@@ -372,6 +373,32 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
     assert report["causes"][0]["text"].startswith("cart.pole_angle is multiplied by ")
     assert report["passed"] is True
     assert "\r" not in output.err
+
+
+def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The carriage waits until step 120, and succeeds in step 151 if it is near its start. `x 4` makes it leave
+    too early; an own speed from step 140 is a change that deepbots does not try."""
+    run = train_shuttle(
+        tmp_path,
+        "robots.shuttle.receive={go: 0.05 m/s if time > 6 s else 0 m/s}",
+        "robots.shuttle.apply={motor: go + 0 * drive * speed}",
+        "termination.success={stays: time > 7.5 s and abs(shuttle.place) < 0.1 m}",
+        "reward.parked=1 when stays",
+        "truncation.max_steps=200",
+    )
+    words = ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
+    assert main([*words, "robots.shuttle.apply={motor: 4 * (go + 0 * drive * speed)}"]) == 0
+    output = capsys.readouterr().out
+    assert "4 of 4 episodes end in another way in other; before this, in steps 102 to 151" in output
+    assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.58", output)
+    assert "training with command of shuttle.motor x 4: 0.0%, 100.0% of the difference" in output
+    late = "robots.shuttle.receive={go: (0.05 m/s if time > 6 s else 0 m/s) if time < 7 s else 5 m/s}"
+    assert main([*words, late]) == 0
+    assert (
+        "success: training 100.0%, other 0.0%; no change explains this difference" in capsys.readouterr().out
+    )
 
 
 def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any) -> None:

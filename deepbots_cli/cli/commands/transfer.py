@@ -38,6 +38,7 @@ from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
+    from deepbots_cli.insight.recorded_worlds import Difference
     from deepbots_cli.insight.transfer import Transfer
     from deepbots_cli.insight.world_comparison import WorldComparison
 
@@ -45,6 +46,8 @@ WIDTH = 110
 """The width of wrapped lines."""
 EXPLAINS_WHOLE = 0.9
 """The share from which a change explains the whole difference, apart from the growth of a small rest."""
+EXPLAINS_MOST = 0.5
+"""The share of a difference in success below which the changes explain little."""
 DEFAULT_EPISODES = 50
 """The episodes of each evaluation."""
 QUICK_STEPS = 2_000
@@ -246,7 +249,9 @@ def _lines(transfer: Transfer) -> list[str]:
             ]
         ),
         *_difference_lines(transfer.comparison, first_name, second_name),
+        *_parting_lines(transfer.comparison, first_name, second_name),
         *_cause_lines(transfer.comparison, first_name),
+        *_success_lines(transfer.comparison, first_name, second_name),
     ]
     if transfer.robustness is not None:
         lines += ["", records.robustness_text(transfer.robustness)]
@@ -260,19 +265,54 @@ def _difference_lines(compared: WorldComparison, first_name: str, second_name: s
     if not compared.differences:
         return [f"\nthe same actions give the same values in both worlds ({size})"]
     rows = [
-        {
-            "value": difference.name,
-            "step": difference.step,
-            first_name: f"{number(difference.here)} {difference.unit}".strip(),
-            second_name: f"{number(difference.there)} {difference.unit}".strip(),
-            "difference": percent(difference.share),
-        }
+        {"value": difference.name, "step": difference.step, **_sides(difference, first_name, second_name)}
         for difference in compared.differences
     ]
     return [
         f"\nthe same actions in both worlds ({size}): what differs, and from which step on",
         table(rows),
         "difference: root mean square over all steps, as a share of the width that the value spans",
+    ]
+
+
+def _sides(difference: Difference, first_name: str, second_name: str) -> dict[str, str]:
+    return {
+        first_name: f"{number(difference.here)} {difference.unit}".strip(),
+        second_name: f"{number(difference.there)} {difference.unit}".strip(),
+        "difference": percent(difference.share),
+    }
+
+
+def _parting_lines(compared: WorldComparison, first_name: str, second_name: str) -> list[str]:
+    """Return lines with what differs in the phase in which the outcomes of the policy part."""
+    parting = compared.parting
+    if parting is None:
+        return []
+    rows = [{"mean": row.name, **_sides(row, first_name, second_name)} for row in parting.differences]
+    return [
+        f"\n{parting.episodes} of {parting.of} episodes end in another way in {second_name}; before this, in"
+        f" steps {parting.first} to {parting.last}, with the policy acting in each world:",
+        table(rows) if rows else "no mean of the observation, the reward and the success differs by 10 %",
+    ]
+
+
+def _success_lines(compared: WorldComparison, first_name: str, second_name: str) -> list[str]:
+    """Return a line with the share of the difference in success that the causes explain."""
+    if compared.success is None:
+        return []
+    rates = f"{first_name} {percent(compared.success[0])}, {second_name} {percent(compared.success[1])}"
+    evaluated = [
+        (cause.explained_success, cause.text, percent(cause.success))
+        for cause in compared.causes
+        if cause.success is not None and cause.explained_success is not None
+    ]
+    if not evaluated:
+        return [f"success: {rates}; no change explains this difference"]
+    share, text, rate = max(evaluated)
+    little = "" if share >= EXPLAINS_MOST else "; the changes explain little of the difference in success"
+    return [
+        f"success: {rates}; {first_name} with {text}: {rate}, {percent(min(1.0, max(0.0, share)))} of the"
+        f" difference{little}"
     ]
 
 
@@ -285,7 +325,14 @@ def _cause_lines(compared: WorldComparison, first_name: str) -> list[str]:
             f"no change of {first_name} that was tried explains the whole difference;"
             " these explain part of it"
         )
-        rows = [{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]
+        rows = [
+            {
+                "change": cause.text,
+                "explains": percent(cause.explained),
+                "success": None if cause.success is None else percent(cause.success),
+            }
+            for cause in compared.causes[:5]
+        ]
         lines = [
             f"\nchanges of {first_name} that explain the difference" if is_whole else f"\n{partly}",
             table(rows),
@@ -346,9 +393,11 @@ def _data(compared: Transfer) -> dict[str, Any]:
             {"name": name, **result.model_dump()}
             for name, result in zip(compared.names, (compared.here, compared.there), strict=True)
         ],
-        "differences": [difference._asdict() for difference in compared.comparison.differences],
-        "causes": [cause._asdict() for cause in compared.comparison.causes],
-        "tried": compared.comparison.tried,
+        **{
+            name: value
+            for name, value in vars(compared.comparison).items()
+            if name not in ("episodes", "steps")
+        },
         "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
         "gates": [gate.as_json() for gate in compared.gates],
         "works": dict(zip(compared.names, compared.works, strict=True)),
