@@ -64,11 +64,13 @@ _UNITS = {
 
 
 class EngineWorld(NamedTuple):
-    """A scenario and the engine in which it runs."""
+    """A scenario and the engine in which it runs. `columns` are the values that are kept of it; by default
+    all."""
 
     program: Program
     engine: str | None
     permissions: Permissions = Permissions()
+    columns: Sequence[ValueColumn] | None = None
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,8 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
         self.actions: list[Any] = []
         self.act: Act = lambda action: action
         self._conditions = _success_conditions(self._watch)
+        own = columns_of(self._watch)
+        self._kept = [own.index(column) for column in world.columns or own]
         self._rows: list[list[float]] = []
 
     def reset(
@@ -191,7 +195,7 @@ class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
     @property
     def values(self) -> Array:
         """The values, of shape (moments, columns)."""
-        return np.array(self._rows, float)
+        return np.array(self._rows, float)[:, self._kept]
 
 
 World = EngineWorld | RecordingWrapper

@@ -179,7 +179,11 @@ def compare_worlds(
         raise UsageError(
             f"{first.program.name} has copies of a robot, whose worlds cannot be compared step by step"
         )
-    columns = columns_of(instrument_program(first.program, include_observation=True))
+    columns, others = (
+        columns_of(instrument_program(world.program, include_observation=True)) for world in (first, second)
+    )
+    columns = [column for column in columns if column in others]
+    first, second = (world._replace(columns=columns) for world in (first, second))
     parted = [number for number, (here, there) in enumerate(outcomes) if _end(here) != _end(there)]
     late = [number for number in parted if _parting_step(outcomes[number]) <= _LATEST][:episodes]
     numbers = [*late, *(number for number in range(episodes) if number not in late)][:episodes]

@@ -313,6 +313,11 @@ def test_an_error_is_named_first(run_of: Any, error: str) -> None:
     assert re.search(expected, report.causes[0].text), report.causes[:3]
 
 
+def test_a_world_with_another_reward_is_compared_in_what_both_worlds_have(run_of: Any) -> None:
+    report = compared(run_of("cartpole"), {"reward": {"upright": 0.1}}, episodes=2)
+    assert (report.differences, report.causes) == ((), ())
+
+
 def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
     report = compared(run_of("cartpole"), {}, episodes=2)
     assert (report.differences, report.causes) == ((), ())
