@@ -165,11 +165,13 @@ class Meanings:
             action, control period. Policies for which these differ need each their own scenario.
         returns: The terms of a return: reward, endings, limits of an episode, goal, control period.
         success: The meaning of success.
+        reward: The reward alone.
     """
 
     acting: tuple[Change, ...] = ()
     returns: tuple[Change, ...] = ()
     success: tuple[Change, ...] = ()
+    reward: tuple[Change, ...] = ()
 
 
 def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanings:
@@ -182,10 +184,12 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
     acting: set[str] = set()
     returns: set[str] = set()
     success: set[str] = set()
+    reward: set[str] = set()
     for program in (first.program, second.program):
         agent = program.agent
         acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
         returns |= _names_behind(program, (agent.reward, program.endings, agent.goal))
+        reward |= _names_behind(program, agent.reward)
         endings = tuple(ending for ending in program.endings if ending.name in agent.success)
         success |= _names_behind(program, (endings, agent.goal))
 
@@ -195,7 +199,12 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
 
     fits = tuple(change for change in changes if change.group is Effect.policy)
     other_changes = tuple(change for change in about(_ACTING, acting) if change not in fits)
-    return Meanings(fits + other_changes, about(_RETURNS, returns), about(_SUCCESS, success))
+    return Meanings(
+        fits + other_changes,
+        about(_RETURNS, returns),
+        about(_SUCCESS, success),
+        about(("reward.",), reward),
+    )
 
 
 def _names_behind(program: Program, parts: object) -> set[str]:

@@ -17,7 +17,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.runs.episodes import Scores, Summary, agents_text
+from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
 from deepbots_cli.learning.runs.run import Run
@@ -451,8 +451,9 @@ def solved_by(result: EvaluationResult) -> bool | None:
     return run_verdict(result.run, RunRecord.read(result.run)).solved
 
 
-def group_json(group: GroupResult) -> dict[str, Any]:
-    """Return a group as a dictionary: its statistics over seeds, and the evaluation of each run."""
+def group_json(group: GroupResult, *, returns: bool = True, solved: bool = True) -> dict[str, Any]:
+    """Return a group as a dictionary: its statistics over seeds, and the evaluation of each run. Without
+    `returns`, what depends on the reward is None, and without `solved` the steps until it was solved."""
     names = [
         "name",
         "waiting",
@@ -466,7 +467,14 @@ def group_json(group: GroupResult) -> dict[str, Any]:
         ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
     )
     data = {name: getattr(group, name) for name in names}
-    return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": group.evaluations}
+    runs = [evaluation.model_dump(mode="json") for evaluation in group.evaluations]
+    data |= {"solved": list(map(solved_by, group.evaluations)), "runs": runs}
+    if not solved:
+        data |= dict.fromkeys(("solved", "solved_after"))
+    if not returns:
+        data |= dict.fromkeys((*(name for name in names if "return" in name), "interquartile_mean", "solved"))
+        data["runs"] = [run | dict.fromkeys(RETURN_STATISTICS) for run in runs]
+    return data
 
 
 def robustness_text(robustness: Robustness) -> str:

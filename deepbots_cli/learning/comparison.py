@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from shlex import quote
-from statistics import fmean
+from statistics import fmean, stdev
 from typing import Any, NamedTuple
 
 from deepbots_cli import api
@@ -85,8 +85,14 @@ class GroupResult:
         return fmean(self.returns)
 
     @property
+    def std_return(self) -> float | None:
+        """The standard deviation of the mean returns of the runs; None for a single run."""
+        return stdev(self.returns) if len(self.returns) > 1 else None
+
+    @property
     def return_interval(self) -> Interval | None:
-        return mean_interval(self.returns, self.evaluations[0].possible_returns)
+        """The interval over the seeds; None if all runs have the same return, which estimates no spread."""
+        return mean_interval(self.returns, self.evaluations[0].possible_returns) if self.std_return else None
 
     @property
     def interquartile_mean(self) -> float:
@@ -99,7 +105,8 @@ class GroupResult:
 
     @property
     def success_interval(self) -> Interval | None:
-        return mean_interval(self.success_rates, (0.0, 1.0))
+        is_spread = len(set(self.success_rates)) > 1
+        return mean_interval(self.success_rates, (0.0, 1.0)) if is_spread else None
 
     @property
     def starts(self) -> int:
@@ -139,16 +146,17 @@ class GroupDifference:
         first: Name of the first group.
         group: Name of the group.
         measure: The measure of the task; `verdict` is about it.
-        mean_return: The difference of the mean returns; None where the two groups are evaluated in different
-            scenarios whose returns do not mean the same.
+        mean_return: The difference of the mean returns; None where the rewards of their trainings differ, or
+            where they are evaluated in different scenarios whose returns do not mean the same.
         success_rate: The difference of the success rates; None where a scenario defines no success, or where
             successes do not mean the same.
         between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single
             run, and the intervals are over the episodes of these two policies.
         solved_after: The difference of the steps until a training was solved; None unless every run of both
-            groups was.
+            groups was, by the same criterion.
         own_scenarios: Whether each group is evaluated in its own scenario.
         meanings: The differences of the two scenarios, which determine the scores that can be compared.
+        same_criterion: Whether `solved` asks for the same in both scenarios.
     """
 
     first: str
@@ -160,6 +168,7 @@ class GroupDifference:
     solved_after: Difference | None = None
     own_scenarios: bool = False
     meanings: Meanings = Meanings()
+    same_criterion: bool = True
 
     @property
     def verdict(self) -> str:
@@ -204,7 +213,7 @@ class GroupDifference:
         low, high = difference.interval
         if low == high == 0:
             each = "run" if self.between_seeds else "episode"
-            return f"{self.group}: the same {words} as {self.first} in every {each}"
+            return f"{self.group}: the same {words} as {self.first} in every {each}, so neither is better"
         if compared == "success_rate":
             size, interval = f"{abs(difference.mean) * 100:.1f} points", f"{low:+.1%} .. {high:+.1%}"
         else:
@@ -238,6 +247,16 @@ class Comparison:
     groups: tuple[GroupResult, ...]
     differences: tuple[GroupDifference, ...]
     notes: tuple[str, ...]
+
+    @property
+    def returns_comparable(self) -> bool:
+        """Whether the returns of all groups measure the same."""
+        return all(difference.mean_return is not None for difference in self.differences)
+
+    @property
+    def criteria_comparable(self) -> bool:
+        """Whether `solved` asks for the same in all groups."""
+        return all(difference.same_criterion for difference in self.differences)
 
 
 OnRun = Callable[[int, int], object]
@@ -298,7 +317,9 @@ def compare(
     first = members[0].models[0].run
     judged = first.compiled if scenario is None else api.compile(scenario)
     check_common_measure(judged.program, "let runs of all agents play: deepbots compare RUN")
-    worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
+    worlds = [
+        _world(judged, first, group.models[0].run, own=own, named=scenario is not None) for group in members
+    ]
     count = judged.program.evaluation_episodes(case) if episodes is None else episodes
     options: dict[str, Any] = {
         "episodes": count,
@@ -340,20 +361,28 @@ def compare(
 
 
 class _World(NamedTuple):
-    """Whether a group is evaluated in its own scenario, and how this scenario differs from that of the first
-    group."""
+    """Whether a group is evaluated in its own scenario, how this scenario differs from that of the evaluation,
+    and how it differs from that of the first group."""
 
     own: bool
     meanings: Meanings
+    trainings: Meanings
+    same_criterion: bool
 
 
-def _world(judged: Compiled, run: Run, *, own: bool, named: bool) -> _World:
+def _world(judged: Compiled, first: Run, run: Run, *, own: bool, named: bool) -> _World:
     """Choose the scenario in which to evaluate a group that was trained in the scenario of `run`. If the
     caller named one (`named`), it is `judged`."""
-    meanings = Meanings()
-    if judged.digest != run.digest:
-        meanings = compared_meanings(written_scenario(judged), written_scenario(run.compiled))
-    return _World(own or (bool(meanings.acting) and not named), meanings)
+    meanings, trainings = (
+        Meanings()
+        if compiled.digest == run.digest
+        else compared_meanings(written_scenario(compiled), written_scenario(run.compiled))
+        for compiled in (judged, first.compiled)
+    )
+    asked, other = (each.program.agent.solved for each in (first, run))
+    by_return = asked is not None and asked.mean_return is not None
+    same = asked == other and not trainings.success and not (by_return and trainings.returns)
+    return _World(own or (bool(meanings.acting) and not named), meanings, trainings, same)
 
 
 @dataclass(frozen=True)
@@ -537,11 +566,21 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
         steps = compare_seeds(before, after, (0.0, math.inf)) if all_solved else None
     else:
         returns, success = _paired(first.evaluations[0], group.evaluations[0])
-    if world.own:
-        returns = None if world.meanings.returns else returns
-        success = None if world.meanings.success else success
+    if world.trainings.reward or (world.own and world.meanings.returns):
+        returns = None
+    if world.own and world.meanings.success:
+        success = None
     return GroupDifference(
-        first.name, group.name, measure, returns, success, between_seeds, steps, world.own, world.meanings
+        first.name,
+        group.name,
+        measure,
+        returns,
+        success,
+        between_seeds,
+        steps if world.same_criterion else None,
+        world.own,
+        world.meanings,
+        world.same_criterion,
     )
 
 
@@ -573,11 +612,15 @@ def _notes(
     runs = [ref.run for group in members for ref in group.models]
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
-    shared = [group.models[0].run for group, world in zip(members, worlds, strict=True) if not world.own]
-    if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in shared}) > 1:
+    rewards = {change.text: change for world in worlds if not world.own for change in world.trainings.reward}
+    if rewards:
         notes.append(
-            "the rewards of the runs differ, and all runs are evaluated with the reward of one scenario:"
-            " compare success rates, not returns"
+            "the rewards of the runs differ, so returns are left out; compare success rates:"
+            f" {_listed([*rewards.values()])}"
+        )
+    if not all(world.same_criterion for world in worlds) and any(map(any, (g.solved_after for g in groups))):
+        notes.append(
+            "the steps until solved are left out, because the runs do not ask for the same in `solved`"
         )
     return notes
 

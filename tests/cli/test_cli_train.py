@@ -339,7 +339,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert "at least two runs" in ran.err
     shutil.copytree("mine", "other")
     ran = deepbots("compare", "mine", "other", "--episodes", "3")
-    assert "other: the same mean return as mine in every episode" in ran.out
+    assert "other: the same mean return as mine in every episode, so neither is better" in ran.out
     assert "each group has one run" in ran.out
     report = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
     assert report["differences"][0]["mean_return"] == {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,10 +12,11 @@ import stand_in
 from stand_in import hyper
 
 from deepbots_cli.cli import records
+from deepbots_cli.cli.commands.compare import _data, _lines
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import compare, evaluate, evaluate_group, load_policy, train, train_group
 from deepbots_cli.learning.campaigns.group import GroupTraining
-from deepbots_cli.learning.comparison import GroupDifference
+from deepbots_cli.learning.comparison import GroupDifference, GroupResult
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import compare_episodes, mean_interval
 from deepbots_cli.learning.runs.verdict import last_episodes
@@ -166,15 +168,21 @@ def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Pat
     assert "success rate" in difference.verdict
 
 
-def test_policies_are_compared_in_one_world_where_only_the_reward_differs(
-    climb: Path, tmp_path: Path
-) -> None:
-    comparison = compare(
-        [climb, trained(tmp_path / "other", reward="{alive: 2, center: 0}")], episodes=2, build=stand_in.build
-    )
+def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Path, tmp_path: Path) -> None:
+    other = trained(tmp_path / "other", reward="{alive: 2, center: 0}")
+    comparison = compare([climb, other, climb / STEP], episodes=2, build=stand_in.build)
     assert comparison.scenario == "stand_in"
-    assert not comparison.differences[0].own_scenarios
-    assert any("the rewards of the runs differ" in note for note in comparison.notes)
+    rewarded, same = comparison.differences
+    assert not rewarded.own_scenarios
+    assert (rewarded.mean_return, rewarded.solved_after) == (None, None)
+    assert "cannot be compared with climb, because returns do not mean the same" in rewarded.verdict
+    assert same.mean_return is not None
+    (note,) = [note for note in comparison.notes if "the rewards of the runs differ" in note]
+    assert note.endswith("compare success rates: reward.alive: 1 -> 2")
+    groups = _data(comparison)["groups"]
+    for group in (*groups, *(run for entry in groups for run in entry["runs"])):
+        assert {group[name] for name in ("mean_return", "return_interval", "interquartile_mean")} == {None}
+    assert " return" not in "\n".join(_lines(comparison)).partition("difference from")[0]
 
 
 # By which measure
@@ -224,6 +232,13 @@ def test_the_text_of_a_group_has_the_intervals_over_seeds_and_over_starts(
         in text
     )
     assert text.count("  mean return ") == 2
+
+
+def test_equal_returns_of_three_seeds_have_no_interval() -> None:
+    run: Any = SimpleNamespace(mean_return=200.0, success_rate=1.0, possible_returns=(0.0, 200.0))
+    seeds = GroupResult("seeds", (run, run, run))
+    assert (seeds.return_interval, seeds.success_interval) == (None, None)
+    assert records.scores(seeds, success_defined=False)["return_95 %"] == "all equal"
 
 
 def test_a_group_counts_solved_runs_by_their_verdicts(group: GroupTraining) -> None:

@@ -185,9 +185,12 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         f" {comparison.seed}"
     )
     has_success = all(group.success_defined for group in comparison.groups)
-    yield table([_row(group, success_defined=has_success) for group in comparison.groups])
+    left_out = () if comparison.returns_comparable else ("return", "return_95 %", "interquartile_mean")
+    left_out += () if comparison.criteria_comparable else ("solved_after_steps",)
+    rows = [_row(group, success_defined=has_success) for group in comparison.groups]
+    yield table([row | dict.fromkeys(left_out) for row in rows])
     yield f"\ndifference from {comparison.groups[0].name}"
-    rows: list[Row] = []
+    rows = []
     for entry in comparison.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
         improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
@@ -195,9 +198,10 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         measured = None if entry.compared is None else getattr(entry, entry.compared)
         rows.append(row | {improvement_column: None if measured is None else measured.improvement})
     yield table(rows)
-    if not all(entry.between_seeds for entry in comparison.differences):
+    compared = [entry.compared for entry in comparison.differences if not entry.between_seeds]
+    for measure in dict.fromkeys(filter(None, compared)):
         yield (
-            f"episodes_better: fraction of episodes with {_BETTER[comparison.measure]}; an equal episode"
+            f"episodes_better: fraction of episodes with {_BETTER[measure]}; an equal episode"
             " is counted as one half"
         )
     yield from (entry.verdict for entry in comparison.differences)
@@ -243,7 +247,12 @@ def _data(comparison: Comparison) -> dict[str, Any]:
     ]
     return {
         **vars(comparison),
-        "groups": [records.group_json(group) for group in comparison.groups],
+        "groups": [
+            records.group_json(
+                group, returns=comparison.returns_comparable, solved=comparison.criteria_comparable
+            )
+            for group in comparison.groups
+        ],
         "differences": differences,
     }
 

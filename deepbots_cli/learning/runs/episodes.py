@@ -493,6 +493,13 @@ SUCCESS_STATISTICS = frozenset({"successes", "success_rate", "success_interval"}
 """The fields of `Summary` that have no meaning if the scenario defines no success."""
 
 
+RETURN_STATISTICS = (
+    *("mean_return", "std_return", "return_interval", "return_bounds", "interquartile_mean"),
+    *("least_return", "greatest_return", "term_means", "by_drawn_value", "solved", "verdict"),
+)
+"""The fields of an evaluation that depend on the reward."""
+
+
 class Scores(BaseModel, frozen=True):
     """The scores of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for
     the success rate.
