@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
-from math import ceil, nextafter
+from math import ceil, floor, log10, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range, uses_earlier_values
-from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
@@ -248,10 +249,26 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 
 # Staying short of the success
 
-PROGRESS_HELP = (
-    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
-    " episode without success can collect"
-)
+
+def lower_help(
+    term: Expression,
+    to: str = "",
+    raised: str = "success pay more than an episode without success can collect",
+) -> str:
+    """Return the help for a term that pays more than the success; `to` is what it may pay."""
+    return f"lower `{term.name}`, line {term.span.start_position.line}{to}, or make {raised}"
+
+
+def _lowered(text: str, factor: float) -> str:
+    """Return the text of a term times a factor, which is rounded down."""
+    value, when, condition = text.partition(" when ")
+    if value.count("(") != value.count(")"):
+        value, when, condition = text, "", ""
+    is_number = re.fullmatch(r"\d+(\.\d+)?", value) is not None
+    lower = factor * float(value) if is_number else factor
+    digit = 10.0 ** (floor(log10(lower)) - 1)
+    rounded = f"{floor(lower / digit) * digit:.2g}"
+    return f"{rounded if is_number else f'{rounded} * ({value})'}{when}{condition}"
 
 
 class _StillRanges(Ranges):
@@ -343,31 +360,36 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     )
     if possible == NEVER or success in analysis.shadowed:
         return  # DB801, DB804
-    steps = _steps_from(analysis, success) * context.program.action_repeat
+    repeat, steps = context.program.action_repeat, _steps_from(analysis, success)
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
         is_open = threshold is None or not has_choice(analysis, success)
-        pay = sum(_pay(waiting, node, is_open=is_open) for _, node in reward.terms)
+        # A step of the agent sums the reward of its timesteps.
+        paid = {term: repeat * _pay(waiting, node, is_open=is_open) for term, node in reward.terms}
+        pay = sum(paid.values())
         if not 0.0 < pay < INF:
             continue
-        prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
-        if (
-            pay * steps + fine > prize
-            and pay * min(steps, horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize
-        ):
-            headline = (
-                f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
-                f" {pay * steps:.4g} in all"
-            )
-            headline += f", but `{success.name}` pays {prize:.3g} only once"
-            best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
+        at_success = _just_before(reward.ranges_at(success), threshold)
+        prize = total_range(reward.terms, at_success).high
+        if pay * steps + fine > prize and pay * min(steps, horizon(reward)) > MIN_WORTH * prize:
+            last = total_range(final, at_success).high
+            prizes = f"pays {prize:.3g} only once" if last > 0.0 else "pays nothing"
+            raised = f"`{success.name}` pay more than {pay * steps + fine - prize + last:.4g}"
+            best, node = max(ordinary, key=lambda term: paid[term[0]])
+            once = at_success.of(node).high
+            gain = paid[best] * steps - once
+            room = prize - once - fine - (pay - paid[best]) * steps
+            lowered = _lowered(best.text, room / gain) if 0.0 < room < gain else ""
+            to = f", to `{lowered}` or less" if lowered else ""
             yield Finding(
                 "DB708",
                 best.span,
-                headline,
-                f"{PROGRESS_HELP}{_end_at_one_time(analysis, success)}",
+                f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
+                f" {pay * steps:.4g} in all, but `{success.name}` {prizes}",
+                f"{lower_help(best, to, raised)}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
+                fix=Fix.replacing(best.span, best.text, lowered, safe=False) if lowered else None,
             )
             return
 
@@ -461,14 +483,8 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding(
-            "DB708",
-            _most_paid(simulation, best.policy).span,
-            headline,
-            PROGRESS_HELP,
-            notes=notes,
-            labels=also,
-        )
+        term = _most_paid(simulation, best.policy)
+        yield Finding("DB708", term.span, headline, lower_help(term), notes=notes, labels=also)
     elif len(successes) == 1:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
         idle = [] if is_reached else _idle_pays(simulation, successes[0])
@@ -526,7 +542,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
     headline += f", but `{success.name}` pays {prize:.3g} only once"
     also = (Label(success.span, "ends these payments"),)
-    return [Finding("DB708", best.span, headline, PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
+    return [Finding("DB708", best.span, headline, lower_help(best), notes=(simulation.summary,), labels=also)]
 
 
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:
@@ -565,11 +581,8 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
             " factor and the time limit",
         )
         also = (Label(success.span, "ends these payments"),)
-        return [
-            Finding(
-                "DB708", _most_paid(simulation, IDLE).span, headline, PROGRESS_HELP, notes=notes, labels=also
-            )
-        ]
+        term = _most_paid(simulation, IDLE)
+        return [Finding("DB708", term.span, headline, lower_help(term), notes=notes, labels=also)]
     return []
 
 

@@ -495,3 +495,17 @@ def test_a_mistake_of_set_has_no_fix_in_the_file(deepbots, scenario):
     ran = deepbots("lint", "a.yaml", "--set", "fall_angl=5 deg", code=1)
     assert "did you mean `fall_angle`?" in ran.out
     assert "--fix" not in ran.err
+
+
+def test_a_term_that_pays_more_than_the_success_is_lowered_until_the_finding_is_gone(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Copy\nagent: {action_repeat: 2}\n"
+        "augment: {left: abs(x - 30 cm)}\nobservation: {left: 0 .. 0.8 m}\n"
+        "reward: {alive: 0, near: 0.5 * exp(-left / 10 cm), prize: 10 when there}\n"
+        "termination: {success: {there: left < 1 mm}}\n"
+    )
+    found = deepbots("lint", str(tmp_path / "a.yaml")).out
+    assert "lower `near`, line 7, to `0.05 * (0.5 * exp(-left / 10 cm))` or less" in found
+    deepbots("lint", str(tmp_path / "a.yaml"), "--fix", "--unsafe-fixes", "--select", "DB708")
+    assert "near: 0.05 * (0.5 *" in (tmp_path / "a.yaml").read_text()
+    assert "DB708" not in deepbots("lint", str(tmp_path / "a.yaml")).out
