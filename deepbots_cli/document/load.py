@@ -1,7 +1,8 @@
 """A scenario with the files that it extends and includes, `remove` and `--set`, as one tree of nodes.
 
-A file is read in this order: its own text, its `include`s, the file that it `extends` as the base, and
-`remove`. The assignments of the command line are applied last, to the whole tree.
+A file is read in this order: its own text, its `include`s, the file that it `extends` as the base. `remove`
+takes entries from the base and from included files, before the own text is laid upon them. The assignments of
+the command line are applied last, to the whole tree.
 """
 
 from __future__ import annotations
@@ -230,15 +231,16 @@ class _Reader:
             return None
         entries = dict(tree.entries)
         extends, remove = entries.pop("extends", None), entries.pop("remove", None)
-        tree = file_tree = replace(tree, entries=entries)
-        if extends is not None:
-            base = self.referenced(extends, folder, chain)
-            if base is None:
-                return None
-            # A test is about the scenario of its own file: another one moves, scores and ends differently.
-            base_entries = {key: entry for key, entry in base.entries.items() if key != TESTS}
-            tree = merge(replace(base, entries=base_entries), tree)
-        return self.pruned(tree, remove.value, file_tree) if remove else tree
+        tree = replace(tree, entries=entries)
+        if extends is None:
+            return self.without_removed(None, tree, remove.value) if remove else tree
+        base = self.referenced(extends, folder, chain)
+        if base is None:
+            return None
+        # A test is about the scenario of its own file: another one moves, scores and ends differently.
+        base_entries = {key: entry for key, entry in base.entries.items() if key != TESTS}
+        base = replace(base, entries=base_entries)
+        return self.without_removed(base, tree, remove.value) if remove else merge(base, tree)
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
         """Return `node`, from a file in `folder`, with included files in their places."""
@@ -334,34 +336,42 @@ class _Reader:
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
-    def pruned(self, tree: MappingNode, remove: Node, own_tree: MappingNode) -> MappingNode:
-        """Return the tree without the paths listed under `remove`; DB205 where a path is in `own_tree`, the
-        tree of the same file."""
+    def without_removed(self, base: MappingNode | None, own: MappingNode, remove: Node) -> MappingNode:
+        """Lay the tree of a file upon its base, without the paths listed under `remove`. An entry that the file
+        itself writes stays; DB205 where it replaces the inherited one anyway."""
+        tree = own if base is None else merge(base, own)
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", example)
             return tree
         paths: list[NodePath] = []
+        written: list[NodePath] = []
         for item in remove.items:
             if not isinstance(item, ScalarNode) or not isinstance(item.value, str):
                 self.findings.add("DB103", item.span, "a path to remove must be text", example)
                 continue
             steps, reached, unresolved = follow_dotted(tree, item.text)
-            if not unresolved and steps:
-                paths.append(steps)
-                _, key, target = descend(own_tree, steps)
-                if target == len(steps) and key is not None and key.span.source is item.span.source:
-                    headline = f"`{item.text}` is both defined here and listed under `remove`"
-                    help = "keep one of the two: a new value replaces the inherited one without `remove`"
-                    self.findings.add(
-                        "DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),)
-                    )
-            else:
+            if unresolved or not steps:
                 span = item.part(len(item.text) - len(unresolved), len(item.text))
                 help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
                 self.findings.add("DB201", span, f"there is no `{item.text}` to remove", help)
-        pruned = without_paths(tree, paths)
-        return pruned if isinstance(pruned, MappingNode) else tree
+                continue
+            paths.append(steps)
+            value, key, target = descend(own, steps)
+            if target == len(steps) and key is not None and key.span.source is item.span.source:
+                written.append(steps)
+                if not isinstance(value, MappingNode):
+                    headline = f"`{item.text}` is both defined here and listed under `remove`"
+                    help = "keep one of the two: a new value replaces the inherited one without `remove`"
+                    also = (Label(item.span, "removed here"),)
+                    self.findings.add("DB205", key.span, headline, help, labels=also)
+        own = _pruned(own, [path for path in paths if path not in written])
+        return own if base is None else merge(_pruned(base, paths), own)
+
+
+def _pruned(tree: MappingNode, paths: Texts[NodePath]) -> MappingNode:
+    pruned = without_paths(tree, paths)
+    return pruned if isinstance(pruned, MappingNode) else tree
 
 
 def _listed(node: MappingNode) -> str:

@@ -278,7 +278,17 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     assert finding.span.location == f"{file}:2:5"
     assert finding.labels[0].span.text == "a.b"
     assert document.root is not None
-    assert to_data(document.root) == {"a": {"c": 3}}
+    assert to_data(document.root) == {"a": {"b": 2, "c": 3}}
+
+
+def test_a_mapping_that_is_removed_and_written_replaces_the_inherited_one(tmp_path: Path) -> None:
+    file = write(
+        tmp_path,
+        one="extends: base.yaml\nremove: [reward, d]\nreward: {new: 2}\nd: {include: part.yaml, f: 3}\n",
+        base="reward: {old: 1}\nd: {e: 1}\n",
+        part="g: 4\n",
+    )
+    assert data(load(file)) == {"reward": {"new": 2}, "d": {"g": 4, "f": 3}}
 
 
 def test_removing_what_is_not_there_is_reported_where_the_path_goes_wrong() -> None:
