@@ -22,7 +22,7 @@ from deepbots_cli.diagnostics.findings import (
     edited,
     exceptions_as_findings,
 )
-from deepbots_cli.diagnostics.registry import RULES, Rule, Severity
+from deepbots_cli.diagnostics.registry import RULES, Rule, Severity, Versions
 
 __all__ = [
     "MAX_FINDINGS",
@@ -38,6 +38,7 @@ __all__ = [
     "Source",
     "Span",
     "TooManyFindings",
+    "Versions",
     "edited",
     "exceptions_as_findings",
 ]

@@ -14,6 +14,10 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.plugins import PluginTable
 
 Severity = Literal["error", "warning"]
+Versions = Literal["each", "every", "training", "base"]
+"""The versions of a scenario that a rule judges: itself and with the settings of each case and each stage
+(`each`), the same without the cases, in which nothing trains (`training`), or only itself (`base`). With
+`every`, only what is wrong in each of them is a finding."""
 
 FAMILIES = {
     "DB0": "text",
@@ -47,6 +51,8 @@ class Rule:
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
     """The function of a plug-in that yields findings about a `compiler.CheckedScenario` without errors."""
+    versions: Versions = "each"
+    """The versions that it judges."""
     about: str = ""
     """The page of a rule of a plug-in: paragraphs with blank lines between."""
     example: str = ""

@@ -10,13 +10,12 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.diagnostics import Finding, Span, Versions
 from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
 from deepbots_cli.lint.simulation import simulation_plan
-from deepbots_cli.program import Program, generated
+from deepbots_cli.program import generated
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, GROUND
@@ -24,24 +23,24 @@ from deepbots_cli.words import sentence_list
 
 
 class RuleContext:
-    """A scenario without errors, for the rules.
+    """A scenario without errors, for the rules: one version of it, itself or with the settings of a case or a
+    stage.
 
     `program` is the compiled scenario, `analysis` has the results that several rules use, and `values` the
     places in its text.
     """
 
-    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace) -> None:
+    def __init__(self, checked: CheckedScenario) -> None:
+        assert checked.program is not None  # it has no errors
+        assert checked.namespace is not None
         self.checked = checked
-        self.program = program
-        self.namespace = namespace
-        self.values: ValueReader = namespace.values
-        self.analysis = Analysis(program)
-        variants = [
-            *(case.program for case in program.cases),
-            *(stage.program for stage in program.curriculum),
-        ]
-        self.versions = (self.analysis, *map(Analysis, variants))
-        """The analyses of the scenario itself, and under the settings of each case and each stage."""
+        self.program = checked.program
+        self.namespace = checked.namespace
+        self.values: ValueReader = checked.namespace.values
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        return Analysis(self.program)
 
     def text(self, owner: str) -> SourceText:
         """Return the text of an expression, by its owner."""
@@ -65,23 +64,21 @@ class FailedExpression(NamedTuple):
 
 
 class Simulation(RuleContext):
-    """A scenario and the report of its simulation."""
+    """A version of a scenario and the report of its simulation."""
 
-    def __init__(
-        self, checked: CheckedScenario, program: Program, namespace: Namespace, report: SimulationReport
-    ) -> None:
-        super().__init__(checked, program, namespace)
-        self.plan = simulation_plan(program)
+    def __init__(self, checked: CheckedScenario, report: SimulationReport) -> None:
+        super().__init__(checked)
+        self.plan = simulation_plan(self.program)
         self.report = report
         self.measured = {by: measured for by, measured in report.summary.measured.items() if measured.steps}
         """The statistics by policy; only policies that made a step."""
         self.steps = sum(measured.steps for measured in self.measured.values())
         self.is_complete = report.done and report.stop is None
         """Whether nothing stopped the simulation, so that the absence of an event has a meaning."""
-        self.robot_names = tuple(robot.name for robot in program.robots)
+        self.robot_names = tuple(robot.name for robot in self.program.robots)
         self.walls = {
             piece: name
-            for name, pieces in namespace.walls.items()
+            for name, pieces in self.namespace.walls.items()
             if pieces != ARENA_WALLS
             for piece in pieces
         }
@@ -210,20 +207,22 @@ F = TypeVar("F")
 
 @dataclass(frozen=True)
 class LintRule(Generic[C, F]):
-    """A rule: the code of its findings, and the generator that yields them."""
+    """A rule: the code of its findings, the generator that yields them, and the versions of a scenario that
+    it judges (see `diagnostics.Versions`)."""
 
     code: str
     check: Callable[[C], Iterator[F]]
+    versions: Versions = "each"
 
     def __call__(self, context: C) -> Iterator[F]:
         return self.check(context)
 
 
-def rule(code: str) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
+def rule(code: str, *, versions: Versions = "each") -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
     """Return a decorator that makes a generator of findings the rule of this code."""
 
     def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
-        return LintRule(code, check)
+        return LintRule(code, check, versions)
 
     return with_code
 

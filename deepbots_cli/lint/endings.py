@@ -39,15 +39,11 @@ _MAX_SEEDS = 8
 """The number of seeds in a note."""
 
 
-@rule("DB801")
+@rule("DB801", versions="every")
 def never_true(context: RuleContext) -> Iterator[Finding]:
     """Report an ending that can never be true."""
-    silent = [
-        {ending.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
-        for analysis in context.versions
-    ]
     for ending in context.program.endings:
-        if all(ending.name in names for names in silent):
+        if _truth_over_episode(context.analysis, ending) == NEVER:
             headline = f"`{ending.name}` can never be true"
             notes = tuple(_reasons(context.analysis, ending))
             yield Finding(
@@ -146,7 +142,7 @@ def always_true(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB802", ending.span, headline, "write a condition that is not always true")
 
 
-@rule("DB804")
+@rule("DB804", versions="every")
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """Report one of two limits without effect, because the other always comes first."""
     yield from _later_limit(context)
@@ -194,9 +190,8 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
 
 
 def _later_limit(context: RuleContext) -> Iterator[Finding]:
-    """Report the later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
-    later = {_later(analysis.program) for analysis in context.versions}
-    if len(later) == 1 and (name := later.pop()):
+    """Report the later one of `max_steps` and `max_time`."""
+    if name := _later(context.program):
         earlier = "max_steps" if name == "max_time" else "max_time"
         headline = f"`{name}` has no effect: `{earlier}` always ends the episode first"
         also = (Label(context.values.span(("truncation", earlier)), "ends the episode first"),)
@@ -220,21 +215,17 @@ def _later(program: Program) -> str:
 
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
-    """Report endings that come too late in every case and every stage."""
-    shadowed = context.analysis.shadowed
+    """Report endings that come too late."""
     failures = context.program.failures
-    later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if shadowed else []
-    for late, first in shadowed.items():
-        if all(late.name in names for names in later):
-            headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
-            help = (
-                f"change the limit of `{late.name}` so that it is reached before `{first.name}`"
-                if (late.name in failures) != (first.name in failures)
-                else "remove one of the two"
-            )
-            yield Finding(
-                "DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),)
-            )
+    for late, first in context.analysis.shadowed.items():
+        headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
+        help = (
+            f"change the limit of `{late.name}` so that it is reached before `{first.name}`"
+            if (late.name in failures) != (first.name in failures)
+            else "remove one of the two"
+        )
+        also = (Label(first.span, "ends the episode first"),)
+        yield Finding("DB804", late.span, headline, help, labels=also)
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
@@ -246,7 +237,7 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     return names | {f"{part.function}()" for part in nodes if isinstance(part, EngineRead)}
 
 
-@rule("DB805")
+@rule("DB805", versions="training")
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     """Report an ending that depends only on the time, which the agent does not observe."""
     analysis = context.analysis
@@ -350,13 +341,12 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB808", span, headline, notes=(simulation.when(), stop.text))
 
 
-@rule("DB811")
+@rule("DB811", versions="every")
 def after_the_end(context: RuleContext) -> Iterator[Finding]:
     """Report a push, a reading or a message that would come only after the end of every episode."""
-    times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
-    end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
+    end = context.analysis.last_step * context.analysis.period  # s
     for subject, time, path in _delays(context.analysis):
-        if time >= end and all(first_times.get(path, time) >= end for first_times in times):
+        if time >= end:
             headline = (
                 f"{subject} at least {with_unit(time, TIME)}, but no episode lasts longer than"
                 f" {with_unit(end, TIME)}"
@@ -575,17 +565,9 @@ def _is_outside(analysis: Analysis, body: str, margin: float) -> bool:
 @rule("DB813")
 def idle_test(context: RuleContext) -> Iterator[Finding]:
     """Report a test that can only pass, or only fail."""
-    program = context.program
-    settings = [
-        ("", ""),
-        *((case.name, "") for case in program.cases),
-        *(("", stage.name) for stage in program.curriculum),
-    ]
-    versions = dict(zip(settings, context.versions, strict=True))
     for test in context.checked.tests:
-        analysis = versions[test.case or "", test.stage or ""]
         for expected in test.expected:
-            outcome = _only_outcome(analysis, test, expected)
+            outcome = _only_outcome(context.analysis, test, expected)
             if outcome is not None:
                 headline = f"the test `{test.name}` cannot pass: `{expected.key}` is never met"
                 help = f"change the condition, which is true in none of the {test.steps} steps of the test"

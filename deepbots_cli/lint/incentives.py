@@ -35,7 +35,7 @@ MIN_WORTH = 0.25
 LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
 
 
-@rule("DB705")
+@rule("DB705", versions="training")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """Report that failing early costs less than an episode that goes on to its time limit."""
     program = context.program
@@ -342,7 +342,7 @@ def _has_memory(analysis: Analysis, node: Scalar) -> bool:
     return any(isinstance(part, State) for part in analysis.walk_definitions(node))
 
 
-@rule("DB708")
+@rule("DB708", versions="training")
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     """Report that an episode can collect more reward without success than success pays."""
     analysis = context.analysis

@@ -170,7 +170,7 @@ def _mirrored(
         yield _MirroredNumber(names[index], names[source], sign, joints[index], joints[source])
 
 
-@rule("DB618")
+@rule("DB618", versions="training")
 def wrong_mirror_image(context: RuleContext) -> Iterator[Finding]:
     """Report mirror images that contradict the names of numbers, or the places and axes of joints."""
     training = context.program.agent.training

@@ -34,7 +34,7 @@ from deepbots_cli.program.values import Expression
 _PLACE = re.compile(rf"^[ \t]*({FILL_IN}\b[^\n]*)", re.MULTILINE)
 
 
-@rule("DB109")
+@rule("DB109", versions="base")
 def place_left(context: RuleContext) -> Iterator[Finding]:
     """Report the places that a command left to the author of the scenario."""
     for source in context.checked.document.sources:
@@ -52,9 +52,10 @@ def place_left(context: RuleContext) -> Iterator[Finding]:
 _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
-@rule("DB205")
+@rule("DB205", versions="every")
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
     """Report a definition, a sensor, an actuator or a message value that nothing uses."""
+    # With a `role`, the variants are the agents.
     used = {
         name
         for variant in context.checked.variants

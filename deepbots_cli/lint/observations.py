@@ -108,7 +108,7 @@ def replace_range(
     )
 
 
-@rule("DB614")
+@rule("DB614", versions="training")
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     """Report an entry of the observation that depends on the goal, with hindsight replay."""
     program = context.program

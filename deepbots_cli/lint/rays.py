@@ -36,20 +36,17 @@ _PlacedRays = tuple[float, list[list[tuple[float, float]]]]
 attitude."""
 
 
-@rule("DB615")
+@rule("DB615", versions="every")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
     heights = _Heights(context.analysis)
-    variants = [_Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
             clearance = heights.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
-            if clearance is not None and all(
-                variant.clearance(robot.name, sensor.name) for variant in variants
-            ):
+            if clearance is not None:
                 yield _passing_over(context.values, robot.name, sensor.name, clearance)
             depth = heights.depth(robot.name, sensor.name) if casts_rays(sensor) else None
-            if depth is not None and all(variant.depth(robot.name, sensor.name) for variant in variants):
+            if depth is not None:
                 yield _buried(context.values, robot.name, sensor.name, depth)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -43,10 +43,12 @@ class Halt:
 
 @dataclass(frozen=True)
 class Activity:
-    """The process begins to build, to reset, or to run an episode of a policy."""
+    """The process begins to build, to reset, or to run an episode of a policy, in a version of the scenario
+    (`Program.versions`)."""
 
     name: str
     seed: int
+    version: str = ""
 
 
 @dataclass(frozen=True)
@@ -300,12 +302,13 @@ def _adapter(kind: str) -> TypeAdapter[Entry]:
 class SimulationReport:
     """The entries that the simulating process has written. Names in it are only looked up in the scenario.
 
-    `where` is the present step. `endings_at_reset` maps endings to the seeds with which they hold at the
-    start. `done` is true if the process completed its plan or was stopped by a `stop`; otherwise `halt` or
-    `fault` is the reason for its end.
+    `where` is the present step, in this `version` of the scenario. `endings_at_reset` maps endings to the
+    seeds with which they hold at the start. `done` is true if the process completed its plan or was stopped
+    by a `stop`; otherwise `halt` or `fault` is the reason for its end.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
+    version: str = ""
     fastest: FastestBody | None = None
     overlaps: list[MeasuredOverlap] = field(default_factory=list)
     endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
@@ -318,11 +321,26 @@ class SimulationReport:
     fault: Fault | None = None
     done: bool = False
 
+    @property
+    def ended_in(self) -> str:
+        """The version in which the simulation ended early; empty for the scenario itself, and if none did."""
+        return "" if self.stop is None and self.halt is None else self.version
+
+    def of(self, version: str) -> SimulationReport:
+        """Return the part about a version: the measurements concern the scenario itself, an early end the
+        version in which it came."""
+        if not self.ended_in:
+            return self
+        if version:
+            return SimulationReport(self.where, self.version, self.fastest, stop=self.stop, halt=self.halt)
+        return replace(self, stop=None, halt=None, done=False)
+
     def add(self, entry: Entry) -> None:
         """Add an entry of the process."""
         match entry:
             case Activity():
                 self.where = SimulationPosition(entry.name, entry.seed, 0)
+                self.version = entry.version
                 self.fastest = None
             case FastestBody():
                 self.fastest = entry

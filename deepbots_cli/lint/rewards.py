@@ -148,7 +148,7 @@ class _PoleSearch:
 # Too large, too small
 
 
-@rule("DB702")
+@rule("DB702", versions="training")
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
     """Report a term that until the time limit adds up to more than a hundred times the payment of any
     ending."""
@@ -252,10 +252,10 @@ def _short(number: float) -> str:
     return format(Decimal(f"{number:.3g}"), "f")
 
 
-@rule("DB704")
+@rule("DB704", versions="every")
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """Report a term of the reward that is zero in every step."""
-    inactive = [_always_zero(analysis) for analysis in context.versions]
+    inactive = _always_zero(context.analysis)
     touching = {
         term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms
     }
@@ -270,7 +270,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
                 " `self_collision: true` under the robot",
             )
             continue
-        if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
+        if term.name in inactive and not _is_turned_off(term.typed, context.analysis):
             faulty = (
                 "condition"
                 if isinstance(term.typed, Operation) and term.typed.operator == "where"
@@ -367,14 +367,13 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 # Returns
 
 
-@rule("DB711")
+@rule("DB711", versions="every")
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     """Report that every episode has the same return, whatever the policy does."""
-    if context.program.agent.training is None or not all(
-        return_range(analysis).is_single for analysis in context.versions
-    ):
+    possible = return_range(context.analysis)
+    if context.program.agent.training is None or not possible.is_single:
         return
-    worth = return_range(context.analysis).low
+    worth = possible.low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
     help = (
         "reward the goal, as in `1 when goal_reached`"
@@ -388,7 +387,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
-@rule("DB810")
+@rule("DB810", versions="base")
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """Report that no episode can reach the required mean return, or that every episode does."""
     for analysis, required, path in _wanted_returns(context):
@@ -426,10 +425,9 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     program = context.program
     if program.agent.solved is not None and program.agent.solved.mean_return is not None:
         yield context.analysis, program.agent.solved.mean_return, ("solved",)
-    stages = context.versions[1 + len(program.cases) :]
-    for index, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
+    for index, stage in enumerate(program.curriculum):
         if stage.until is not None and stage.until.metric == "mean_return":
-            yield analysis, stage.until.threshold, ("curriculum", index, "until")
+            yield Analysis(stage.program), stage.until.threshold, ("curriculum", index, "until")
 
 
 STATIC_RULES = (

@@ -9,13 +9,9 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
-from deepbots_cli.lint.context import LintRule, rule
-from deepbots_cli.program import Program
+from deepbots_cli.lint.context import RuleContext, StaticRule, rule
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.values import Expression
-
-MultiAgentRule = LintRule[Program, Finding]
-"""A rule about the program of all agents."""
 
 
 class Multiple(NamedTuple):
@@ -26,9 +22,10 @@ class Multiple(NamedTuple):
     of: Hashable
 
 
-@rule("DB718")
-def nearly_zero_sum(program: Program) -> Iterator[Finding]:
+@rule("DB718", versions="training")
+def nearly_zero_sum(context: RuleContext) -> Iterator[Finding]:
     """Two agents get opposite multiples of the same value that do not cancel."""
+    program = context.program
     if not program.has_rivals:
         return
     for member, rival in combinations(program.members.values(), 2):
@@ -104,4 +101,4 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-MULTI_AGENT_RULES: tuple[MultiAgentRule, ...] = (nearly_zero_sum,)
+MULTI_AGENT_RULES: tuple[StaticRule, ...] = (nearly_zero_sum,)

@@ -86,6 +86,7 @@ class Simulator:
         self._begin_step = begin_step
         self._permissions = permissions
         self._plan = simulation_plan(program)
+        self._version = ""
         self._statistics: dict[str, StepStatistics] = {}
         self._rays = RayWatch(program)
         self._wheels = WheelWatch(program)
@@ -121,8 +122,11 @@ class Simulator:
             )
         )
 
+    def _begin(self, activity: str, seed: int) -> None:
+        self._write(Activity(activity, seed, self._version))
+
     def _build(self, program: Program) -> Supervisor:
-        self._write(Activity("build", 0))
+        self._begin("build", 0)
         try:
             return api.build(program, permissions=self._permissions)
         except DeepbotsError as error:
@@ -147,7 +151,7 @@ class Simulator:
 
     def _reset(self, environment: Supervisor, seed: int, *, report: bool) -> None:
         """Reset; with `report`, write whether an ending already holds."""
-        self._write(Activity("reset", seed))
+        self._begin("reset", seed)
         try:
             environment.reset(seed=seed)
         except DeepbotsError as error:
@@ -164,7 +168,7 @@ class Simulator:
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
-            self._write(Activity(policy, seed))
+            self._begin(policy, seed)
             try:
                 for _ in self._steps(environment, Rollout(policy, seed, _FIRST_STEPS)):
                     if arms.commands:
@@ -202,7 +206,7 @@ class Simulator:
             statistics = self._statistics.setdefault(
                 counted_as or rollout.policy, StepStatistics(self._program)
             )
-            self._write(Activity(rollout.policy, rollout.seed))
+            self._begin(rollout.policy, rollout.seed)
             if arms is not None:
                 arms.is_watching = rollout.script is not None
             try:
@@ -289,16 +293,13 @@ class Simulator:
 
     def _run_variants(self) -> None:
         """Run cases and stages, which may vary values that are constant in the scenario itself."""
-        base = self._program
-        for program in (
-            *(case.program for case in base.cases),
-            *(stage.program for stage in base.curriculum),
-        ):
+        base, *others = self._program.versions.items()
+        for self._version, program in others:
             if not self._constant_numbers() and not self._silent():
                 return
             sizes = [
                 (len(agent.numbers) + len(agent.images), len(agent.reward))
-                for agent in (base.agent, program.agent)
+                for agent in (base[1].agent, program.agent)
             ]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:

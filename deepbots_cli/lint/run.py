@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Generic, TypeVar
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, exceptions_as_findings
+from deepbots_cli.diagnostics import (
+    MAX_FINDINGS,
+    RULES,
+    Finding,
+    Rule,
+    Span,
+    Versions,
+    exceptions_as_findings,
+)
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.lint import (
     endings,
@@ -24,10 +33,13 @@ from deepbots_cli.lint import (
     world,
 )
 from deepbots_cli.lint.cascade import CascadeFilter
-from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
+from deepbots_cli.lint.context import LintRule, RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
 from deepbots_cli.lint.report import SimulationReport
 from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, measure
+from deepbots_cli.words import sentence_list
+
+V = TypeVar("V", bound=RuleContext)
 
 _MODULES = (
     names,
@@ -55,6 +67,8 @@ _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
 
 _UNUSED = "DB205"
+_MAX_NAMES = 3
+"""The number of cases and stages that a finding names."""
 
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
@@ -72,28 +86,96 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
             [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
         ):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
-        for rule in MULTI_AGENT_RULES:
-            yield from exceptions_as_findings(
-                f"the rule {rule.code}",
-                checked.document.source,
-                partial(_found, partial(rule, checked.program)),
-            )
-        return
-    context = RuleContext(checked, checked.program, checked.namespace)
-    cascade = CascadeFilter(checked)
-    source = checked.document.source
-    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
-        (rule.code, partial(rule, context)) for rule in STATIC_RULES
+    versions = [
+        _Version(name, RuleContext(version), CascadeFilter(version)) for name, version in _versions(checked)
     ]
-    checks += [
-        (rule.code, partial(rule.check, checked))
-        for rule in RULES.from_plugins.values()
-        if rule.check is not None
-    ]
-    for code, check in checks:
-        if preview or not RULES[code].preview:
-            finder = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
-            yield from (finding for finding in finder if not cascade.is_consequence(finding))
+    plugins = [_rule_of_plugin(entry) for entry in RULES.from_plugins.values() if entry.check is not None]
+    for rule in MULTI_AGENT_RULES if checked.agents else (*STATIC_RULES, *plugins):
+        if preview or not RULES[rule.code].preview:
+            yield from _in_versions(rule, versions)
+
+
+def _rule_of_plugin(entry: Rule) -> StaticRule:
+    def check(context: RuleContext) -> Iterator[Finding]:
+        assert entry.check is not None
+        return entry.check(context.checked)
+
+    return LintRule(entry.code, check, entry.versions)
+
+
+# The versions of a scenario
+
+
+def _versions(checked: CheckedScenario) -> Iterator[tuple[str, CheckedScenario]]:
+    """Yield the versions of a scenario without errors by their names (`Program.versions`), each with its own
+    tests."""
+    program = checked.program
+    assert program is not None
+    # With several agents or a `role`, the variants are the agents, and each has the cases and stages.
+    agent = next((one for one in checked.variants if one.namespace is checked.namespace), checked)
+    for (name, under), version in zip(program.versions.items(), (checked, *agent.variants), strict=True):
+        tests = tuple(test for test in checked.tests if program.variant(test.case, test.stage) is under)
+        yield name, replace(version, program=under, tests=tests)
+
+
+@dataclass(frozen=True)
+class _Version(Generic[V]):
+    """A version of a scenario for rules: its name, what a rule is given, and a filter for warnings that
+    follow from others."""
+
+    name: str
+    context: V
+    cascade: CascadeFilter | None = None
+
+    def findings(self, rule: LintRule[V, Finding]) -> list[Finding]:
+        """Return the findings of a rule; an exception of the rule is one, too (DB903)."""
+        source = self.context.checked.document.source
+        findings = exceptions_as_findings(
+            f"the rule {rule.code}", source, partial(_found, partial(rule, self.context))
+        )
+        return [
+            finding
+            for finding in findings
+            if self.cascade is None or not self.cascade.is_consequence(finding)
+        ]
+
+
+def _in_versions(rule: LintRule[V, Finding], versions: Sequence[_Version[V]]) -> Iterator[Finding]:
+    """Yield the findings of a rule in the versions that it judges.
+
+    What the scenario itself has at the same place is not repeated; any other finding names its versions.
+    """
+    base, *others = versions
+    findings = base.findings(rule)
+    places = {finding.span for finding in findings}
+    merged: dict[tuple[Span, str], tuple[Finding, list[str]]] = {}
+    for version in _others(rule.versions, base, others) if findings or rule.versions != "every" else ():
+        there = version.findings(rule)
+        if rule.versions == "every":
+            same = {mark for finding in there for mark in (finding.span, finding.headline)}
+            findings = [one for one in findings if not same.isdisjoint((one.span, one.headline))]
+            there = [finding for finding in there if finding.is_internal_error]
+        for finding in there:
+            if finding.span not in places:
+                merged.setdefault((finding.span, finding.headline), (finding, []))[1].append(version.name)
+    yield from findings
+    yield from (_named(finding, versions_of_it) for finding, versions_of_it in merged.values())
+
+
+def _others(judged: Versions, base: _Version[V], others: list[_Version[V]]) -> list[_Version[V]]:
+    """Return the cases and stages that a rule judges."""
+    if judged == "base":
+        return []
+    cases = [case.program for case in base.context.program.cases if judged == "training"]
+    return [version for version in others if version.context.program not in cases]
+
+
+def _named(finding: Finding, versions: list[str]) -> Finding:
+    """Return a finding with the names of the cases and stages that have it, without its fix, which could make
+    another version wrong."""
+    more = [f"{len(versions) - _MAX_NAMES} more"] if len(versions) > _MAX_NAMES else []
+    where = sentence_list([*versions[:_MAX_NAMES], *more])
+    return replace(finding, headline=f"in {where}, {finding.headline}", fix=None)
 
 
 def _about_shared_ending(finding: Finding) -> Finding:
@@ -189,29 +271,28 @@ def simulate(
     If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
     rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
-    assert checked.program is not None  # it has no errors
-    assert checked.namespace is not None
     source = checked.document.source
     report = measure(checked.inputs, limits, permissions=checked.document.permissions)
     if report.fault is not None:
         return SimulationFindings(
             [internal_error_finding("the simulation", source, report.fault.description)]
         )
-    simulation = Simulation(checked, checked.program, checked.namespace, report)
-    active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
-    findings = [
-        finding
-        for rule in active
-        for finding in exceptions_as_findings(f"the rule {rule.code}", source, partial(rule, simulation))
+    versions = [
+        _Version(name, Simulation(version, report.of(name)))
+        for name, version in _versions(checked)
+        if name in ("", report.ended_in)
     ]
+    active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
+    findings = [finding for rule in active for finding in _in_versions(rule, versions)]
     errors = [finding for finding in findings if finding.severity == "error"]
     # `all` is true without errors, and then every warning stays.
     if not all(finding.is_internal_error for finding in errors):
         findings = [finding for finding in findings if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
+    where = f" in {report.ended_in}" if report.ended_in else ""
     return SimulationFindings(
         findings,
-        f"{simulation.when()}, after {halt.description}"
+        f"{versions[-1].context.when()}{where}, after {halt.description}"
         if halt is not None and halt.kind == "slow"
         else None,
     )
@@ -230,15 +311,13 @@ class FoundExploits:
 
 def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) -> FoundExploits:
     """Search for exploits of the reward of a scenario without errors, in a process of its own."""
-    assert checked.program is not None  # it has no errors
-    assert checked.namespace is not None
     report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
     if report.fault is not None:
         fault = internal_error_finding(
             "the search for exploits", checked.document.source, report.fault.description
         )
         return FoundExploits([Exploit(fault, None)], 0)
-    context = ExploitContext(checked, checked.program, checked.namespace, report.driven)
+    context = ExploitContext(checked, report.driven)
     exploits = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
     return FoundExploits(
         exploits,

@@ -32,7 +32,7 @@ _MIN_VISIBLE_SHARE = 0.05
 _MAX_BISECTIONS = 40
 
 
-@rule("DB603")
+@rule("DB603", versions="base")  # a stage may have wider limits on purpose
 def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     """Report a value that leaves its range in the observation before it ends the episode."""
     analysis = context.analysis.ideal

@@ -36,7 +36,7 @@ _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "angular_momentum"}
 """The facts that do not depend on the place of a body."""
 
 
-@rule("DB703")
+@rule("DB703", versions="training")
 def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
     """Report a reward with the wrong sign: a failure pays, a success costs, or progress towards success
     costs."""
@@ -194,7 +194,7 @@ def _sum(slopes: list[float | None]) -> float | None:
     return None
 
 
-@rule("DB706")
+@rule("DB706", versions="training")
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     """Report a reward that depends on a value that differs between episodes and that the policy does not
     observe."""
@@ -235,7 +235,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 
 
-@rule("DB710")
+@rule("DB710", versions="training")
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     """Report a term that pays more as the episode approaches a failure."""
     analysis = context.analysis

@@ -383,7 +383,7 @@ def _body_in(simulation: Simulation, text: str) -> str:
 # Resets
 
 
-@rule("DB809")
+@rule("DB809", versions="base")
 def identical_episodes(context: RuleContext) -> Iterator[Finding]:
     """Report that nothing is random, so that all episodes are the same."""
     program = context.program

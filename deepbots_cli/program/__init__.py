@@ -294,6 +294,13 @@ class Program:
             return self.stage(stage).program
         return self
 
+    @property
+    def versions(self) -> dict[str, Program]:
+        """The scenario itself, under the name "", and with the settings of each case and of each stage, by
+        names for a sentence, such as "case `far`"."""
+        cases = {f"case `{case.name}`": case.program for case in self.cases}
+        return {"": self, **cases, **{f"stage `{stage.name}`": stage.program for stage in self.curriculum}}
+
     def script(self, name: str) -> Script:
         """Return the script with that name."""
         return self._named("script", name, self.agent.scripts)
