@@ -2,8 +2,9 @@
 settings.
 
 A static rule is a generator from a `RuleContext` to findings, a simulated rule one from a `Simulation`. No
-rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
-decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
+rule uses another rule. The decorator `rule` gives a rule its code, and says whether it judges a simulation,
+and which versions of a scenario: by default itself and with the settings of each case and each stage. Its
+page is in `rule_pages`, by this code.
 
 names.py         places left to the author, unused definitions, equality of          DB109, DB205, DB411,
                  measurements, angles that jump                                      DB506

@@ -207,22 +207,25 @@ F = TypeVar("F")
 
 @dataclass(frozen=True)
 class LintRule(Generic[C, F]):
-    """A rule: the code of its findings, the generator that yields them, and the versions of a scenario that
-    it judges (see `diagnostics.Versions`)."""
+    """A rule: the code of its findings, the generator that yields them, the versions of a scenario that it
+    judges (see `diagnostics.Versions`), and whether it judges a simulation."""
 
     code: str
     check: Callable[[C], Iterator[F]]
     versions: Versions = "each"
+    simulated: bool = False
 
     def __call__(self, context: C) -> Iterator[F]:
         return self.check(context)
 
 
-def rule(code: str, *, versions: Versions = "each") -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
+def rule(
+    code: str, *, versions: Versions = "each", simulated: bool = False
+) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
     """Return a decorator that makes a generator of findings the rule of this code."""
 
     def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
-        return LintRule(code, check, versions)
+        return LintRule(code, check, versions, simulated)
 
     return with_code
 

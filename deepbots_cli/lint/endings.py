@@ -42,14 +42,13 @@ _MAX_SEEDS = 8
 @rule("DB801", versions="every")
 def never_true(context: RuleContext) -> Iterator[Finding]:
     """Report an ending that can never be true."""
+    analysis = context.analysis
     for ending in context.program.endings:
-        if _truth_over_episode(context.analysis, ending) == NEVER:
+        if _truth_over_episode(analysis, ending) == NEVER:
             headline = f"`{ending.name}` can never be true"
-            notes = tuple(_reasons(context.analysis, ending))
-            yield Finding(
-                "DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes
-            )
-        elif contacts := _own_contacts(context.analysis, ending):
+            notes = tuple(_reasons(analysis, ending))
+            yield Finding("DB801", ending.span, headline, _help_for_untrue(analysis, ending), notes=notes)
+        elif not ending.foreign and (contacts := analysis.own_contacts(analysis.scalars(ending)[0])):
             headline = f"`{contacts[0]}` is never true: links of one robot do not touch each other"
             yield Finding(
                 "DB801",
@@ -63,11 +62,6 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
     """Return whether an ending holds in an episode without time limit; 0 .. 1 if that depends."""
     return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending)[0])
-
-
-def _own_contacts(analysis: Analysis, ending: Expression) -> list[str]:
-    """Return the contacts between links of one robot in an ending, as text."""
-    return [] if ending.foreign else analysis.own_contacts(analysis.scalars(ending)[0])
 
 
 def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
@@ -191,27 +185,19 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
 
 def _later_limit(context: RuleContext) -> Iterator[Finding]:
     """Report the later one of `max_steps` and `max_time`."""
-    if name := _later(context.program):
-        earlier = "max_steps" if name == "max_time" else "max_time"
-        headline = f"`{name}` has no effect: `{earlier}` always ends the episode first"
-        also = (Label(context.values.span(("truncation", earlier)), "ends the episode first"),)
-        yield Finding(
-            "DB804", context.values.span(("truncation", name)), headline, "remove one of the two", labels=also
-        )
-
-
-def _later(program: Program) -> str:
-    limits = program.truncation
-    timestep = program.world.timestep
+    limits = context.program.truncation
     if limits.max_steps is None or limits.max_time is None:
-        return ""
-    steps = limits.max_steps * program.action_repeat
-    time = whole_timesteps(limits.max_time, timestep)
-    if time > steps:
-        return "max_time"
-    if steps > time:
-        return "max_steps"
-    return ""
+        return
+    ticks = {
+        "max_steps": limits.max_steps * context.program.action_repeat,
+        "max_time": whole_timesteps(limits.max_time, context.program.world.timestep),
+    }
+    earlier, later = sorted(ticks, key=lambda name: ticks[name])
+    if ticks[earlier] < ticks[later]:
+        headline = f"`{later}` has no effect: `{earlier}` always ends the episode first"
+        also = (Label(context.values.span(("truncation", earlier)), "ends the episode first"),)
+        span = context.values.span(("truncation", later))
+        yield Finding("DB804", span, headline, "remove one of the two", labels=also)
 
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
@@ -289,7 +275,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
             )
 
 
-@rule("DB806")
+@rule("DB806", simulated=True)
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
     """Report an ending that holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
@@ -318,7 +304,7 @@ def _help_for_early(program: Program, ending: Expression, help_for_failure: str)
     )
 
 
-@rule("DB808")
+@rule("DB808", simulated=True)
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """Report an episode that cannot begin or continue, for a reason that no other code reports."""
     stop = simulation.report.stop
@@ -594,16 +580,3 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResu
         return None  # their ranges are those of the step before
     outcome = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
     return outcome == ALWAYS if outcome.is_single else None
-
-
-STATIC_RULES = (
-    never_true,
-    always_true,
-    shadowed_limit,
-    timeout_as_termination,
-    ends_at_reset,
-    after_the_end,
-    unreachable_goal,
-    idle_test,
-)
-SIMULATED_RULES = (sometimes_ends_at_reset, undefined_value)

@@ -191,7 +191,7 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     )
 
 
-@rule("DB705")
+@rule("DB705", simulated=True)
 def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     """Report that failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
@@ -468,7 +468,7 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     return _StillRanges(ranges.analysis, ranges.assumed, ranges.steps, restriction)
 
 
-@rule("DB708")
+@rule("DB708", simulated=True)
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
     """Report another behavior that pays more over a whole episode than success."""
     successes = simulation.program.successes
@@ -588,7 +588,3 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:
     return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]
-
-
-STATIC_RULES = (rewards_early_death, hovering_pays)
-SIMULATED_RULES = (measured_early_death, other_policy_pays_more)

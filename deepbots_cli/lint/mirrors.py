@@ -342,6 +342,3 @@ def _listed(names: Sequence[str]) -> str:
 
 def _more(names: Sized, listed: int = 1) -> str:
     return f", and {len(names) - listed} more" if len(names) > listed else ""
-
-
-STATIC_RULES = (wrong_mirror_image,)

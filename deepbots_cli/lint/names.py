@@ -72,9 +72,12 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
             and not is_sensor
         ):
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
-            fix = removal_fix(context.values.root, definition.path)
             yield Finding(
-                "DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix
+                "DB205",
+                context.values.key_span(definition.path),
+                headline,
+                "use it, or remove it",
+                fix=removal_fix(context.values.root, definition.path),
             )
     yield from _unused_parts(context)
 
@@ -323,6 +326,3 @@ class _AngleWrapping:
                 definition is not None and definition.foreign is None and inner._wraps(definition.typed)
             )
         return self._known[name]
-
-
-STATIC_RULES = (place_left, unused_definition, equality_of_measures, angle_jumps)

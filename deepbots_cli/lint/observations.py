@@ -332,7 +332,7 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
 # Measured in a simulation
 
 
-@rule("DB607")
+@rule("DB607", simulated=True)
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
     """Report a number of the observation that is NaN, or outside of the observation space."""
     stop = simulation.report.stop
@@ -364,7 +364,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
         )
 
 
-@rule("DB608")
+@rule("DB608", simulated=True)
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     """Report a number that was the same in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
@@ -415,7 +415,7 @@ def _number_in_units(simulation: Simulation, number: RangedNumber) -> float:
     return value if abs(value) > number.slack else 0.0
 
 
-@rule("DB611")
+@rule("DB611", simulated=True)
 def often_saturated(simulation: Simulation) -> Iterator[Finding]:
     """Report a number that under every policy is at the same end of its range in most steps, and could lie
     beyond."""
@@ -530,14 +530,3 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             replacement = None if suggestion in supplied else suggestion
             fix = Fix.replacing(span, key, replacement, safe=False) if replacement else None
             yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
-
-
-STATIC_RULES = (
-    range_of_other_parts,
-    noise_without_effect,
-    observation_unbounded,
-    bounds_mismatch,
-    goal_in_observation,
-    reading_not_supplied,
-)
-SIMULATED_RULES = (outside_space, constant_observation, often_saturated)

@@ -41,16 +41,14 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
     heights = _Heights(context.analysis)
     for robot in context.program.robots:
-        for sensor in robot.sensors:
-            clearance = heights.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
-            if clearance is not None:
+        for sensor in filter(casts_rays, robot.sensors):
+            if (clearance := heights.clearance(robot.name, sensor.name)) is not None:
                 yield _passing_over(context.values, robot.name, sensor.name, clearance)
-            depth = heights.depth(robot.name, sensor.name) if casts_rays(sensor) else None
-            if depth is not None:
+            if (depth := heights.depth(robot.name, sensor.name)) is not None:
                 yield _buried(context.values, robot.name, sensor.name, depth)
 
 
-@rule("DB615")
+@rule("DB615", simulated=True)
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
     """Report the same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
     if not simulation.is_complete:
@@ -338,7 +336,3 @@ def _buried(
     return Finding(
         "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes
     )
-
-
-STATIC_RULES = (rays_meet_nothing,)
-SIMULATED_RULES = (measured_rays_meet_nothing,)

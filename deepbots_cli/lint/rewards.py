@@ -207,7 +207,7 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     return total
 
 
-@rule("DB702")
+@rule("DB702", simulated=True)
 def term_dominated(simulation: Simulation) -> Iterator[Finding]:
     """Report a term that under every policy adds up to more than a hundred times all other terms and
     endings."""
@@ -255,13 +255,13 @@ def _short(number: float) -> str:
 @rule("DB704", versions="every")
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """Report a term of the reward that is zero in every step."""
-    inactive = _always_zero(context.analysis)
-    touching = {
-        term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms
-    }
-    for term in context.program.agent.reward:
-        if touching.get(term.name):
-            headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
+    analysis = context.analysis
+    # An ending that never holds is DB801.
+    endings = {ending.name: TRUTH for ending in context.program.endings}
+    ranges = Ranges(analysis, endings, (1.0, float(analysis.last_step)))
+    for term, node in analysis.reward.terms:
+        if touching := analysis.own_contacts(node):
+            headline = f"`{touching[0]}` is never true: links of one robot do not touch each other"
             yield Finding(
                 "DB704",
                 term.span,
@@ -269,27 +269,14 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
                 "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
                 " `self_collision: true` under the robot",
             )
-            continue
-        if term.name in inactive and not _is_turned_off(term.typed, context.analysis):
-            faulty = (
-                "condition"
-                if isinstance(term.typed, Operation) and term.typed.operator == "where"
-                else "expression"
-            )
+        elif ranges.of(node) == ZERO and not _is_turned_off(term.typed, analysis):
+            is_conditional = isinstance(term.typed, Operation) and term.typed.operator == "where"
             yield Finding(
                 "DB704",
                 term.span,
                 f"`{term.name}` is zero in every step",
-                f"remove the term, or correct its {faulty}",
+                f"remove the term, or correct its {'condition' if is_conditional else 'expression'}",
             )
-
-
-def _always_zero(analysis: Analysis) -> set[str]:
-    endings = {
-        ending.name: TRUTH for ending in analysis.program.endings
-    }  # an ending that never holds is DB801
-    ranges = Ranges(analysis, endings, (1.0, float(analysis.last_step)))
-    return {term.name for term, node in analysis.reward.terms if ranges.of(node) == ZERO}
 
 
 def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
@@ -319,7 +306,7 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     return any(map(is_off, children(node)))
 
 
-@rule("DB704")
+@rule("DB704", simulated=True)
 def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
     """Report a term without a condition that was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
@@ -352,7 +339,7 @@ def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
 
-@rule("DB707")
+@rule("DB707", simulated=True)
 def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """Report a term that is NaN or infinite."""
     failed = simulation.failed
@@ -428,13 +415,3 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     for index, stage in enumerate(program.curriculum):
         if stage.until is not None and stage.until.metric == "mean_return":
             yield Analysis(stage.program), stage.until.threshold, ("curriculum", index, "until")
-
-
-STATIC_RULES = (
-    reward_unbounded,
-    term_dominates,
-    inactive_term,
-    nothing_to_learn,
-    return_out_of_reach,
-)
-SIMULATED_RULES = (term_dominated, term_was_zero, non_finite_reward)

@@ -387,7 +387,7 @@ def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
 # Measured in a simulation
 
 
-@rule("DB315")
+@rule("DB315", simulated=True)
 def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
     """Report a pose of a `cartesian` actuator that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
@@ -445,7 +445,7 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     return Finding("DB315", span, headline, help, notes=notes)
 
 
-@rule("DB322")
+@rule("DB322", simulated=True)
 def robot_stays(simulation: Simulation) -> Iterator[Finding]:
     """Report a robot that no action moves or turns, although its wheels turn: they slip, or do not touch the
     ground."""
@@ -478,7 +478,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
             )
 
 
-@rule("DB324")
+@rule("DB324", simulated=True)
 def topples(simulation: Simulation) -> Iterator[Finding]:
     """Report a robot with a free base that topples while nothing is done, if the scenario does not measure
     whether it falls."""
@@ -606,18 +606,3 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                 )
                 help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
                 yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
-
-
-STATIC_RULES = (
-    command_cut_off,
-    joint_driven_twice,
-    limp_at_start,
-    shaking_spring,
-    unlimited_motor,
-    limits_in_degrees,
-)
-SIMULATED_RULES = (
-    pose_out_of_reach,
-    robot_stays,
-    topples,
-)

@@ -12,7 +12,6 @@ from deepbots_cli.diagnostics import (
     MAX_FINDINGS,
     RULES,
     Finding,
-    Rule,
     Span,
     Versions,
     exceptions_as_findings,
@@ -54,12 +53,9 @@ _MODULES = (
     shaping,
     endings,
 )
-STATIC_RULES: tuple[StaticRule, ...] = tuple(
-    rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ())
-)
-SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
-    rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
-)
+_RULES = [rule for module in _MODULES for rule in vars(module).values() if isinstance(rule, LintRule)]
+STATIC_RULES: tuple[StaticRule, ...] = tuple(rule for rule in _RULES if not rule.simulated)
+SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(rule for rule in _RULES if rule.simulated)
 
 MULTI_AGENT_RULES = rivals.MULTI_AGENT_RULES
 
@@ -89,18 +85,20 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     versions = [
         _Version(name, RuleContext(version), CascadeFilter(version)) for name, version in _versions(checked)
     ]
-    plugins = [_rule_of_plugin(entry) for entry in RULES.from_plugins.values() if entry.check is not None]
+    plugins = [
+        LintRule(entry.code, partial(_found_by_plugin, entry.check), entry.versions)
+        for entry in RULES.from_plugins.values()
+        if entry.check is not None
+    ]
     for rule in MULTI_AGENT_RULES if checked.agents else (*STATIC_RULES, *plugins):
         if preview or not RULES[rule.code].preview:
             yield from _in_versions(rule, versions)
 
 
-def _rule_of_plugin(entry: Rule) -> StaticRule:
-    def check(context: RuleContext) -> Iterator[Finding]:
-        assert entry.check is not None
-        return entry.check(context.checked)
-
-    return LintRule(entry.code, check, entry.versions)
+def _found_by_plugin(
+    check: Callable[[CheckedScenario], Iterator[Finding]], context: RuleContext
+) -> Iterator[Finding]:
+    return check(context.checked)
 
 
 # The versions of a scenario
@@ -129,9 +127,10 @@ class _Version(Generic[V]):
 
     def findings(self, rule: LintRule[V, Finding]) -> list[Finding]:
         """Return the findings of a rule; an exception of the rule is one, too (DB903)."""
-        source = self.context.checked.document.source
         findings = exceptions_as_findings(
-            f"the rule {rule.code}", source, partial(_found, partial(rule, self.context))
+            f"the rule {rule.code}",
+            self.context.checked.document.source,
+            partial(_found, rule, self.context),
         )
         return [
             finding
@@ -197,9 +196,9 @@ def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Findin
             yield finding
 
 
-def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+def _found(rule: LintRule[V, Finding], context: V) -> Iterator[Finding]:
     try:
-        yield from check()
+        yield from rule(context)
     except RecursionError:  # definitions nested too deep for a rule
         return
 
@@ -271,11 +270,10 @@ def simulate(
     If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
     rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
-    source = checked.document.source
     report = measure(checked.inputs, limits, permissions=checked.document.permissions)
     if report.fault is not None:
         return SimulationFindings(
-            [internal_error_finding("the simulation", source, report.fault.description)]
+            [internal_error_finding("the simulation", checked.document.source, report.fault.description)]
         )
     versions = [
         _Version(name, Simulation(version, report.of(name)))

@@ -141,16 +141,17 @@ def _unseen(
     number = view.number
     name = view.number.name
     limit = view.threshold.limit
-    help = f"widen the range of `{name}`, or the bounds of a `clamp` in its value"
+    help = (
+        f"widen the range of `{name}`, or the bounds of a `clamp` in its value, so that it still changes at"
+        f" the limit of `{ending.name}`"
+    )
     fix = None
-    help += f", so that it still changes at the limit of `{ending.name}`"
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
         headline = (
             f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but"
-            " the episode fails only"
+            f" the episode fails only at {with_unit(limit, number.dimension)}"
         )
-        headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         opposite = -beyond if number.low == -number.high else beyond
         wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
@@ -165,9 +166,8 @@ def _unseen(
         )
         headline = (
             f"`{name}` does not change while {quantity_text} goes from {with_unit(view.edge, dimension)} to"
-            f" {with_unit(limit, dimension)}"
+            f" {with_unit(limit, dimension)}, the limit of `{ending.name}`"
         )
-        headline += f", the limit of `{ending.name}`"
     else:
         headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
     limit_span = ending.span
@@ -274,8 +274,8 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         size = abs(reading) * _RANGE_FACTOR
         wide = Interval(min(number.low, -size), max(number.high, size))
         edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
-        headline = f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-        headline += (
+        headline = (
+            f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
             f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
             f" {with_unit(reading, ACCELERATION)}"
         )
@@ -302,6 +302,3 @@ def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     # An accelerometer at rest measures the reaction to gravity, which points upward.
     x, y, z = analysis.program.world.gravity
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
-
-
-STATIC_RULES = (saturates_before_termination, observation_saturates)

@@ -125,17 +125,18 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
 def _check_keys(table: dict[str, object], keys: Sequence[str], name: str) -> None:
     for key in table:
         if key not in keys:
-            suggestion = nearest_word(key, keys)
-            hint = f"did you mean '{suggestion}'?" if suggestion else f"the keys are {', '.join(keys)}"
-            raise UsageError(f"{name}: unknown key '{key}'; {hint}")
+            raise UsageError(f"{name}: unknown key '{key}'; {_hint(key, keys, 'the keys are')}")
+
+
+def _hint(word: object, words: Sequence[str], listed: str) -> str:
+    suggestion = nearest_word(word, words) if isinstance(word, str) else None
+    return f"did you mean '{suggestion}'?" if suggestion else f"{listed} {', '.join(words)}"
 
 
 def _word(value: object, key: str, name: str) -> str:
     if isinstance(value, str) and value in _WORDS[key]:
         return value
-    suggestion = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
-    hint = f"did you mean '{suggestion}'?" if suggestion else f"use one of {', '.join(_WORDS[key])}"
-    raise UsageError(f"{name}: '{key}' cannot be {value!r}; {hint}")
+    raise UsageError(f"{name}: '{key}' cannot be {value!r}; {_hint(value, _WORDS[key], 'use one of')}")
 
 
 def _list(value: object, key: str, name: str) -> tuple[str, ...]:

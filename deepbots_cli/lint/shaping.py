@@ -310,6 +310,3 @@ def _opposite_help(compared: ConditionComparison, threshold: Threshold) -> str:
         f"reward the opposite, as in `exp(-{quantity} /"
         f" {with_unit(threshold.bound.low / 2, threshold.dimension)})`"
     )
-
-
-STATIC_RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

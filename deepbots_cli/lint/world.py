@@ -317,7 +317,7 @@ _KINDS = {
 }
 
 
-@rule("DB309")
+@rule("DB309", simulated=True)
 def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
     """Report that the engine crashes, hangs, or computes impossible motion."""
     halt, stop = simulation.report.halt, simulation.report.stop
@@ -392,10 +392,8 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         or program.evaluation.episodes < 2
         or program.cases
         or program.curriculum
-    ):
-        return
-    if _varies(context.analysis) or any(
-        contains_draw(tree) for reading in context.values.readings for tree in reading.trees
+        or _varies(context.analysis)
+        or any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees)
     ):
         return
     headline = (
@@ -516,7 +514,7 @@ def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 
 
-@rule("DB310")
+@rule("DB310", simulated=True)
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
     """Report bodies that overlap at the start; one pair is reported for all copies of a group."""
     deepest: dict[frozenset[str], MeasuredOverlap] = {}
@@ -563,16 +561,3 @@ def _order(simulation: Simulation, name: str) -> int:
     if name.partition("#")[0] in simulation.robot_names:
         return 0
     return 1 if simulation.placement(name) else 2
-
-
-STATIC_RULES = (
-    beyond_engine,
-    falls_without_end,
-    odd_scale,
-    identical_episodes,
-    requirement_not_redrawn,
-)
-SIMULATED_RULES = (
-    unstable_simulation,
-    spawn_overlap,
-)
