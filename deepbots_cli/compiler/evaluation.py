@@ -61,7 +61,6 @@ from deepbots_cli.scenario.evaluation import Expectation
 from deepbots_cli.scenario.evaluation import ScenarioTest as TestSpec
 from deepbots_cli.scenario.fields.names import REFERENCE_KINDS
 from deepbots_cli.scenario.fields.training import read_schedule, read_until
-from deepbots_cli.scenario.keys import listed
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
@@ -239,60 +238,55 @@ def _hindsight(hindsight: HindsightSpec | str | None, namespace: Namespace) -> H
 
 
 def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) -> None:
-    algorithm, acts_by = train.algorithm, train.acts_by
-    intervals = [part for part in action if isinstance(part, ActionRange)]
-    if acts_by == {"choice"} and (intervals or len(action) > 1):
-        headline = f"{algorithm} supports only a single discrete action"
-        help = "use PPO, or define one action with `choices`"
-    elif "ranges" not in acts_by and intervals:
-        headline = f"`{algorithm}` supports only discrete actions"
-        help = "use PPO, or define one action with `choices`"
-    elif acts_by == {"ranges"} and len(intervals) < len(action):
-        headline = f"{algorithm} supports only continuous actions"
-        help = _for_choices(train, action, namespace)
-    elif intervals and len(intervals) < len(action):
-        headline = "no algorithm supports choices and ranges in the same agent"
-        help = "define every action with `choices`, or every action as a range"
-    elif not train.uses_masks and any(
-        isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
-    ):
-        headline = f"{algorithm} ignores `forbid`"
-        help = "use MaskablePPO, or remove `forbid`"
-    elif train.symmetry is not None and (reason := _reason_against_symmetry(train)):
-        headline = reason
-        help = "use PPO, or remove `symmetry`"
-    elif namespace.scenario.critic and not train.has_critic:
-        headline = f"{algorithm} has no critic beside its policy, so it cannot use `critic`"
-        help = "use PPO, or remove `critic`"
-    else:
+    refusal = _refusal(type(train), train, action, namespace)
+    if refusal is None:
         return
+    headline, help = refusal
+    accepted = next(
+        (
+            name
+            for name in ("PPO", "MaskablePPO")
+            if _refusal(ALGORITHMS[name], train, action, namespace) is None
+        ),
+        None,
+    )
+    if accepted is not None and train.acts_by == {"ranges"} and isinstance(action[0], Choices):
+        help = f"to keep the choices, write `algorithm: {accepted}`; to keep {train.algorithm}, {help}"
+    elif accepted is not None:
+        help = f"use {accepted}, or {help}"
     namespace.values.add("DB612", ("train", "algorithm"), headline, help)
 
 
-def _reason_against_symmetry(train: TrainingSpec) -> str:
-    """Return why a training cannot learn from mirror images; empty if it can."""
-    if not train.mirrors:
-        return f"{train.algorithm} cannot learn from mirror images"
-    return "a training with a teacher cannot learn from mirror images" if train.teacher is not None else ""
-
-
-def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
-    """Return the help for an algorithm of ranges where an action has choices: another algorithm, or
-    ranges."""
-    entries = entries_at(namespace.values.root, "train")
-    also = ""
-    foreign = [
-        key
-        for key in entries
-        if key not in type(train).model_fields and key in ALGORITHMS["PPO"].model_fields
-    ]
-    if foreign:
-        also = f", which uses {listed(foreign)}"
-    drive = next(part.name for part in action if not isinstance(part, ActionRange))
-    return (
-        f"to keep the choices, write `algorithm: PPO`{also}; to keep {train.algorithm}, make every action"
-        f" a range: `{drive}: -1 .. 1`"
-    )
+def _refusal(
+    kind: type[TrainingSpec], train: TrainingSpec, action: Action, namespace: Namespace
+) -> tuple[str, str] | None:
+    """Return why an algorithm with the settings of `train` cannot learn, and the change of the scenario with
+    which it can; None if it can."""
+    name, acts_by = train.algorithm, kind.acts_by
+    intervals = [part for part in action if isinstance(part, ActionRange)]
+    if intervals and len(intervals) < len(action):
+        return (
+            "no algorithm supports choices and ranges in the same agent",
+            "define every action with `choices`, or every action as a range",
+        )
+    if acts_by == {"choice"} and (intervals or len(action) > 1):
+        return f"{name} supports only a single discrete action", "define one action with `choices`"
+    if "ranges" not in acts_by and intervals:
+        return f"`{name}` supports only discrete actions", "define one action with `choices`"
+    if acts_by == {"ranges"} and not intervals:
+        ranged = f"make every action a range: `{action[0].name}: -1 .. 1`"
+        return f"{name} supports only continuous actions", ranged
+    if not kind.uses_masks and any(
+        isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
+    ):
+        return f"{name} ignores `forbid`", "remove `forbid`"
+    if train.symmetry is not None and not kind.mirrors:
+        return f"{name} cannot learn from mirror images", "remove `symmetry`"
+    if train.symmetry is not None and train.teacher is not None:
+        return "a training with a teacher cannot learn from mirror images", "remove `symmetry`"
+    if namespace.scenario.critic and not kind.has_critic:
+        return f"{name} has no critic beside its policy, so it cannot use `critic`", "remove `critic`"
+    return None
 
 
 Check = Callable[[Document], "CheckedScenario"]

@@ -377,9 +377,10 @@ class Observations(NamespaceReader):
             return None
         if not isinstance(tree, syntax.Name):
             where = "augment" if section == "observation" else "signals"
-            self._values.add(
+            self._values.reporter(text)(
                 "DB103",
-                text.span,
+                0,
+                len(text.text),
                 "expected a name, found an expression",
                 f"define the expression under `{where}`, and write its name here",
             )

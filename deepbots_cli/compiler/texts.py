@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from collections.abc import Mapping as Table
 from functools import cached_property
 from typing import NamedTuple
@@ -90,16 +90,11 @@ class SourceText(NamedTuple):
 
 
 class TextFindings:
-    """Adds findings about the texts of one scenario.
+    """Adds findings about the texts of one scenario."""
 
-    `invalid` has the names whose definitions had findings. It is not copied: names that are added later
-    count too.
-    """
-
-    def __init__(self, root: MappingNode, findings: Findings, invalid: Set[str]) -> None:
+    def __init__(self, root: MappingNode, findings: Findings) -> None:
         self._root = root
         self._findings = findings
-        self._invalid = invalid
 
     def reporter(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
@@ -120,9 +115,8 @@ class TextFindings:
                 finding.code == "DB106" and finding.span == span for finding in self._findings
             ):
                 return  # the help for too few numbers shows the unit
-            if code == "DB503" and any(
-                word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
-            ):
+            units = UNITS.keys() & _BARE_WORD.findall(text.text)
+            if any(finding.code == "DB202" and finding.span.text in units for finding in self._findings):
                 return  # a definition has the name of a unit, which is not a name
             is_insertion = replacement is not None and replacement.at is not None
             if (

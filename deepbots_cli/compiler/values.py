@@ -130,7 +130,7 @@ class ValueReader:
         self.readings: list[ScopedExpression] = []
         self._kinds = kinds
         self._invalid = set(invalid)
-        self._text_findings = TextFindings(root, findings, self._invalid)
+        self._text_findings = TextFindings(root, findings)
 
     def span(self, path: NodePath) -> Span:
         """Return the span of the value at `path`, or of the nearest node around it."""
