@@ -10,6 +10,12 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
+def printable(text: str, kept: str = "") -> str:
+    """Return a text, which may quote a file, with control and invisible characters escaped, but for those in
+    `kept`."""
+    return "".join(c if c.isprintable() or c in kept else f"\\u{{{ord(c):x}}}" for c in text)
+
+
 def unit_text(unit: str) -> str:
     """Return a unit as users read it: empty for a plain number, whose unit is `1`."""
     return "" if unit == "1" else unit

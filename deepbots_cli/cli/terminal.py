@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from pydantic import BaseModel
 
+from deepbots_cli import words
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 from deepbots_cli.display import Display
@@ -133,9 +134,7 @@ def width() -> int:
 def printable(text: str) -> str:
     """Return `text`, which may quote a file, with control and invisible characters escaped, and commands to
     logs made inert."""
-    if not text.isprintable():
-        text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
-    return escape_log_commands(text)
+    return escape_log_commands(text if text.isprintable() else words.printable(text, "\n"))
 
 
 def json_compatible(data: object) -> object:

@@ -28,6 +28,7 @@ from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState
 from deepbots_cli.learning.runs.curriculum import CurriculumState
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.episodes import StatisticsState
+from deepbots_cli.learning.runs.records import MAX_STATE_BYTES
 from deepbots_cli.learning.runs.run import Run
 
 Array = npt.NDArray[Any]
@@ -35,8 +36,6 @@ Arrays = Mapping[str, Array]
 
 # The state
 
-_MAX_STATE_BYTES = 64_000_000
-"""A state with 1,024 worlds that have 50 random generators each takes 12 MB."""
 _MAX_WORLDS = 1_024
 _WORDS = 624
 """Numbers of 32 bits in the state of a Mersenne Twister, the generator of Python, of numpy's functions and of
@@ -185,7 +184,7 @@ def read_state(folder: Path, model: type[S]) -> S:
     Raises:
         RunError: The checkpoint is damaged.
     """
-    state = read_json(folder / "state.json", model, _MAX_STATE_BYTES)
+    state = read_json(folder / "state.json", model, MAX_STATE_BYTES)
     if state.steps != int(folder.name):
         raise RunError(
             f"{folder} is damaged: its state was saved after {state.steps:,} steps, which its name"

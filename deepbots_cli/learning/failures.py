@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
-from pydantic import BaseModel, NonNegativeInt, PositiveInt
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
@@ -34,6 +34,7 @@ from deepbots_cli.errors import (
 )
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.directories import read_json, write_numbered
+from deepbots_cli.learning.runs.record_scan import SKIPPED
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
@@ -44,8 +45,8 @@ from deepbots_cli.rollout.worlds import HistoryRecorder
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FAILURES_FOLDER = "failures"
-_MAX_FILE_BYTES = 100_000_000
-"""The largest size of a file in bytes. A file of 100 MB with empty lists takes 3 GB of memory."""
+_MAX_FILE_BYTES = 20_000_000
+"""The largest size of a file in bytes: 80,000 steps of a robot with 12 motors."""
 # A training stops when `MAX_LOST_EPISODES` of the last `LOSS_WINDOW_EPISODES` episodes were lost.
 MAX_LOST_EPISODES = 10
 LOSS_WINDOW_EPISODES = 100
@@ -73,6 +74,8 @@ class Failure(BaseModel, strict=True):
 
 class _FailureKeys(BaseModel):
     """The keys by which the file of a failed episode is recognized."""
+
+    model_config = ConfigDict(json_schema_extra={SKIPPED: None})
 
     error: Any
     start: Any

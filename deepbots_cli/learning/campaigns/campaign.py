@@ -31,6 +31,7 @@ from deepbots_cli.learning.runs.directories import (
     WORKERS_FOLDER,
     is_training,
     read_record,
+    refuse_link,
     run_lock,
     validation_text,
     write_text,
@@ -118,6 +119,7 @@ class Campaign(ABC, Generic[R]):
                 wrote it.
         """
         folder = Source.open(path, Permissions(), cls.kind).path
+        refuse_link(folder)
         record = folder / cls.record_name
         contents = read_record(record, cls.record_type, cls.noun, FORMAT, _MAX_RECORD_BYTES)
         campaign = cls(folder, contents)  # type: ignore[arg-type]  # R is its record_type

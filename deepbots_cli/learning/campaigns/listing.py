@@ -5,30 +5,50 @@ Nothing is compiled, and torch is not imported.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
+from pydantic import BaseModel, ConfigDict
+
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaigns.campaign import Campaign
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.decline import Decline, decline_of
-from deepbots_cli.learning.runs.directories import numbered_files
+from deepbots_cli.learning.runs.directories import numbered_files, read_json
 from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import ChosenBy, RunRecord, State, changed_settings
+from deepbots_cli.learning.runs.record_scan import SKIPPED
+from deepbots_cli.learning.runs.records import (
+    MAX_STATE_BYTES,
+    ChosenBy,
+    RunRecord,
+    State,
+    changed_settings,
+)
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TAIL_BYTES = 64_000
 """The number of bytes at the end of a log that contain its last 100 episodes."""
-_MAX_STATE_BYTES = 100_000_000
 _MAX_SCENARIO_BYTES = 10_000_000
+
+
+class _CpuTime(BaseModel):
+    model_config = ConfigDict(json_schema_extra={SKIPPED: None})
+
+    cpu_seconds: float
+
+
+class _CheckpointTime(BaseModel):
+    """The part of the state of a checkpoint that is listed."""
+
+    model_config = ConfigDict(json_schema_extra={SKIPPED: None})
+
+    statistics: _CpuTime
 
 
 @dataclass(frozen=True)
@@ -248,14 +268,8 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
     """Return the CPU time of the training when the last checkpoint was written, in s."""
     states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
     try:
-        return float(json.loads(read_at_most(states[-1], _MAX_STATE_BYTES))["statistics"]["cpu_seconds"])
-    except (
-        IndexError,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-    ):
+        return read_json(states[-1], _CheckpointTime, MAX_STATE_BYTES).statistics.cpu_seconds
+    except (IndexError, RunError):
         # There is no checkpoint yet, or it has just been replaced.
         return None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
@@ -15,8 +14,7 @@ from uuid import uuid4
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
-from deepbots_cli.files import read_at_most
+from deepbots_cli.errors import DeepbotsError, StorageError, UsageError
 from deepbots_cli.learning.calls import Attempt, Watcher
 from deepbots_cli.learning.campaigns.group import Group, resume_group, train_group
 from deepbots_cli.learning.campaigns.study import (
@@ -33,6 +31,7 @@ from deepbots_cli.learning.campaigns.study import (
 from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
+from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
@@ -59,7 +58,6 @@ MIN_COMPARED = 5
 """The number of complete trials before one is pruned."""
 UNSOLVED = 2.0
 """The score of a training without a model, the upper bound of all others."""
-_MAX_EVALUATIONS_BYTES = 200_000_000
 _MAX_FAILED_FIRST = 3
 """The number of trials that may fail at the beginning. More failures are due to the settings, not the
 values."""
@@ -538,17 +536,9 @@ class _Follower(Reporter):
     def _evaluations(self, run: Path) -> list[tuple[float, float, float]]:
         """Return the evaluations of a training in the last stage of the curriculum: fraction of its steps,
         mean return, success rate."""
-        path = run / "evaluations" / "training.jsonl"
         total = self._study.record.total_timesteps
-        try:
-            lines = map(
-                json.loads,
-                read_at_most(path, _MAX_EVALUATIONS_BYTES).decode().splitlines() if path.is_file() else (),
-            )
-            return [
-                (line["steps"] / total, fmean(line["returns"]), fmean(map(float, line["successes"])))
-                for line in lines
-                if line["stage"] == self._last_stage
-            ]
-        except (OSError, ArithmeticError, LookupError, TypeError, ValueError) as error:
-            raise RunError(f"{path} is damaged") from error
+        return [
+            (line["steps"] / total, fmean(line["returns"]), fmean(line["successes"]))
+            for line in read_evaluations(run)
+            if line["stage"] == (self._last_stage or "")
+        ]

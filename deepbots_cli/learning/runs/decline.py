@@ -23,8 +23,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from pathlib import Path
-from statistics import NormalDist, fmean, variance
+from statistics import NormalDist, fmean
 from typing import Any
 
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -134,19 +135,21 @@ def _fall(
     is_rate = measure == "success_rate"
     scores = [list(map(float, row["successes" if is_rate else "returns"])) for row in rows]
     late = _joined(scores[split:])
+    late_mean = fmean(late)
+    last_mean = max(late_mean, fmean(scores[-1]))
+    late_scores = _mean_scores(scores[split:])
+    ranges = _ranges(scores)
     is_few = len(rows) - split <= 2
     least, share = (MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW) if is_few else (MIN_EFFECT, MIN_SHARE)
     windows = [range(start, start + size) for size in _WINDOWS for start in range(split - size + 1)]
     better: list[tuple[float, range]] = []
     for window in windows:
         episodes = _joined([scores[number] for number in window])
-        effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
-        if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
+        effect = least if is_rate else max(least * ranges[window.start], share * ranges[0])
+        if fmean(episodes) - last_mean < effect or effect <= 0:
             continue
         # Bonferroni's correction, because the best of many windows is good by chance.
-        if paired(
-            _mean_scores(scores[window.start : window.stop]), _mean_scores(scores[split:])
-        ) <= level / len(windows):
+        if paired(_mean_scores(scores[window.start : window.stop]), late_scores) <= level / len(windows):
             better.append((fmean(episodes), window))
     if not better:
         return None
@@ -157,7 +160,7 @@ def _fall(
         measure=measure,
         best_value=value,
         best_steps=int(rows[best]["steps"]),
-        last_value=fmean(late),
+        last_value=late_mean,
         since_steps=int(rows[best + _change(means[best:])]["steps"]),
         best_episodes=sum(len(scores[number]) for number in window),
         last_episodes=len(late),
@@ -172,21 +175,25 @@ def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
 
 def _mean_scores(scores: Sequence[Sequence[float]]) -> list[float]:
     """Return the mean score of each start over some evaluations."""
-    return [fmean(column) for column in zip(*scores, strict=False)]
+    return [sum(column) / len(column) for column in zip(*scores, strict=False)]
 
 
-def _range(scores: Sequence[Sequence[float]]) -> float:
-    return max(map(max, scores)) - min(map(min, scores))
+def _ranges(scores: Sequence[Sequence[float]]) -> list[float]:
+    """Return the range of all scores from each evaluation on."""
+    highest = [*accumulate(map(max, reversed(scores)), max)]
+    lowest = [*accumulate(map(min, reversed(scores)), min)]
+    return [high - low for high, low in zip(reversed(highest), reversed(lowest), strict=True)]
 
 
 def _change(means: Sequence[float]) -> int:
     """Return the place, from 1, at which a split into two means leaves the smallest squared error."""
 
-    def error(split: int) -> float:
-        parts = (means[:split], means[split:])
-        return sum((value - fmean(part)) ** 2 for part in parts for value in part)
+    sums = [*accumulate(means)]
 
-    return min(range(1, len(means)), key=error)
+    def explained(split: int) -> float:
+        return sums[split - 1] ** 2 / split + (sums[-1] - sums[split - 1]) ** 2 / (len(means) - split)
+
+    return max(range(1, len(means)), key=explained)
 
 
 def paired(better: Sequence[float], worse: Sequence[float]) -> float:
@@ -204,7 +211,9 @@ def paired(better: Sequence[float], worse: Sequence[float]) -> float:
         return 1.0
     differences.append(-max(map(abs, differences)))
     mean = fmean(differences)
-    squared_error_of_mean = variance(differences) / len(differences)
+    # `statistics.variance` computes with fractions, which takes 1 us a number.
+    squares = sum((difference - mean) ** 2 for difference in differences)
+    squared_error_of_mean = squares / freedom / (freedom + 1)
     if squared_error_of_mean <= 0:
         return 1.0
     scale = (8 * freedom + 1) / (8 * freedom + 3)

@@ -10,11 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import deepbots_cli
 from deepbots_cli.errors import RunError, StorageError, UsageError
-from deepbots_cli.files import atomic_write, unwritable_message
+from deepbots_cli.files import atomic_write, read_at_most, unwritable_message
+from deepbots_cli.learning.runs.record_scan import SKIPPED, UnfitError, fitting_text
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 
 M = TypeVar("M", bound=BaseModel)
@@ -30,6 +31,8 @@ _LOCK_WAIT_S = 1.0
 
 class RecordFormat(BaseModel, strict=True):
     """The entries of a record that say which version of deepbots can read the rest."""
+
+    model_config = ConfigDict(json_schema_extra={SKIPPED: None})
 
     format: int = Field(ge=0, lt=2**31)
     deepbots: str = Field(default="", pattern=r"^[\w.+-]{0,40}$")
@@ -53,7 +56,7 @@ def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) 
 
 
 def read_json(path: Path, model: type[M], limit: int) -> M:
-    """Read a file of at most `limit` bytes as a model.
+    """Read a file of at most `limit` bytes as a model. Each of its texts is one line (see `record_scan`).
 
     Raises:
         RunError: The file is missing, not a regular file, unreadable, too large, or does not fit the model.
@@ -61,29 +64,39 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
     if not path.is_file():
         raise RunError(f"{path} is missing")
     try:
-        with path.open("rb") as stream:
-            content = stream.read(limit + 1)
+        content = read_at_most(path, limit + 1)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from error
     if len(content) > limit:
         raise RunError(f"{path} is larger than {limit} bytes, so deepbots did not write it")
     try:
-        return model.model_validate_json(content)
+        return model.model_validate_json(fitting_text(content, model))
+    except UnfitError as error:
+        reason = str(error)
     except ValidationError as error:
-        raise RunError(f"{path} is damaged: {validation_text(error)}") from error
+        reason = validation_text(error)
+    raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}")
 
 
 def validation_text(error: ValidationError) -> str:
     """Return the first field that does not fit a model, and the reason, in one line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     field = ".".join(str(part)[:40] for part in first["loc"])
-    if field:
-        reason = f"'{field}': {first['msg']}"
-    elif first["type"] == "json_invalid":
-        reason = "it is not valid JSON"
-    else:
-        reason = first["msg"]
+    reason = f"'{field}': {first['msg']}" if field else first["msg"]
     return " ".join(reason.split())[:200]
+
+
+def refuse_link(folder: Path) -> None:
+    """Refuse the folder of a run or a campaign that is a link: it leads to the run of someone else, which
+    would be judged, and written to. A link above it is that of the person who names the folder.
+
+    Raises:
+        RunError: It is a symbolic link.
+    """
+    if folder.is_symlink():
+        raise RunError(
+            f"{folder} is a symbolic link; name the folder that it leads to: {os.path.realpath(folder)}"
+        )
 
 
 def write_text(path: Path, text: str) -> None:

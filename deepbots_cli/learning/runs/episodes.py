@@ -36,6 +36,7 @@ from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.episode import own_episode
+from deepbots_cli.words import printable
 
 WINDOW_EPISODES = 100
 """The number of episodes in the moving means of a training, unless the scenario's `solved` sets another one.
@@ -52,7 +53,9 @@ Measured with untrained policies over 20,000 steps: CartPole writes 32 lines of 
 FindBallRandom 12 of 350. The quadruped, which draws the most values, writes 1,000 bytes a line. A million
 episodes are 31 million steps of such a CartPole, and 256 MiB are 260,000 episodes of the quadruped.
 """
-_MAX_LINE_BYTES, _MAX_EVALUATION_BYTES = 1 << 18, 1 << 22  # a field of a table has at most 131,072 letters
+_MAX_EVALUATIONS_BYTES = 1 << 24
+"""The largest file of the evaluations during a training: 16,000 of 20 episodes with 50 bytes each."""
+_MAX_LINE_BYTES = 1 << 18  # a field of a table has at most 131,072 letters
 _MAX_EVALUATED = 2_000_000
 """The largest count of numbers in the evaluations during a training: two for each episode, for 10,000
 evaluations of 100 episodes."""
@@ -171,7 +174,7 @@ def read_log(path: Path) -> Iterator[dict[str, str]]:
     with _opened_log(path) as stream:
         if stream is None:
             return
-        _check_size(path, stream)
+        _check_size(path, stream, MAX_LOG_BYTES)
         names = _read_header(path, stream)
         for number, row in enumerate(_table(names, _whole_lines(path, stream, _MAX_LINE_BYTES)), 1):
             if number > MAX_LOG_EPISODES:
@@ -215,9 +218,9 @@ def _opened_log(path: Path) -> Iterator[BinaryIO | None]:
         raise RunError(f"{path} is damaged: {error}") from error
 
 
-def _check_size(path: Path, stream: BinaryIO) -> None:
-    if os.fstat(stream.fileno()).st_size > MAX_LOG_BYTES:
-        raise RunError(f"{path} is larger than {MAX_LOG_BYTES >> 20} MiB")
+def _check_size(path: Path, stream: BinaryIO, limit: int) -> None:
+    if os.fstat(stream.fileno()).st_size > limit:
+        raise RunError(f"{path} is larger than {limit >> 20} MiB")
 
 
 def _whole_lines(path: Path, stream: BinaryIO, longest: int) -> Iterator[str]:
@@ -257,11 +260,12 @@ class KeptNames:
         self._letters = 0
 
     def keep(self, name: str) -> str:
-        """Return the kept object of this name.
+        """Return the kept object of this name, which is one line.
 
         Raises:
             RunError: All names together are too long.
         """
+        name = name if name.isprintable() else printable(name)
         if name not in self._names:
             self._letters += len(name)
             if self._letters > _MAX_NAMES_LETTERS:
@@ -290,8 +294,8 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
         with _opened_log(path) as stream:
             if stream is None:
                 return []
-            _check_size(path, stream)
-            for text in _whole_lines(path, stream, _MAX_EVALUATION_BYTES):
+            _check_size(path, stream, _MAX_EVALUATIONS_BYTES)
+            for text in _whole_lines(path, stream, _MAX_LINE_BYTES):
                 line = json.loads(text)
                 entry = line[AGENTS_COLUMN][agent] if agent else line
                 lists = {name: [float(value) for value in entry[name]] for name in ("returns", "successes")}

@@ -25,7 +25,9 @@ from deepbots_cli.rollout import Episode
 if TYPE_CHECKING:
     from deepbots_cli.learning.runs.draws import DrawnEffects, DrawnPart
 
-_MAX_EVALUATION_BYTES = 200_000_000
+MAX_EVALUATION_BYTES = 20_000_000
+"""The largest evaluation: 70,000 episodes of CartPole with 285 bytes each, 17,000 of the quadruped."""
+MAX_CONFIRMATIONS = 100_000
 
 
 class DrawLabel(NamedTuple):
@@ -86,7 +88,7 @@ class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
     agent: str = ONLY_AGENT
     model: str
     model_steps: int | None = None
-    confirmation: int | None = None
+    confirmation: int | None = Field(default=None, ge=1, le=MAX_CONFIRMATIONS)
     case: str | None = None
     stage: str | None = None
     seed: int
@@ -119,7 +121,7 @@ class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
         Raises:
             RunError: The file is damaged.
         """
-        evaluation = read_json(path, cls, _MAX_EVALUATION_BYTES)
+        evaluation = read_json(path, cls, MAX_EVALUATION_BYTES)
         if not evaluation.outcomes:
             raise RunError(f"{path} is damaged: 'outcomes' has no episode")
         return evaluation

@@ -18,9 +18,9 @@ from typing import Any, Literal, NamedTuple, Self, TypedDict
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepbots_cli.learning.runs.curriculum import CompletedStage, LevelSpread
-from deepbots_cli.learning.runs.directories import is_training, read_record, write_text
+from deepbots_cli.learning.runs.directories import is_training, read_record, refuse_link, write_text
 from deepbots_cli.learning.runs.episodes import SolvedAt
-from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.evaluations import MAX_CONFIRMATIONS, EvaluationResult
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import RECORD_NAME
 
@@ -31,7 +31,10 @@ State = Literal["training", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
 """The value of `stopped_by` for a training that did not improve."""
 ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand", "newest"]
-_MAX_RECORD_BYTES = 4_000_000
+# The record of the quadruped with 256 worlds has 14 kB; 1,000 meshes and 10,000 ratings add 1 MB.
+_MAX_RECORD_BYTES = 2_000_000
+MAX_STATE_BYTES = 20_000_000
+"""The state of a checkpoint with 1,024 worlds that have 50 random generators each takes 12 MB."""
 _NOT_INSTALLED = "not installed"
 _VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 
@@ -158,7 +161,7 @@ class RunResult(BaseModel):
     levels: LevelSpread | None = None
     stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
-    confirmations: int = 0
+    confirmations: int = Field(default=0, ge=0, le=MAX_CONFIRMATIONS)
     confirmed_seed: int | None = None
     agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
     ratings: tuple[Rating, ...] = Field(default=(), exclude_if=lambda ratings: not ratings)
@@ -332,8 +335,9 @@ class RunRecord(BaseModel):
 
         Raises:
             RunError: The record is missing, damaged, or was written in a format that this deepbots does not
-                know.
+                know, or the folder is a symbolic link.
         """
+        refuse_link(folder)
         return read_record(folder / RECORD_NAME, cls, "run", FORMAT, _MAX_RECORD_BYTES)
 
 

@@ -41,7 +41,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.directories import write_numbered, write_text
-from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.evaluations import MAX_EVALUATION_BYTES, EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, is_installed, timestamp, write_record
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import Member
@@ -160,10 +160,13 @@ class Run:
             content: The JSON of an `EvaluationResult`, and further entries.
 
         Raises:
-            RunError: The run cannot be written to, or its disk is full.
+            RunError: The run cannot be written to, its disk is full, or the evaluation has too many episodes.
         """
         entries = {"evaluated": timestamp(), **content}
-        path = write_numbered(self.evaluations, json.dumps(entries, indent=1, allow_nan=False) + "\n")
+        text = json.dumps(entries, indent=1, allow_nan=False) + "\n"
+        if len(text) > MAX_EVALUATION_BYTES:
+            raise RunError(f"it has {len(text):,} bytes, and the limit is {MAX_EVALUATION_BYTES:,}")
+        path = write_numbered(self.evaluations, text)
         record = RunRecord.read(self.path)  # another process may have changed it
         # A training writes its record at its end, and evaluations until then are of older models.
         if record.task is not None and record.status != "running":
