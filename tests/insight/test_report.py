@@ -271,10 +271,14 @@ def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"outcomes": []}, "'outcomes'"),
-        ({"mean_return": float("nan")}, "'mean_return'"),
-        ({"total_return": float("inf")}, "'outcomes.3.total_return'"),
-        ({"drawn": {"mass": "heavy"}}, "a drawn value is a number in one episode and a name in another"),
+        ({"outcomes": []}, "0001.json is damaged: 'outcomes'"),
+        ({"mean_return": float("nan")}, "contains no evaluation of its best model"),
+        ({"total_return": 1e300}, "0001.json is damaged: 'outcomes.3.total_return'"),
+        (
+            {"drawn": {"mass": "heavy"}},
+            "0001.json is damaged: 'outcomes': Value error, a drawn value is a number in one episode and a name"
+            " in another",
+        ),
     ],
 )
 def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(run, tmp_path, capsys, change, message):
@@ -284,11 +288,9 @@ def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(run, tmp_pa
     for episode in evaluation["outcomes"]:
         episode["drawn"]["mass"] = 1.0
     evaluation["outcomes"][3] |= change
-    path.write_text(json.dumps(evaluation | change))
+    path.write_text(json.dumps(evaluation | {key: change[key] for key in change if key in evaluation}))
     assert main(["report", str(copy), "-o", str(tmp_path / "x.html")]) == 2
-    err = capsys.readouterr().err
-    assert "0001.json is damaged" in err
-    assert message in err
+    assert message in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_to_is_refused_before_anything_runs(run, tmp_path, capsys):

@@ -1,0 +1,335 @@
+"""Run folders that mean harm: a number becomes a change of a run, and a process with limits does with it what
+a user would do.
+
+    python -m tests.hostile.runs RUN 0 200
+
+A server imports everything once and forks a process for each command, which takes at most `MOST_SECONDS` of CPU
+and `MOST_MEMORY` more than the server.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from tests.fuzz.run_files import HOSTILE, mutated
+from tests.fuzz.workbench import peak_memory
+
+ROOT = Path(__file__).parents[2]
+MOST_SECONDS = 10
+MOST_MEMORY = 500 * 10**6
+COMMANDS = [
+    ("runs", "."),
+    ("report", "run", "--no-clips", "--episodes", "1"),
+    ("plot", "run"),
+    ("diagnose", "run", "--only-logs"),
+    ("export", "run", "--force"),
+]
+RECORDS = ("run.json", "evaluations/0001.json")
+FOREIGN = "met: the task is solved"
+"""A line that no command may print."""
+
+Change = Callable[[Path, random.Random], None]
+
+
+def _files(run: Path) -> list[Path]:
+    return sorted(path for path in run.rglob("*") if path.is_file() and not path.is_symlink())
+
+
+def damaged_bytes(run: Path, chance: random.Random) -> None:
+    for _ in range(chance.choice((1, 1, 3))):
+        file = chance.choice(_files(run))
+        file.write_bytes(mutated(str(file.relative_to(run)), file.read_bytes(), chance.randrange(10**6)))
+
+
+def _changed_record(run: Path, chance: random.Random, change: Callable[[dict[str, Any]], None]) -> None:
+    file = run / chance.choice(RECORDS)
+    record = json.loads(file.read_text())
+    change(record)
+    file.write_text(json.dumps(record))
+
+
+def _inner(record: Any, chance: random.Random) -> tuple[Any, Any]:
+    """A container in a record and one of its keys, as often at its root as inside."""
+    while True:
+        keys = list(record) if isinstance(record, dict) else range(len(record))
+        key = chance.choice(keys)
+        if not isinstance(record[key], dict | list) or not record[key] or chance.random() < 0.3:
+            return record, key
+        record = record[key]
+
+
+def filling(chance: random.Random) -> Any:
+    """Up to 2 MB of many small values."""
+    value, size = chance.choice(
+        [
+            (0, 3),
+            ({}, 4),
+            ([], 4),
+            ([0], 5),
+            ({"a": 0}, 10),
+            ("", 4),
+            (None, 6),
+            ([[]], 6),
+            ({"steps": 1}, 14),
+        ]
+    )
+    count = chance.choice((200_000, 2_000_000)) // size
+    return [value] * count if chance.random() < 0.6 else {f"{index:x}": value for index in range(count // 2)}
+
+
+def unknown_keys(run: Path, chance: random.Random) -> None:
+    def change(record: dict[str, Any]) -> None:
+        inner, key = _inner(record, chance)
+        if isinstance(inner, list):
+            inner.append(filling(chance))
+        else:
+            inner[chance.choice(("x", "unknown", key))] = filling(chance)
+
+    _changed_record(run, chance, change)
+
+
+def many_keys(run: Path, chance: random.Random) -> None:
+    (run / chance.choice(RECORDS)).write_text(json.dumps(filling(chance)))
+
+
+def huge_numbers(run: Path, chance: random.Random) -> None:
+    numbers = [
+        10**30,
+        -(10**30),
+        2**63 - 1,
+        2**53 + 1,
+        10**400,
+        1e308,
+        -1e308,
+        1e-320,
+        -1,
+        10**18,
+        float("nan"),
+    ]
+
+    def change(record: dict[str, Any]) -> None:
+        for _ in range(chance.choice((1, 1, 5))):
+            inner, key = _inner(record, chance)
+            inner[key] = chance.choice(numbers)
+
+    _changed_record(run, chance, change)
+
+
+def wrong_types(run: Path, chance: random.Random) -> None:
+    def change(record: dict[str, Any]) -> None:
+        for _ in range(chance.choice((1, 2, 10))):
+            inner, key = _inner(record, chance)
+            inner[key] = chance.choice(HOSTILE)
+
+    _changed_record(run, chance, change)
+
+
+def deep_nesting(run: Path, chance: random.Random) -> None:
+    sign, end = chance.choice([("[", "]"), ('{"a":', "}"), ('[{"a":', "}]")])
+    depth = chance.choice((100, 3_000, 300_000))
+    deep = sign * depth + "0" + end * depth
+    file = run / chance.choice((*RECORDS, "evaluations/training.jsonl"))
+    text = file.read_text()
+    at = text.index(":") + 1
+    file.write_text(text[:at] + deep + "," + text[at:] if chance.random() < 0.5 else deep)
+
+
+def long_lines(run: Path, chance: random.Random) -> None:
+    file = run / "evaluations" / "training.jsonl"
+    if chance.random() < 0.4:
+        file = run / "monitor.csv"
+        head, _, row = file.read_text().partition("\n")
+        file.write_text(head + "\n" + row + "x" * chance.choice((10**5, 10**6, 10**7)) + "\n")
+        return
+    length = chance.choice((250, 2_000, 100_000))
+    returns = [chance.gauss(0, 1) for _ in range(length)]
+    lines = chance.choice((20, 2_000))
+    line = {"stage": None, "is_best": False, "returns": returns, "successes": [False] * length}
+    with file.open("w") as stream:
+        for number in range(min(lines, 40_000_000 // (30 * length))):
+            stream.write(json.dumps({"steps": 100 * number, **line}) + "\n")
+
+
+def links(run: Path, chance: random.Random) -> None:
+    match chance.randrange(4):
+        case 0:  # the run itself
+            run.rename(run.with_name("of_another"))
+            run.symlink_to("of_another")
+        case 1:
+            file = chance.choice(_files(run))
+            file.rename(run.parent / "kept")
+            file.symlink_to(run.parent / "kept")
+        case 2:
+            file = chance.choice(_files(run))
+            file.unlink()
+            os.mkfifo(file)
+        case _:
+            folder = run / chance.choice(("models", "evaluations", "tensorboard", "inputs"))
+            shutil.rmtree(folder)
+            folder.symlink_to("/")
+
+
+def missing_files(run: Path, chance: random.Random) -> None:
+    for file in chance.sample(_files(run), chance.choice((1, 1, 3))):
+        file.unlink()
+
+
+def exchanged(run: Path, chance: random.Random) -> None:
+    first, second = chance.sample(_files(run), 2)
+    data = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(data)
+
+
+def foreign_lines(run: Path, chance: random.Random) -> None:
+    """Texts with line breaks, commands to a terminal, and signs that turn a line around."""
+    text = chance.choice(("\n", "\r\n", "\u2028", "\x1b[2J\n", "\u202e\n", "\x85")) + FOREIGN + "\n"
+
+    def change(record: dict[str, Any]) -> None:
+        for key, value in record.items():
+            if isinstance(value, str) and key not in ("status", "digest", "evaluated", "started", "updated"):
+                if chance.random() < 0.3:
+                    record[key] = value + text
+            elif isinstance(value, dict) and value and chance.random() < 0.2:
+                record[key] = {name + text: entry for name, entry in value.items()}
+
+    _changed_record(run, chance, change)
+
+
+CHANGES: tuple[Change, ...] = (
+    damaged_bytes,
+    unknown_keys,
+    many_keys,
+    huge_numbers,
+    wrong_types,
+    deep_nesting,
+    long_lines,
+    links,
+    missing_files,
+    exchanged,
+    foreign_lines,
+)
+
+
+def changed(run: Path, number: int) -> str:
+    """Change a run in place; return the kind of the change."""
+    change = CHANGES[number % len(CHANGES)]
+    change(run, random.Random(number))
+    return change.__name__
+
+
+def tried(run: Path, number: int) -> dict[str, Any]:
+    """Change a copy of a run and apply each command; the CPU seconds, bytes and problems of the worst."""
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
+        shutil.copytree(run, "run")
+        kind = changed(Path("run"), number)
+        outcomes = [_in_child(words) for words in COMMANDS]
+    return {
+        "kind": kind,
+        "seconds": max(seconds for seconds, _, _ in outcomes),
+        "memory": max(memory for _, memory, _ in outcomes),
+        "problems": [f"{kind} {number}: {problem}" for *_, problem in outcomes if problem],
+    }
+
+
+def _in_child(words: tuple[str, ...]) -> tuple[float, int, str]:
+    """Run a command in a forked process; the CPU seconds and bytes that it took, and what is wrong."""
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if not child:
+        try:
+            os.write(write_end, json.dumps(_commanded(words)).encode())
+        finally:
+            os._exit(0)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as stream:
+        answer = stream.read()
+    _, status, usage = os.wait4(child, 0)
+    seconds = usage.ru_utime + usage.ru_stime
+    if not answer:
+        return (
+            seconds,
+            0,
+            f"{' '.join(words)} was ended by signal {os.WTERMSIG(status)} after {seconds:.1f} s",
+        )
+    memory, problem = json.loads(answer)
+    return seconds, memory, problem
+
+
+def _commanded(words: tuple[str, ...]) -> tuple[int, str]:
+    from deepbots_cli.cli import main
+
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_SECONDS, MOST_SECONDS))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(20 * MOST_SECONDS)
+    Path("/proc/self/clear_refs").write_text("5")  # begins the peak of the memory anew
+    before = peak_memory()
+    with Path("output").open("w+") as output:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            code = main(list(words))
+        output.seek(0)
+        text = output.read(10**7)
+    memory = peak_memory() - before
+    label = " ".join(words)
+    if code not in (0, 1, 2) or "Traceback" in text:
+        return memory, f"{label} ended with {code}: {text[-600:]}"
+    if any(line.startswith(FOREIGN) for line in text.splitlines()) or "\x1b[2J" in text or "\u202e" in text:
+        return memory, f"{label} prints a line of the run"
+    if len(text) > 10**6:
+        return memory, f"{label} prints {len(text)} letters"
+    return memory, f"{label} takes {memory / 1e6:.0f} MB" if memory > MOST_MEMORY else ""
+
+
+def main() -> None:
+    """Answer each line, a run and a number, with what came of it."""
+    import matplotlib.figure  # noqa: F401
+    import mujoco  # noqa: F401
+    import stable_baselines3  # noqa: F401
+    import tensorboard.backend.event_processing.event_accumulator  # noqa: F401
+    import torch
+
+    from deepbots_cli.cli import main  # noqa: F401
+
+    os.environ["DEEPBOTS_DEBUG"] = "1"
+    torch.set_num_threads(1)  # a pool of threads is lost in a fork
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for line in sys.stdin:
+        request = json.loads(line)
+        print(json.dumps(tried(Path(request["run"]), request["number"])), flush=True)
+
+
+def outcomes(run: Path, numbers: range) -> Iterator[dict[str, Any]]:
+    """The outcomes of the changes of these numbers, by a server."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-m", __name__ if __name__ != "__main__" else "tests.hostile.runs"],
+        env=environment, stdin=pipe, stdout=pipe, text=True,
+    ) as server:  # fmt: skip
+        assert server.stdin is not None
+        assert server.stdout is not None
+        for number in numbers:
+            print(json.dumps({"run": str(run), "number": number}), file=server.stdin, flush=True)
+            yield json.loads(server.stdout.readline())
+        server.stdin.close()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 1:
+        main()
+    for outcome in (
+        outcomes(Path(sys.argv[1]).resolve(), range(*map(int, sys.argv[2:]))) if sys.argv[1:] else ()
+    ):
+        print(json.dumps(outcome), flush=True)
