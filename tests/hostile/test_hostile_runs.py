@@ -26,7 +26,8 @@ from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.failures import Failure
 from deepbots_cli.learning.runs.directories import read_json
-from deepbots_cli.learning.runs.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program.task import Solved, Training
@@ -111,15 +112,15 @@ def large(record: dict[str, Any], key: str, item: str, *, is_list: bool = True) 
 @pytest.mark.parametrize(
     ("model", "text"),
     [
-        (EvaluationRecord, large({}, "x", "0", is_list=False)),
-        (EvaluationRecord, large(EVALUATION, "x", "{}")),
-        (EvaluationRecord, large(EVALUATION, "agents", "{}", is_list=False)),
-        (EvaluationRecord, large(EVALUATION, "set", "0")),
-        (EvaluationRecord, large(EVALUATION, "cases", "[[]]")),
-        (EvaluationRecord, "{" + ",".join(f'"k{number}":0' for number in range(200_000)) + "}"),
-        (EvaluationWithEpisodes, large(EVALUATION, "outcomes", "{}")),
-        (EvaluationWithEpisodes, large(EVALUATION, "outcomes", EPISODE % "")),
-        (EvaluationWithEpisodes, large(EVALUATION, "outcomes", EPISODE % ',"terms":{"a":"x"}')),
+        (EvaluationResult, large({}, "x", "0", is_list=False)),
+        (EvaluationResult, large(EVALUATION, "x", "{}")),
+        (EvaluationResult, large(EVALUATION, "agents", "{}", is_list=False)),
+        (EvaluationResult, large(EVALUATION, "set", "0")),
+        (EvaluationResult, large(EVALUATION, "cases", "[[]]")),
+        (EvaluationResult, "{" + ",".join(f'"k{number}":0' for number in range(200_000)) + "}"),
+        (EvaluationResult, large(EVALUATION, "outcomes", "{}")),
+        (EvaluationResult, large(EVALUATION, "outcomes", EPISODE % "")),
+        (EvaluationResult, large(EVALUATION, "outcomes", EPISODE % ',"terms":{"a":"x"}')),
         (RunRecord, large({}, "seeds", "0", is_list=False)),
         (RunRecord, large({}, "command", '""')),
         (RunRecord, large({}, "command", "0")),
@@ -144,7 +145,7 @@ def test_a_record_of_two_megabytes_takes_fifty_megabytes(model: Any, text: str, 
 
 def test_an_evaluation_as_it_is_written_is_read(run: Path) -> None:
     """Also with the keys that only `EvaluationResult` has."""
-    assert EvaluationRecord.read(run / "evaluations" / "0001.json").episodes == 4
+    assert EvaluationResult.read(run / "evaluations" / "0001.json").episodes == 4
 
 
 @pytest.mark.parametrize(

@@ -272,8 +272,8 @@ def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path
     ("change", "message"),
     [
         ({"outcomes": []}, "0001.json is damaged: 'outcomes'"),
-        ({"mean_return": float("nan")}, "contains no evaluation of its best model"),
-        ({"total_return": 1e300}, "0001.json is damaged: 'outcomes.3.total_return'"),
+        ({"mean_return": float("nan")}, "0001.json is damaged: it is not valid JSON"),
+        ({"total_return": 1e300}, "0001.json is damaged: 'outcomes[3].total_return'"),
         (
             {"drawn": {"mass": "heavy"}},
             "0001.json is damaged: 'outcomes': Value error, a drawn value is a number in one episode and a name"

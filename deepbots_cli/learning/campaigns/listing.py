@@ -21,7 +21,7 @@ from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import numbered_files, read_json
 from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.record_scan import SKIPPED
+from deepbots_cli.learning.runs.record_shape import SKIPPED
 from deepbots_cli.learning.runs.records import (
     MAX_STATE_BYTES,
     ChosenBy,

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import deepbots_cli
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write, read_at_most, unwritable_message
-from deepbots_cli.learning.runs.record_scan import SKIPPED, UnfitError, fitting_text
+from deepbots_cli.learning.runs.record_shape import SKIPPED, UnfitError, fitting_text
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 
 M = TypeVar("M", bound=BaseModel)
@@ -56,7 +56,7 @@ def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) 
 
 
 def read_json(path: Path, model: type[M], limit: int) -> M:
-    """Read a file of at most `limit` bytes as a model. Each of its texts is one line (see `record_scan`).
+    """Read a file of at most `limit` bytes as a model. Each of its texts is one line (see `record_shape`).
 
     Raises:
         RunError: The file is missing, not a regular file, unreadable, too large, or does not fit the model.

@@ -11,12 +11,20 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Scores, Summary
+from deepbots_cli.learning.runs.record_shape import SKIPPED
 from deepbots_cli.learning.runs.statistics import wilson
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ONLY_AGENT
@@ -84,6 +92,9 @@ class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
         outcomes: The episodes, in the order of their seeds; empty where `run.json` quotes the evaluation.
         draws: The labels of the values that the scenario draws, by name.
     """
+
+    # The file has the results of cases and baselines beside it.
+    model_config = ConfigDict(json_schema_extra={SKIPPED: ["cases", "baselines", "by_drawn_value"]})
 
     agent: str = ONLY_AGENT
     model: str
