@@ -804,7 +804,7 @@ class Decisions(NamespaceReader):
             broken = broken or holds is None or option not in options
             if holds is not None:
                 branches.append((option, holds))
-        if broken:
+        if broken or not branches:  # the values of all conditions may have findings
             return None
         always = next(
             (index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)),

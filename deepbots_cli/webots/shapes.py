@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from deepbots_cli import frames
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.robots.meshes import mesh_problem, mesh_size
 from deepbots_cli.webots.nodes import child, integer, number, numbers, texts, vectors
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ MAX_MESH_BYTES = 32 * 2**20
 MAX_VERTICES = 200_000
 MAX_HEIGHTS = 1_000_000
 """The maximum numbers of vertices of a mesh, and of heights of a grid."""
+MAX_FACES = 2 * MAX_VERTICES  # as many as a closed mesh has
+_PLY_FACES = re.compile(rb"element[ \t]+face[ \t]+([0-9]{1,18})")
 _FLAT = 1e-9  # m; a mesh of less extent along some axis has no volume
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "plane", "mesh", "grid"]
@@ -156,6 +160,16 @@ def _load_mesh(path: Path) -> tuple[list[Triple], list[tuple[int, int, int]]]:
     data = read_at_most(path, MAX_MESH_BYTES + 1)
     if len(data) > MAX_MESH_BYTES:
         raise UsageError(f"it is larger than {MAX_MESH_BYTES >> 20} MiB")
+    # 32 MiB have millions of faces, which take trimesh 26 s and 839 MB.
+    problem = None if suffix == "ply" else mesh_problem(f".{suffix}", data)
+    size = None if suffix == "ply" or problem else mesh_size(f".{suffix}", data)
+    faces = (
+        sum(map(int, _PLY_FACES.findall(data.partition(b"end_header")[0])))
+        if size is None
+        else size.triangles
+    )
+    if problem is not None or faces > MAX_FACES:
+        raise UsageError(problem or f"it has {faces:,} faces, and the limit is {MAX_FACES:,}")
     loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix, skip_materials=True)
     points = [(float(x), float(y), float(z)) for x, y, z in loaded.vertices]
     return points, [(int(a), int(b), int(c)) for a, b, c in loaded.faces]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -217,6 +218,33 @@ def test_a_text_that_is_not_a_world_is_one_finding(text: str, headline: str):
 )
 def test_a_world_that_cannot_run_says_why(text: str, headline: str):
     assert errors(HEADER + text) == [headline]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "reason"),
+    [
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n" + b"f 1 2 3\n" * 3_800_000, "more than 400,000"),
+        ("a.stl", b"x" * 80 + (500_000).to_bytes(4, "little") + bytes(50 * 500_000), "it has 500,000 faces"),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nelement face 3800000\n",
+            "it has 3,800,000 faces",
+        ),
+    ],
+)
+def test_a_mesh_of_millions_of_faces_is_refused_before_it_is_loaded(
+    tmp_path: Path, name: str, data: bytes, reason: str
+):
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "worlds" / name).write_bytes(data)
+    world = tmp_path / "worlds" / "w.wbt"
+    text = f'{HEADER}Solid {{ boundingObject Mesh {{ url "{name}" }} }}'
+    start = time.process_time()
+    read_text = world_of_source(Source("w.wbt", text), world, Files(tmp_path))
+    build_scene(read_text)
+    (finding,) = read_text.findings.errors
+    assert reason in finding.headline
+    assert time.process_time() - start < 5
 
 
 @pytest.mark.parametrize(
