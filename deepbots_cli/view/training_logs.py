@@ -39,6 +39,9 @@ _EPISODE_COLUMNS = [
 # The limits of the kept drawn values, in episodes and in letters.
 _MAX_DRAWN = 2_500
 _MAX_DRAWN_LETTERS = 1 << 23
+_MAX_EVENT_BYTES, _MAX_TAGS = 1 << 20, 2_000
+_LEAST_VALUE_BYTES = 30
+"""The smallest event of one scalar has 41 bytes."""
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 _AGENT_RETURNS = "/rollout/ep_rew_mean"
@@ -297,7 +300,7 @@ def scalars_of(path: Path) -> dict[str, Curve]:
     """Return the scalars of the TensorBoard files in a folder and those below, by tag.
 
     Raises:
-        RunError: A file is not a regular file.
+        RunError: A file is not a regular file, damaged, or has more tags or values than a logger writes.
         MissingExtraError: TensorBoard is not installed.
     """
     files = sorted(path.glob("**/events.out.tfevents.*"))
@@ -310,6 +313,8 @@ def scalars_of(path: Path) -> dict[str, Curve]:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "reading TensorBoard files") from error
+    for file in files:
+        _check_events(file)
     scalars: dict[str, list[tuple[float, float]]] = {}
     for folder in sorted({file.parent for file in files}):
         events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
@@ -322,6 +327,29 @@ def scalars_of(path: Path) -> dict[str, Curve]:
         tag: (np.array([s for s, _ in sorted(rows)]), np.array([v for _, v in sorted(rows)]))
         for tag, rows in scalars.items()
     }
+
+
+def _check_events(file: Path) -> None:
+    """Refuse what `EventAccumulator` would take much memory for: 4 kB for each tag, 400 bytes for each value."""
+    from google.protobuf.message import DecodeError
+    from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
+    from tensorboard.compat.proto.event_pb2 import Event
+
+    tags = set[str]()
+    values = 0
+    try:
+        for record in RawEventFileLoader(str(file)).Load():
+            if len(record) > _MAX_EVENT_BYTES:
+                raise RunError(f"{file} has an event of more than {_MAX_EVENT_BYTES >> 20} MiB")
+            summary = Event.FromString(record).summary.value
+            values += len(summary)
+            tags.update(value.tag for value in summary)
+            if len(tags) > _MAX_TAGS:
+                raise RunError(f"{file} has more than {_MAX_TAGS:,} tags")
+    except DecodeError as error:
+        raise RunError(f"{file} is damaged: an event of it cannot be read") from error
+    if values > 1_000 + file.stat().st_size / _LEAST_VALUE_BYTES:
+        raise RunError(f"{file} has more values than a logger writes into its size")
 
 
 def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: Sequence[StageStart]) -> Curve:

@@ -245,7 +245,7 @@ def test_a_log_with_a_stage_for_each_episode_is_plotted_in_time(tmp_path):
         [0.0] * 20_000,
         endings=["crashed"] * 20_000,
         stages=names,
-        completed={"stage_0": -(10**400)},
+        completed={"stage_0": 2**63 - 1},
     )
     assert len(training_logs.read_logs([tmp_path / "a"])[0].stages) <= 100
 
@@ -488,10 +488,33 @@ def test_names_of_endings_that_are_all_different_are_refused(runs):
 
 
 def test_evaluations_in_a_training_that_take_gigabytes_are_refused(runs):
-    line = json.dumps({"steps": 30, "returns": [1] * 600_000, "successes": [1] * 600_000})
-    (runs / "a0" / "evaluations" / "training.jsonl").write_text(f"{line}\n{line}\n")
-    with pytest.raises(RunError, match="has more than 1,000,000 episodes"):
-        training_logs.read_logs([runs / "a0"])
+    line = json.dumps({"steps": 30, "returns": [1] * 40_000, "successes": [1] * 40_000})
+    log = runs / "a0" / "evaluations" / "training.jsonl"
+    for text, reason in (
+        (f"{line}\n" * 30, "has more than 1,000,000 episodes"),
+        (f"{line}\n" * 100, "is larger than 16 MiB"),
+        (line.replace("1", "1.0") + "\n", "has a line of more than 262,144 bytes"),
+    ):
+        log.write_text(text)
+        with pytest.raises(RunError, match=reason):
+            training_logs.read_logs([runs / "a0"])
+
+
+@pytest.mark.parametrize("name", ["tags", "values", "broken"])
+def test_tensorboard_files_of_many_tags_or_values_are_refused(tmp_path, name):
+    """Two megabytes of tags took 480 MB."""
+    pytest.importorskip("tensorboard")
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.summary.writer.record_writer import RecordWriter
+
+    event = Event(step=1)
+    for number in range(3_000):
+        event.summary.value.add(tag=f"{number * (name == 'tags')}", simple_value=1.0)
+    with (tmp_path / "events.out.tfevents.1.x").open("wb") as stream:
+        RecordWriter(stream).write(b"\xff" * 9 if name == "broken" else event.SerializeToString())
+    message = {"tags": "more than 2,000 tags", "values": "more values than", "broken": "is damaged"}[name]
+    with pytest.raises(RunError, match=message):
+        training_logs.scalars_of(tmp_path)
 
 
 def test_a_long_log_is_drawn_by_some_of_its_means(runs):
