@@ -152,8 +152,13 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
 
     `to_train` chooses the learner of a scenario without `train` too.
     """
+    # Other texts of the document are not corrected in turn.
+    verify_fix(document, lambda other: len(_all_passes(other, to_train=to_train).findings.errors))
+    return _all_passes(document, to_train=to_train)
+
+
+def _all_passes(document: Document, *, to_train: bool) -> CheckedScenario:
     try:
-        verify_fix(document, lambda other: len(check(other, to_train=to_train).findings.errors))
         if has_several_agents(document):
             return _check_agents(document, to_train=to_train)
         checked = _check(document)
