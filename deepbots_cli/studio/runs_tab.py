@@ -234,7 +234,8 @@ class RunsTab:
     def watch(self, run: Path) -> None:
         """Show the robot of a run, which its policy drives."""
         path, state = self._session.folder / run, self._session.robot.state
-        if self._session.robot.is_current and self._shown.source == str(path) and state.driver == POLICY:
+        is_shown = state is not None and state.driver == POLICY and self._shown.source == str(path)
+        if is_shown and self._session.robot.is_current:
             self._shown.say(f"the robot is driven by the policy of {run.name} already")
         else:
             self._shown.show_robot(path)

@@ -109,10 +109,10 @@ class Shown:
     @property
     def training_task(self) -> Task | None:
         """The newest command that trains the shown run."""
-        run, trained = self.training and self.training.path, self._commands.trained_run
-        return next(
-            (task for task in reversed(self._commands.tasks.all) if run and trained(task) == run), None
-        )
+        if self.training is None:
+            return None
+        run, trained = self.training.path, self._commands.trained_run
+        return next((task for task in reversed(self._commands.tasks.all) if trained(task) == run), None)
 
     @property
     def trains(self) -> bool:
@@ -169,7 +169,8 @@ class Shown:
         """Show what an earlier server has started and still runs."""
         for task in self._commands.tasks.running:
             self.show_task(task)
-            self.show_training(self._commands.trained_run(task) or (self.training and self.training.path))
+            if run := self._commands.trained_run(task):
+                self.show_training(run)
 
     async def look(self, *, reads: bool) -> None:
         """Take the news of commands, and with `reads` those of the files of the training."""

@@ -21,6 +21,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio import robot as robots
 from deepbots_cli.studio import server
+from deepbots_cli.studio.robot_pane import robot_text
 from deepbots_cli.studio.server import studio
 from deepbots_cli.studio.session import Session
 from tests.studio.served import Served, served
@@ -346,6 +347,30 @@ def test_a_crashed_robot_is_named_and_started_again(folder):
             # The next save starts it again.
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
             await running.runs()
+
+    asyncio.run(run())
+
+
+def test_a_robot_that_takes_long_to_load_is_shown_as_soon_as_it_is_loaded(folder, monkeypatch):
+    monkeypatch.setattr(robots, "_PATIENCE_S", 0.5)
+    (folder / "other.yaml").write_text(SCENARIO.replace("15 deg", "20 deg"), encoding="utf-8")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            await running.runs()
+            os.kill(running.robot_pid, signal.SIGSTOP)
+            session.shown.show_robot(folder / "other.yaml")
+            await running.until(lambda: session.robot.is_late)
+            sentence = "other.yaml takes long to load, and is shown as soon as it is; Restart begins anew"
+            assert robot_text(session) == sentence
+            assert session.shown.robot_starts
+            os.kill(running.robot_pid, signal.SIGCONT)
+            await running.runs()
+            assert not session.shown.robot_starts
+            assert session.robot.state.parameters == {"fall_angle": "20 deg"}
+            assert running.notices == []
 
     asyncio.run(run())
 
