@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from deepbots_cli.cli.sources import OpenedSource, open_source
+from deepbots_cli.cli.sources import OpenedSource
 from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.document import MappingNode, Permissions
-from deepbots_cli.insight import inspection
+from deepbots_cli.document import MappingNode
 
 CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
@@ -34,20 +31,6 @@ BRIEF_TABLES = (
     "training",
 )
 """The tables without `--full`."""
-
-
-def brief_tables(reference: str, permissions: Permissions, also: Sequence[str] = ()) -> inspection.Tables:
-    """Return the tables without `--full`, and those that `also` names, in the units of the file.
-
-    Raises:
-        UsageError: There is no such file or run.
-        ScenarioError: The scenario has errors.
-    """
-    side = open_source(reference, (), permissions)
-    root = root_of(side, reference)
-    tables = inspection.scenario_tables(side.program, root, side.run, side.learner)
-    brief = {name: rows for name, rows in tables.items() if name in BRIEF_TABLES or name in also}
-    return inspection.in_written_units(brief, side.program, root)
 
 
 def root_of(side: OpenedSource, reference: str) -> MappingNode:

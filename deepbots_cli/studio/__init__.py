@@ -19,7 +19,6 @@ finding_list.py   the findings below the text, with explanations and fixes
 robot_pane.py     the robot on the page
 training_tab.py   the tab for training, with the learning curve
 runs_tab.py       the tab with the runs, and their diagnosis
-inspect_tab.py    the tab with the tables of `deepbots inspect`
 outputs.py        the outputs of commands, and the tab with all of them
 charts.py         the charts of learning curves
 dialogs.py        the dialogs for a new scenario and for two versions of a file

@@ -1,4 +1,4 @@
-"""The language of scenarios in the editor: findings, completion, hover, outline and fixes.
+"""The language of scenarios in the editor: findings, completion, hover and fixes.
 
 The functions are those of the language server. Positions count lines from 0 and columns in UTF-16 units, as
 they do in its protocol and in the editor of the page.
@@ -21,8 +21,7 @@ from deepbots_cli.document.nodes import NodePath, entries_at
 from deepbots_cli.insight.suggestions import Suggestion, suggestions
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import document_symbols
-from deepbots_cli.lsp.server import Checker, CodeActions, formatting
+from deepbots_cli.lsp.server import Checker, CodeActions
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -148,16 +147,6 @@ class Language:
         """Return whether the text of a file has these values, by the path of each, already."""
         edits = (self.assignment(file, path, value) for path, value in values.items())
         return all(edit is not None and file.text[edit.start : edit.end] == edit.new for edit in edits)
-
-    def formatted(self, file: OpenFile) -> tuple[TextEdit, ...]:
-        """Return the edits of `deepbots fmt`."""
-        document = Document(uri_of(file.path), file.revision, file.text, file.path)
-        return _edits(document, formatting(document))
-
-    def outline(self, file: OpenFile) -> list[tuple[str, int]]:
-        """Return the sections of a file, and the line of each, from 1."""
-        document = Document(uri_of(file.path), file.revision, file.text, file.path)
-        return [(symbol.name, symbol.range.start.line + 1) for symbol in document_symbols(document)]
 
     def complete(self, path: Path, text: str, line: int, column: int) -> dict[str, Any]:
         """Return the completions at a place of a text, as the editor takes them.

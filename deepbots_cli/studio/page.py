@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nicegui import background_tasks, ui
+from nicegui import ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.suggestions import Suggestion
@@ -17,7 +17,6 @@ from deepbots_cli.studio.editor import Editor
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.finding_list import FindingList
-from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.layout import ICONS, Division, Notices
 from deepbots_cli.studio.meanings import Meaning
 from deepbots_cli.studio.outputs import CommandTab
@@ -87,24 +86,20 @@ class StudioPage:
                 self._parts[name].props("flat no-caps")
         self._show_part("text")
 
-        def update_inspect() -> None:
-            background_tasks.create(self._inspect.update())
-
         self._shows: dict[Topic, tuple[Callable[[], object], ...]] = {
             "text": (
                 self._editor.refresh,
                 self._show_state,
                 self._robot.update_parameters,
-                update_inspect,
             ),
             "findings": (self._show_findings,),
-            "files": (self._show_files, update_inspect),
+            "files": (self._show_files,),
             "robot": (self._robot.update,),
             "training": (self._training.update, self._robot.show_offer),
             "runs": (self._runs.update, self._robot.update_sources),
             "task": (self._training.update, self._runs.update_output, self._command.update),
             "notice": (lambda: self._notices.show(shown.notice, is_warning=shown.is_warning),),
-            "tab": (lambda: self._tabs.set_value(shown.tab), update_inspect),
+            "tab": (lambda: self._tabs.set_value(shown.tab),),
         }
         self._show_areas(starts=session.current is None)
         ui.context.client.on_delete(session.listen(self._changed))
@@ -142,18 +137,11 @@ class StudioPage:
             )
             self._save.classes("studio-save")
             ui.button("New ...", on_click=lambda: self._show_areas(starts=True)).props("dense flat no-caps")
-            layout = ui.button("Format", on_click=self._format).props("dense flat no-caps")
             ui.button("Explain ...", on_click=self._explain_here).props(
                 'dense flat no-caps title="the word at the cursor (F1)"'
             )
-            self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
-                'dense outlined options-dense display-value="Go to" aria-label="Go to a section"'
-                " virtual-scroll-slice-size=100"
-                ' popup-content-style="max-height: 80vh"'
-            )
-            self._outline.classes("studio-outline")
             self._status = ui.label("").classes("studio-status studio-state").props('role="status"')
-            self._of_text = (self._files, self._save, layout, self._outline, self._status)
+            self._of_text = (self._files, self._save, self._status)
             self._notices = Notices()
             self._theme = ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
             self._theme.props("dense flat no-caps").classes("studio-theme")
@@ -168,7 +156,7 @@ class StudioPage:
         shown = self._shown
         self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
         with self._tabs.props("dense no-caps align=left"):
-            train, runs, command, inspect = map(ui.tab, TABS)
+            train, runs, command = map(ui.tab, TABS)
         panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
         with panels.props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(runs):
@@ -177,8 +165,6 @@ class StudioPage:
                 self._training = TrainingTab(self._session, self._guarded, self._runs)
             with ui.tab_panel(command):
                 self._command = CommandTab(self._session)
-            with ui.tab_panel(inspect):
-                self._inspect = InspectTab(self._session)
 
     # Changes of the session
 
@@ -294,9 +280,6 @@ class StudioPage:
         if not errors:
             self._shown.withdraw(HAS_ERRORS)
         self._status.classes(replace=f"studio-status studio-state studio-state-{kind}")
-        sections = {line: name for name, line in language.outline(file)}
-        if sections and sections != self._outline.options:
-            self._outline.set_options(sections, value=None)
         self._list.show(file, findings)
 
     # What the person does
@@ -333,19 +316,6 @@ class StudioPage:
             self._shown.withdraw()
             self._guarded(lambda: self._session.save(file))
 
-    def _format(self) -> None:
-        if self._file is not None and not self._file.read_only:
-            edits = self._session.language.formatted(self._file)
-            if edits:
-                self._file.edit(edits)
-                self._session.edited(self._file)
-            else:
-                self._shown.say(
-                    HAS_ERRORS
-                    if self._session.language.has_errors(self._file.path)
-                    else "the layout is canonical already"
-                )
-
     def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""
         if path is None or (self._file is not None and path == str(self._file.path)):
@@ -359,11 +329,6 @@ class StudioPage:
                 self._show_scenario(file.path)
 
         self._guarded(choose)
-
-    def _go_to_section(self, line: int | None) -> None:
-        if line is not None:
-            self._editor.go_to(line - 1)
-            self._outline.set_value(None)
 
     def _write_values(self, values: dict[str, str]) -> None:
         """Write values of a diagnosis, or of the running world, into the text."""

@@ -13,11 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from deepbots_cli.cli.inspected import brief_tables
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
-from deepbots_cli.insight.inspection import Tables
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
@@ -31,8 +29,6 @@ _DRAFT_INTERVAL_S = 2.0
 _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
-_ROBOT_TABLES = ("links", "joints")
-"""The tables of `deepbots inspect --full` that the page also shows."""
 
 Listener = Callable[[Topic], None]
 HAS_ERRORS = "the scenario has errors; correct them first"
@@ -255,17 +251,6 @@ class Session:
         return lines
 
     # Commands
-
-    async def tables(self) -> Tables:
-        """Return the tables of `deepbots inspect` for the saved text of the current scenario.
-
-        Raises:
-            UsageError: There is no scenario.
-            ScenarioError: It has errors.
-        """
-        if self.current is None:
-            raise UsageError("open a scenario first")
-        return await asyncio.to_thread(brief_tables, str(self.current), self.permissions, _ROBOT_TABLES)
 
     async def picture(self) -> bytes:
         """Return a picture (PNG) of the shown scenario or run at the start of an episode; empty if there is

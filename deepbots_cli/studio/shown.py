@@ -18,7 +18,7 @@ from deepbots_cli.studio.tasks import Task
 from deepbots_cli.studio.trainings import WatchedTraining
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice", "tab"]
-Tab = Literal["Train", "Runs", "Commands", "Inspect"]
+Tab = Literal["Train", "Runs", "Commands"]
 TABS: tuple[Tab, ...] = get_args(Tab)
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import MAX_BYTES
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
 from deepbots_cli.studio.language import Language
@@ -155,8 +156,7 @@ def _run_sequence(folder, seed: int, steps: int = 25) -> None:
         elif act == 3:
             _assign(language, file, draw)
         elif act == 4:
-            for edit in reversed(language.formatted(file)):
-                file.edit([edit])
+            file.edit([difference(file.text, canonical_text(file.text) or file.text)])
         elif act == 5:
             added.append(f"# outside {seed} {step}")
             present = path.read_text("utf-8")

@@ -123,7 +123,7 @@ def test_a_training_and_unsaved_text_outlive_the_server(folder, new_tab):
     with served(folder, "mine.yaml") as second:
         page = StudioTab(new_tab(), second.address)
         page.wait("document.body.innerText.includes('unsaved changes of an earlier session')")
-        assert "  alive: 1  # unsaved words, more words" in page.text
+        page.wait("document.querySelector('.cm-content').innerText.includes('# unsaved words, more words')")
         page.wait("/mine-1: finished/.test(document.querySelector('.studio-work').innerText)", 120)
     assert [path.name for path in (folder / "runs").glob("mine-*")] == ["mine-1"]
 
@@ -213,10 +213,14 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         select = "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == '{}').click()"
         page.wait("document.querySelector('table')?.innerText.includes('mine-2')")
         page.tab.run(select.format("mine-2"))
+        page.click("Evaluate")
+        page.wait("!!document.querySelector('.studio-runs')?.offsetParent")
         page.click("Curve")
         page.wait("document.querySelector('.studio-unsolved')?.innerText.includes('not solved')")
         page.click("Why is it not solved?")
         page.wait(cause, 90)
+        # The ring of the evaluation that was begun before does not turn beside the finished diagnosis.
+        assert not page.tab.run("!!document.querySelector('.studio-runs')?.offsetParent")
         page.click("Set truncation.max_steps back to 100")
         page.click("Remove robots.cart.links.pole")
         page.wait("document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')")
@@ -263,18 +267,6 @@ def test_a_long_line_is_wrapped(studio: Served, new_tab):
     page.wait("[...document.querySelectorAll('.cm-line')].some(line => line.clientHeight > 40)")
     scroller = "document.querySelector('.cm-scroller')"
     assert page.tab.run(f"{scroller}.scrollWidth <= {scroller}.clientWidth")
-
-
-def test_the_tables_of_inspect_follow_the_saved_text(studio: Served, new_tab):
-    page = StudioTab(new_tab(), studio.address)
-    page.open_tab("Inspect")
-    tables = "document.querySelector('.studio-tables')?.innerText"
-    page.wait(f"{tables}?.includes('cart.pole_angle')")
-    page.click_line("  alive: 1")
-    page.type("23")
-    page.save()
-    page.wait(f"{tables}.includes('123')")
-    assert not page.tab.errors
 
 
 def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
