@@ -17,6 +17,7 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.robots.model import XML_ESCAPES
 
 ELSEWHERE = "elsewhere_"
 """The beginning of the names of folders with copies of files outside the project."""
@@ -72,16 +73,30 @@ class Inputs:
         write_copies(folder, self.resolved(), self.contents())
 
     def contents(self) -> dict[str, bytes]:
-        """Return the bytes of every file by the name of its copy.
+        """Return the bytes of every file by the name of its copy. A robot file names the copies of its
+        meshes.
 
         Raises:
             UsageError: A mesh has gone since it was checked.
         """
-        texts = self._texts
+        texts = self._texts | {robot.path: self._robot_text(robot) for robot in self._all_robots}
         return {
             name: texts[file].encode() if file in texts else _read_bytes(file)
             for file, name in self.names.items()
         }
+
+    def _robot_text(self, robot: ResolvedRobot) -> str:
+        """Return the text of a robot file with the relative paths of the copies of its meshes.
+
+        `package://` and the folders above the robot file may lead elsewhere from the copy.
+        """
+        text, pieces, end = robot.file.source.text, [], 0
+        for span, mesh in sorted(robot.file.mesh_spans.items(), key=lambda entry: entry[0].start):
+            folder = PurePath(self.names[robot.path]).parent
+            name = PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
+            pieces += [text[end : span.start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
+            end = span.end
+        return "".join([*pieces, text[end:]])
 
     def resolved(self) -> str:
         """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check

@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles
@@ -205,9 +205,11 @@ def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | N
 
 
 class MeshReader:
-    """Reads each mesh of one robot once: path and sha256 digest, or a refusal."""
+    """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
+    each mesh that was read, by the span of its file name."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
+        self.spans: dict[Span, str] = {}
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0

@@ -390,7 +390,7 @@ def _is_positive(m: Matrix, shift: float) -> bool:
 
 Lines = list[str]
 # `quoteattr` of the standard library does the same, and imports 66 modules, `urllib` and `email` among them.
-_ESCAPES = str.maketrans(
+XML_ESCAPES = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
 )
 
@@ -424,7 +424,7 @@ def _value(value: str | float | tuple[float, ...]) -> str:
     numbers = value if isinstance(value, tuple) else (value,)
     # The shortest text of the same float.
     text = value if isinstance(value, str) else " ".join(map(repr, numbers))
-    return f'"{text.translate(_ESCAPES)}"'
+    return f'"{text.translate(XML_ESCAPES)}"'
 
 
 def _link(link: Link, colors: dict[Color, str]) -> Lines:

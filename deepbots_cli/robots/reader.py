@@ -90,8 +90,8 @@ _SHAPES = _VOCABULARY["geometry"][0].split()
 
 @dataclass(frozen=True, eq=False)
 class RobotFile:
-    """A robot and its text, with the span of the name of each link and joint, and of the limits of each
-    joint.
+    """A robot and its text, with the span of the name of each link and joint, of the limits of each joint,
+    and of each file name of a mesh, with the real path of that mesh.
 
     `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its
     bytes.
@@ -103,6 +103,7 @@ class RobotFile:
     link_spans: Mapping[str, Span]
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
+    mesh_spans: Mapping[Span, str]
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -184,7 +185,8 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if len(links) > MAX_LINKS:
         root.error(f"the robot has more than {MAX_LINKS} links", code="DB005")
         return None
-    model = _model(root, links, joints, MeshReader(resolve_mesh))
+    meshes = MeshReader(resolve_mesh)
+    model = _model(root, links, joints, meshes)
     if model is None:
         return None
     _check_inertia(model, links)
@@ -204,7 +206,8 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
         for name, element in joints.items()
         if (limits := element.find_all("limit"))
     }
-    return RobotFile(model, source, hashlib.sha256(data).hexdigest(), link_spans, joint_spans, limit_spans)
+    digest = hashlib.sha256(data).hexdigest()
+    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -440,6 +443,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
             " folder, as PyBullet does"
         )
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
+    meshes.spans[element.value_span("filename")] = str(loaded.path)
     return Mesh(str(loaded.path), loaded.digest, scale)
 
 

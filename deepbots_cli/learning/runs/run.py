@@ -2,7 +2,8 @@
 
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
-    ├── inputs/              a copy of every file that the scenario was read from, meshes too
+    ├── inputs/              a copy of every file that the scenario was read from, meshes too, which the copies
+    │                        of robot files name
     ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is
     │                        loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
@@ -206,7 +207,11 @@ class Run:
 
     @staticmethod
     def create(path: Path, record: RunRecord, compiled: Compiled) -> Run:
-        """Fill a new, empty directory (see `new_directory`). If this fails, the directory is removed."""
+        """Fill a new, empty directory (see `new_directory`). If this fails, the directory is removed.
+
+        Raises:
+            RunError: The copies in the directory do not compile to the same program.
+        """
         try:
             for folder in (
                 f"models/{compiled.program.agent.name}",
@@ -216,6 +221,10 @@ class Run:
             ):
                 (path / folder).mkdir(parents=True)
             write_copies(path, compiled.resolved, compiled.inputs)
+            if _compiled(Source.kept(path), record).digest != compiled.digest:
+                raise RunError(
+                    f"a file of the scenario has changed since it was compiled; train {path} again"
+                )
             write_text(path / "environment.py", compiled.code)
             write_record(path, record)
             return Run(path, record, compiled)
@@ -241,19 +250,7 @@ class Run:
         _check_plain(path)
         if not (path / RESOLVED_NAME).is_file():
             raise RunError(f"{path / RESOLVED_NAME} is missing")
-        try:
-            # The functions of Python that it names are not called before a world is built, which asks again
-            # whether they may.
-            compiled = api.compile(source)
-        except DeepbotsError as error:
-            missing = [
-                f"{name} {version}" for name, version in record.plugins.items() if not is_installed(name)
-            ]
-            needed = f"; its training used {', '.join(missing)}, so install that" if missing else ""
-            raise RunError(
-                f"{path} cannot be used, since its scenario does not compile:"
-                f" {' '.join(str(error).split())[:500]}{needed}"
-            ) from error
+        compiled = _compiled(source, record)
         differences = identity.compare_interfaces(
             record.interface, identity.interface(compiled.program), words=("trained", "now")
         )
@@ -264,6 +261,25 @@ class Run:
                 f" now:\n  {lines}"
             )
         return Run(path, record, compiled)
+
+
+def _compiled(source: Source, record: RunRecord) -> Compiled:
+    """Compile the scenario of a run from its copies.
+
+    Raises:
+        RunError: It does not compile.
+    """
+    try:
+        # The functions of Python that it names are not called before a world is built, which asks again
+        # whether they may.
+        return api.compile(source)
+    except DeepbotsError as error:
+        missing = [f"{name} {version}" for name, version in record.plugins.items() if not is_installed(name)]
+        needed = f"; its training used {', '.join(missing)}, so install that" if missing else ""
+        raise RunError(
+            f"{source.path} cannot be used, since its scenario does not compile:"
+            f" {' '.join(str(error).split())[:500]}{needed}"
+        ) from error
 
 
 def has_model(run: Path, name: str) -> bool:
