@@ -28,14 +28,12 @@ from deepbots_cli.insight.changed import changed_since_solved
 from deepbots_cli.insight.collapse import fell_apart
 from deepbots_cli.insight.ends import (
     TOTAL_TIMESTEPS,
-    kept_by_return,
     one_ending,
     stopped_early,
     too_few_steps,
 )
 from deepbots_cli.insight.learner import (
     exploration_collapsed,
-    exploration_delays_stage,
     exploration_hides_success,
     exploration_too_large,
     horizon_too_short,
@@ -137,7 +135,6 @@ _EXPLAINED = {
 """For each cause, the causes that it implies, which are then not listed: a policy that repeats the action
 that pays most is not reported as exploring too little."""
 _PROVISIONAL_CAUSES = {
-    "kept_by_return",
     "success_never_seen",
     "silent_terms",
     "one_ending",
@@ -173,7 +170,6 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
         causes = (
             fell_apart,
             stopped_early,
-            kept_by_return,
             reward_exploited,
             strategies_cycle,
             lint_warns,
@@ -242,11 +238,9 @@ def causes_of(training: TrainingEvidence, permissions: Permissions = Permissions
 _COMMANDS: Mapping[str, str] = {
     "action_without_effect": "inspect {run}",
     "changed_since_solved": "diff {earlier} {run}",
-    "kept_by_return": "eval {run} --details",
     "constant_observation": "inspect {run}",
     "easy_stage_counted": "eval {run} --details",
     "ending_at_reset": "lint --deep {run}/resolved.yaml",
-    "exploration_delays_stage": "eval {run} --details",
     "lint_warns": "lint {path}",
     "saturated_observation": "inspect {run}",
     "sensor_without_reading": "view {run}",
@@ -547,11 +541,9 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     horizon_too_short,
     exploration_hides_success,
     success_needs_exploration,
-    exploration_delays_stage,
     exploration_too_large,
     exploration_collapsed,
     # The end
-    kept_by_return,
     missed_condition,
     success_plateau,
     one_ending,

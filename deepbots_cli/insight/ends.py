@@ -4,25 +4,18 @@ best one."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from shlex import quote
-from statistics import fmean
 from typing import Any
 
 from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
+from deepbots_cli.insight.statements import Numbers, Percentage, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, Trend, usual_settings
 from deepbots_cli.learning.report import longer_goal
-from deepbots_cli.learning.runs.order import measure_of
 
 TOTAL_TIMESTEPS = "train.total_timesteps"
 """The setting whose new value continues a training. A new value of another setting begins another
 training."""
-_CLEARLY_MORE = 0.2
-"""A difference of two success rates that is unlikely to be chance: both evaluations have the same 20 starts,
-and the standard deviation of a rate over 20 starts is at most 0.11."""
-
 _FAR = 10
 """The number of trainings from which a longer training is not the first advice."""
 _SHORTER_LIKELIHOOD = 0.895
@@ -88,62 +81,6 @@ def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
         "verdict": f"An evaluation of {evaluation.episodes:,} episodes does not meet it",
         "result": evaluation.text,
     }
-
-
-@statement(
-    "kept_by_return",
-    "The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its"
-    " evaluation, and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return}"
-    " against {best_return}.",
-    advice="{remedy}",
-)
-def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
-    agent, result = evidence.run.program.agent, evidence.run.record.result
-    model = None if result is None else result.best_model
-    if (
-        model is None
-        or evidence.rivals  # agents that compete keep the newest model
-        or model.measure != "mean_return"
-        or not evidence.run.program.defines_success
-        or not evidence.is_last_stage
-    ):
-        return None
-    evaluations = [
-        evaluation
-        for evaluation in evidence.evaluations
-        if "steps" in evaluation and evaluation.get("stage", "") == evidence.stage
-    ]
-    if len(evaluations) < 2 or min(len(evaluation["successes"]) for evaluation in evaluations) < MIN_EPISODES:
-        return None
-    saved = [
-        evaluation
-        for evaluation in evaluations
-        if model.steps is not None and evaluation["steps"] == model.steps
-    ]
-    kept_evaluation = saved[0] if saved else max(evaluations, key=_mean_return)
-    best = max(evaluations, key=lambda evaluation: (fmean(evaluation["successes"]), _mean_return(evaluation)))
-    if fmean(best["successes"]) - fmean(kept_evaluation["successes"]) < _CLEARLY_MORE:
-        return None
-    remedy = "Train again: this version of deepbots keeps the model that succeeds most, by new starts."
-    if measure_of(agent.solved, defines_success=True) == "mean_return":
-        remedy = (
-            "Let `solved` name the success rate, such as `success_rate >= 90 % over 100 episodes`: it"
-            " chooses the model."
-        )
-    return {
-        "likelihood": 0.8,
-        "kept_at": int(kept_evaluation["steps"]),
-        "kept": SuccessRate(kept_evaluation["successes"]),
-        "kept_return": _mean_return(kept_evaluation),
-        "best_at": int(best["steps"]),
-        "best": SuccessRate(best["successes"]),
-        "best_return": _mean_return(best),
-        "remedy": f"{remedy} Also make a success earn more than the episodes that this model was chosen by.",
-    }
-
-
-def _mean_return(evaluation: Mapping[str, Any]) -> float:
-    return fmean(evaluation["returns"])
 
 
 @statement(

@@ -10,8 +10,8 @@ import numpy as np
 
 from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.ends import training_length
-from deepbots_cli.insight.stages import criterion, criterion_text, hides_success, needs_exploration
-from deepbots_cli.insight.statements import EvaluationRate, Numbers, Percentage, sentence, statement
+from deepbots_cli.insight.stages import criterion, hides_success, needs_exploration
+from deepbots_cli.insight.statements import Numbers, Percentage, sentence, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 
@@ -220,41 +220,6 @@ def success_needs_exploration(evidence: TrainingEvidence) -> Numbers | None:
         "without": needed[1],
         "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
     }
-
-
-@statement(
-    "exploration_delays_stage",
-    "Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training"
-    " episodes with exploration stayed below it. In these evaluations, without exploration, the policy"
-    " succeeds in {success}.",
-    advice="Let evaluations end the stage, with `in evaluation` in its `until`.",
-)
-def exploration_delays_stage(evidence: TrainingEvidence) -> Numbers | None:
-    worst: dict[str, Any] = {}
-    for index, stage in enumerate(evidence.stages[: evidence.stage_index]):
-        until, after = stage.until, evidence.episodes_of(evidence.stages[index + 1].name)
-        if until is None or until.metric == "steps" or until.episodes is None or not len(after):
-            continue
-        values = "successes" if until.metric == "success_rate" else "returns"
-        evaluations = [
-            evaluation for evaluation in evidence.all_evaluations if evaluation.get("stage") == stage.name
-        ]
-        reached = [
-            k
-            for k in range(len(evaluations))
-            if all(fmean(evaluation[values]) >= until.threshold for evaluation in evaluations[k:])
-        ]
-        delay = int(after.steps[0] - evaluations[reached[0]]["steps"]) if reached else 0
-        if delay > max(worst.get("delay", 0), 0.1 * evidence.planned):
-            rate = EvaluationRate([evaluation["successes"] for evaluation in evaluations[reached[0] :]])
-            worst = {
-                "likelihood": 0.5,
-                "stage": stage.name,
-                "delay": delay,
-                "criterion": criterion_text(until),
-                "success": rate,
-            }
-    return worst or None
 
 
 class Change(NamedTuple):

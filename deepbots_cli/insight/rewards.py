@@ -513,8 +513,6 @@ def rising_term(evidence: TrainingEvidence) -> tuple[str, float, float] | None:
 
 _CEILING = 0.01
 """The share by which returns must differ to be different."""
-_FLAT_EVALUATIONS = 3
-"""The number of evaluations from which their mean returns show whether the return still grows."""
 
 
 @statement(
@@ -553,7 +551,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
     has_grown = mean_return(evidence, 0.0, 0.1) < 0.9 * mean
-    if not is_near and (stands or not is_same or not has_grown or not _is_flat(evidence, mean)):
+    if not is_near and (stands or not is_same or not has_grown or evidence.return_trend.direction == "rises"):
         return None
     steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
     remedy = (
@@ -584,21 +582,6 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
     }
-
-
-def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
-    """Return whether the evaluations of the second half of the stage all have this mean return, or else the
-    training's own episodes."""
-    half = evidence.first_step + 0.5 * evidence.stage_steps
-    mean_returns = [
-        fmean(evaluation["returns"])
-        for evaluation in evidence.evaluations
-        if "steps" in evaluation and evaluation["steps"] >= half
-    ]
-    if len(mean_returns) >= _FLAT_EVALUATIONS:
-        return max(abs(value - mean) for value in mean_returns) <= 2 * _CEILING * mean
-    third, last = mean_return(evidence, 0.5, 0.75), mean_return(evidence, 0.75, 1.0)
-    return abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean
 
 
 @statement(

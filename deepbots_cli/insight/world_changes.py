@@ -119,20 +119,19 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
     return change
 
 
-def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
-    """Yield ranges with another sign or order, or options of one choice: the family, the change in words, and
+def changed_actions(program: Program) -> Iterator[tuple[str, Act]]:
+    """Yield ranges with another sign or order, or options of one choice: the change in words, and
     a function that changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
         for first, second in combinations(range(len(options)), 2):
             text = f"the options {options[first].name} and {options[second].name} are swapped"
-            yield "order of options", text, _swapped_options(first, second)
+            yield text, _swapped_options(first, second)
     if choices:
         return
     for name, is_part in _parts(program).items():
         yield (
-            "sign of actions",
             f"the action {name} has the other sign",
             _negated(np.where(is_part, -1.0, 1.0)),
         )
@@ -140,7 +139,6 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
         order = np.arange(len(names))
         order[[first, second]] = second, first
         yield (
-            "order of actions",
             f"the actions {names[first]} and {names[second]} are swapped",
             _ordered(order),
         )

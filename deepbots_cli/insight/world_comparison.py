@@ -68,13 +68,10 @@ from deepbots_cli.learning.robustness import (
     plans,
 )
 from deepbots_cli.learning.runs.run import ModelName, Run
-from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, Start
 
 T = TypeVar("T")
 
-_MEASURED = "order, sign, unit, offset and age of numbers"
-"""The changes that are tried without a simulation."""
 _LEAST_EXPLAINED = 0.3
 """The smallest share of the squared differences that a cause must explain."""
 _REFINED = 8
@@ -90,14 +87,12 @@ _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _MAX_JOINED = 3
 """The number of changes with the same effect that are named; more are counted."""
-_PHASE, _LATEST = 50, 1_000
-"""The steps before outcomes part that are compared, and the latest step at which they may part."""
-_CLEARLY_APART, _MOST_APART = 0.1, 6
-"""The least difference of two means in this phase, as a share of the width, and the number that is kept."""
-_CHECKED, _CHECKED_EPISODES = 3, 20
-"""The causes whose effect on the success is evaluated, and the episodes of each evaluation."""
-_LEAST_SUCCESS = 0.2
-"""The difference of two success rates from which causes are evaluated by it."""
+_PHASE, _LATEST, _CLEARLY_APART, _MOST_APART = 50, 1_000, 0.1, 6
+"""The steps before outcomes part that are compared, the latest step at which they may part, and, of the means
+in this phase, the least difference as a share of the width, and the number that is kept."""
+_CHECKED, _CHECKED_EPISODES, _LEAST_SUCCESS = 3, 20, 0.2
+"""The causes whose effect on the success is evaluated, the episodes of each evaluation, and the difference of
+the success rates from which they are."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +125,7 @@ class Parting:
 @dataclass(frozen=True)
 class WorldComparison:
     """The result of a comparison: `differences` in the order in which they begin, `causes` from the one that
-    explains most, and in words the kinds of changes `tried`.
+    explains most.
 
     A cause explains numbers of the observation, so there is none if only reward terms differ. `success` holds
     the success rates in both worlds, in the episodes in which causes are evaluated by it.
@@ -140,7 +135,6 @@ class WorldComparison:
     steps: int
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
-    tried: tuple[str, ...] = ()
     parting: Parting | None = None
     success: tuple[float, float] | None = None
 
@@ -184,10 +178,12 @@ def compare_worlds(
     )
     columns = [column for column in columns if column in others]
     first, second = (world._replace(columns=columns) for world in (first, second))
-    parted = [number for number, (here, there) in enumerate(outcomes) if _end(here) != _end(there)]
-    late = [number for number in parted if _parting_step(outcomes[number]) <= _LATEST][:episodes]
+    ends = [[(one.is_success, one.ended_by) for one in pair] for pair in outcomes]
+    parting_steps = [min(one.length for one in pair) for pair in outcomes]
+    parted = [number for number, (here, there) in enumerate(ends) if here != there]
+    late = [number for number in parted if parting_steps[number] <= _LATEST][:episodes]
     numbers = [*late, *(number for number in range(episodes) if number not in late)][:episodes]
-    longest = max([MAX_STEPS, *(_parting_step(outcomes[number]) for number in late)])
+    longest = max([MAX_STEPS, *(parting_steps[number] for number in late)])
 
     def record(
         world: World, numbers: Iterable[int], max_steps: int | None, act: Act | None = None
@@ -221,38 +217,17 @@ def compare_worlds(
         likely = [(share, row) for share, row in explained if share >= _LEAST_EXPLAINED]
         likely.sort(key=lambda pair: -pair[0])  # stable
         causes = [Cause(_either(row.texts), share) for share, row in likely]
-        success = _success_rates(first.program, outcomes)
-        if success is not None:
-            count = len(outcomes[:_CHECKED_EPISODES])
-            for index, (_, row) in enumerate(likely[:_CHECKED]):
-                if row.world is not None:
-                    changed, act = row.world()
-                    rate = fmean(episode.is_success for episode in record(changed, range(count), None, act))
-                    share = (success[0] - rate) / (success[0] - success[1])
-                    causes[index] = replace(causes[index], success=rate, explained_success=share)
-    return replace(result, causes=tuple(causes), tried=(_MEASURED, *tried_amounts(kinds)), success=success)
-
-
-def _end(episode: Episode) -> tuple[bool, str | None]:
-    return episode.is_success, episode.ended_by
-
-
-def _parting_step(pair: tuple[Episode, Episode]) -> int:
-    """Return the step in which the outcomes of an episode in two worlds part: the earlier one of their ends."""
-    return min(episode.length for episode in pair)
-
-
-def _success_rates(
-    program: Program, outcomes: Sequence[tuple[Episode, Episode]]
-) -> tuple[float, float] | None:
-    """Return the success rates in both worlds of the episodes in which causes are evaluated, if they differ."""
-    if not program.defines_success or not outcomes:
-        return None
-    first, second = (
-        fmean(episode.is_success for episode in world)
-        for world in zip(*outcomes[:_CHECKED_EPISODES], strict=True)
-    )
-    return (first, second) if abs(first - second) >= _LEAST_SUCCESS else None
+        checked = outcomes[:_CHECKED_EPISODES] if first.program.defines_success else ()
+        rates = [fmean(one.is_success for one in world) for world in zip(*checked, strict=True)]
+        if not rates or abs(rates[0] - rates[1]) < _LEAST_SUCCESS:
+            return replace(result, causes=tuple(causes))
+        for index, (_, row) in enumerate(likely[:_CHECKED]):
+            if row.world is not None:
+                changed, act = row.world()
+                rate = fmean(one.is_success for one in record(changed, range(len(checked)), None, act))
+                share = (rates[0] - rate) / (rates[0] - rates[1])
+                causes[index] = replace(causes[index], success=rate, explained_success=share)
+    return replace(result, causes=tuple(causes), success=(rates[0], rates[1]))
 
 
 def _phase(
@@ -435,7 +410,6 @@ class Kind:
     """A kind of change of the first world.
 
     Attributes:
-        family: The changed property in words, without names.
         name: Its name, which an amount follows.
         changed: Returns the world with an amount of it.
         amounts: The amounts that are tried, sorted.
@@ -443,7 +417,6 @@ class Kind:
         form: The format of an amount; empty if the change has none.
     """
 
-    family: str
     name: str
     changed: Callable[[float], ChangedWorld]
     amounts: tuple[float, ...] = (1.0,)
@@ -452,17 +425,6 @@ class Kind:
 
     def text(self, amount: float) -> str:
         return f"{self.name} {self.form.format(amount)}".rstrip()
-
-
-def tried_amounts(kinds: Iterable[Kind]) -> Iterator[str]:
-    """Yield each family once, with the smallest and the largest amount of its kinds in words."""
-    families: dict[tuple[str, str], list[Kind]] = {}
-    for kind in kinds:
-        families.setdefault((kind.family, kind.form), []).append(kind)
-    for (family, form), members in families.items():
-        smallest = form.format(min(kind.amounts[0] for kind in members))
-        largest = form.format(max(kind.amounts[-1] for kind in members))
-        yield f"{family} ({smallest} .. {largest})" if form else family
 
 
 def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) -> Iterator[Kind]:
@@ -474,10 +436,10 @@ def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) 
     def with_plan(plan: Plan) -> Callable[[float], ChangedWorld]:
         return lambda amount: (world._replace(program=changed_program(document, plan.change(amount))), None)
 
-    for family, name, act in changed_actions(world.program):
-        yield Kind(family, name, with_actions(partial(without_amount, act)))
+    for name, act in changed_actions(world.program):
+        yield Kind(name, with_actions(partial(without_amount, act)))
     for name, scaled in action_gains(world.program):
-        yield Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
+        yield Kind(name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
     root, program = document.root, world.program
     assert isinstance(root, MappingNode)
     times = doubled_times(program.world.timestep)
@@ -489,17 +451,15 @@ def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) 
         *command_plans(root, program),
     ):
         if plan.form == DELAY:
-            yield Kind(
-                plan.family, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
-            )
+            yield Kind(plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY)
         elif plan.form == FACTOR:
             amounts, probes = (
                 (_MASS_FACTORS, _PROBED_MASSES) if plan.family == MASS else (_FACTORS, _PROBED_FACTORS)
             )
-            yield Kind(plan.family, plan.name, with_plan(plan), amounts, probes, FACTOR)
+            yield Kind(plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in torque_limits(program):
         limits, first = (
             tuple(factor * largest for factor in factors if factor < 1.0)
             for factors in (_FACTORS, _PROBED_FACTORS)
         )
-        yield Kind(plan.family, plan.name, with_plan(plan), limits, first, plan.form)
+        yield Kind(plan.name, with_plan(plan), limits, first, plan.form)

@@ -27,7 +27,6 @@ from deepbots_cli.insight.trace import Trace, TraceRecorder
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.episodes import SolvedAt
-from deepbots_cli.learning.runs.records import BestModel
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout import Episode
 from tests.insight.logs import (
@@ -163,24 +162,6 @@ def test_noise_that_is_large_already_is_raised_and_not_lowered(tmp_path):
         train_shuttle(tmp_path, noisy), returns_of(np.zeros(400), 0), FLAT, train__std=[0.01] * 20
     )
     assert statement_of(training, "exploration_collapsed").settings == {"train.action_noise.sigma": "1"}
-
-
-def test_a_kept_model_is_named_where_another_one_succeeds_more(carriage):
-    """A version before 0.2 chose it by its return."""
-    good = outcomes(400, 0.3, 0.3)
-    done = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.2, returns=9.0)]
-    done[1]["steps"] = 2000
-    training = with_logs(carriage, returns_of(good, 0), FLAT, success=good, evaluations=done)
-    record = training.run.record
-    best = BestModel(chosen_by="return", measure="mean_return", mean_return=9.0)
-    training.run.record = record.model_copy(
-        update={"result": record.result.model_copy(update={"best": best})}
-    )
-    statement = statement_of(training, "kept_by_return")
-    assert (statement.evidence["kept_at"], statement.evidence["best_at"]) == (2000, 1000)
-    assert "chosen by its return, 9 against 1" in statement.text
-    same = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.85, returns=9.0)]
-    assert "kept_by_return" not in causes_of(replace(training, all_evaluations=same))
 
 
 # Failing

@@ -419,18 +419,6 @@ def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_pat
     assert "script_succeeds" not in causes_of(replace(training, final_episodes=good))
 
 
-def test_a_stage_that_exploration_prolonged_is_named(staged):
-    """Its evaluations had reached the criterion long before the episodes of the training did."""
-    good = np.concatenate([outcomes(300, 0.0, 0.5), outcomes(300, 0.4, 0.4)])
-    stages = np.repeat(["wide", "exact"], [300, 300]).astype(object)
-    evaluations = evaluations_with(*[0.0] * 5, *[1.0] * 13, stage="wide")
-    training = with_logs(
-        staged, returns_of(good, 0), np.full(600, 60), success=good, stages=stages, evaluations=evaluations
-    )
-    (statement,) = [each for each in diagnose(training) if each.cause == "exploration_delays_stage"]
-    assert statement.evidence["delay"] == 18_060 - 6_000
-
-
 def test_a_success_that_earns_less_than_its_absence_is_named(carriage):
     good = outcomes(400, 0.3, 0.3)
     first = diagnose(with_logs(carriage, returns_of(good, 5) - 12 * good, np.full(400, 60), success=good))[0]

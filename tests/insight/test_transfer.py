@@ -15,7 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.insight.recorded_worlds import EngineWorld
 from deepbots_cli.insight.transfer import Gate, Transfer, transfer, world_names, worlds_that_work
-from deepbots_cli.insight.world_comparison import Kind, WorldComparison, compare_worlds, tried_amounts
+from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.runs.run import Run
@@ -321,18 +321,6 @@ def test_a_world_with_another_reward_is_compared_in_what_both_worlds_have(run_of
 def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
     report = compared(run_of("cartpole"), {}, episodes=2)
     assert (report.differences, report.causes) == ((), ())
-
-
-def test_each_family_of_changes_is_listed_once_with_the_amounts_of_all_its_kinds() -> None:
-    def kind(family: str, *amounts: float) -> Kind:
-        return Kind(family, family, lambda amount: (None, None), amounts, form="{:g} N*m")
-
-    kinds = [kind("limit", 1, 5), kind("push", 6, 7), kind("limit", 0.2, 3), kind("drag", 2, 4)]
-    assert [*tried_amounts(kinds)] == [
-        "limit (0.2 N*m .. 5 N*m)",
-        "push (6 N*m .. 7 N*m)",
-        "drag (2 N*m .. 4 N*m)",
-    ]
 
 
 @pytest.mark.slow

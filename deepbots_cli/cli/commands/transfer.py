@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from shlex import quote
-from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -318,7 +317,6 @@ def _success_lines(compared: WorldComparison, first_name: str, second_name: str)
 
 def _cause_lines(compared: WorldComparison, first_name: str) -> list[str]:
     """Return lines with the changes of the first world that explain the difference."""
-    tried = fill(f"tried, one change at a time: {'; '.join(compared.tried)}", WIDTH)
     if compared.causes:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
         partly = (
@@ -333,19 +331,18 @@ def _cause_lines(compared: WorldComparison, first_name: str) -> list[str]:
             }
             for cause in compared.causes[:5]
         ]
-        lines = [
+        return [
             f"\nchanges of {first_name} that explain the difference" if is_whole else f"\n{partly}",
             table(rows),
             "explains: share of the squared differences that vanishes with this change alone, the mean of"
             " two shares: of all",
             "moments, and of the early ones; the changes are alternatives: their shares do not add up",
         ]
-        return lines if is_whole else [*lines, tried]
     if not compared.differences:
         return []
     if not compared.observation_differs:
         return ["\nno number of the observation differs, so no cause can be found"]
-    return [f"\nno change of {first_name} that was tried explains it", tried]
+    return [f"\nno change of {first_name} that was tried explains it"]
 
 
 def _verdict(compared: Transfer) -> list[str]:
