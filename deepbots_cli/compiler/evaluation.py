@@ -422,12 +422,13 @@ class _VariantCompiler:
                     span.source is finding.span.source and span.start <= finding.span.start <= span.end
                     for span in entry_spans
                 )
-                also = (
-                    finding.labels
-                    if inside
-                    else (*finding.labels, Label(name_span, f"with the settings of this {word}"))
-                )
-                self._values.findings.append(replace(finding, labels=also))
+                also, help = finding.labels, finding.help
+                if not inside:
+                    also = (*also, Label(name_span, f"with the settings of the {word} `{name}`"))
+                    if name_span.source is not self._document.source:
+                        removed = ".".join(map(str, path))
+                        help = f"{help or 'change it'}; or leave this {word} out: `remove: [{removed}]`"
+                self._values.findings.append(replace(finding, labels=also, help=help))
         return (
             checked.program
             if checked.program is not None

@@ -63,9 +63,8 @@ class KeyCount:
         """Yield the errors of the keys of a section."""
         present = [name for name in self.names if name in data]
         if len(present) > self.max:
-            problem = error(
-                "DB101", f"`{present[-1]}` cannot be combined with `{present[0]}`", "keep one of the two"
-            )
+            headline = f"`{present[-1]}` cannot be combined with `{present[0]}`"
+            problem = error("DB101", headline, "keep one of the two", rival=present[0])
             yield InitErrorDetails(type=problem, loc=(present[-1],), input=data[present[-1]])
         elif len(present) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)

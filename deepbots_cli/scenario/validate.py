@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span, TooManyFindings
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
@@ -206,9 +206,15 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         else node.span
     )
     fix = _fix(key_node if at_key else node, near)
+    labels: tuple[Label, ...] = ()
+    if (rival := context.get("rival")) and span.source is not root.span.source:
+        other = _key_span(root, (*path[:-1], rival))
+        if other.source is root.span.source:  # the key that the user wrote is at fault, not the inherited one
+            headline = f"`{rival}` cannot be combined with `{path[-1]}`"
+            span, labels = other, (Label(span, f"`{path[-1]}` is inherited"),)
     return _Problem(
         path,
-        Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix),
+        Finding(kind, span, headline, help or sentence_about_key(data, path), labels=labels, fix=fix),
         context["missing"],
     )
 

@@ -126,3 +126,16 @@ def test_a_robot_on_a_large_field_is_not_a_dot(tmp_path):
     (tmp_path / "field.yaml").write_text(field)
     low, high = box_around(extent(api.compile(tmp_path / "field.yaml").program))
     assert max(b - a for a, b in zip(low, high, strict=True)) < 10.0
+
+
+def test_a_ground_beside_the_terrain_of_an_inherited_case_is_reported_at_the_ground(deepbots):
+    Path("mine.yaml").write_text(
+        "deepbots: 1\nextends: quadruped\nname: Mine\nworld: {ground: {friction: 0.5}}\n", encoding="utf-8"
+    )
+    ran = deepbots("lint", "mine.yaml", code=1)
+    assert "`ground` cannot be combined with `terrain`\n   --> mine.yaml:4:9" in ran.out
+    assert "with the settings of the case `rough`" in ran.out
+    assert "or leave this case out: `remove: [evaluation.cases.rough]`" in ran.out
+    text = Path("mine.yaml").read_text(encoding="utf-8")
+    Path("mine.yaml").write_text(text + "remove: [evaluation.cases.rough]\n", encoding="utf-8")
+    assert "DB101" not in deepbots("lint", "mine.yaml").out

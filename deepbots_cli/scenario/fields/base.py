@@ -33,9 +33,17 @@ def error(
     *,
     missing: tuple[str, ...] = (),
     replacement: Replacement | None = None,
+    rival: str = "",
 ) -> PydanticCustomError:
-    """Return an error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
-    context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
+    """Return an error with the parts of a finding: `missing` keys, a `replacement` of the whole value, and the
+    key beside it that it cannot be combined with."""
+    context = {
+        "headline": headline,
+        "help": help,
+        "missing": missing,
+        "replacement": replacement,
+        "rival": rival,
+    }
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
 
