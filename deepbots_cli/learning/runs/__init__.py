@@ -2,6 +2,7 @@
 
 run.py                the run directory, written atomically and checked when read; models of runs
 records.py            the content of `run.json`
+record_shape.py       the shape of a JSON record, compared before it is parsed
 evaluations.py        an evaluation: its scores, circumstances and episodes
 directories.py        directories of runs, groups and studies: names, locks, files that are written whole
 episodes.py           results of episodes: log, statistics, solved, summaries with intervals

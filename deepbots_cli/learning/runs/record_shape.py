@@ -95,62 +95,106 @@ def _shape_of(model: type[BaseModel]) -> _Shape:
     return _Shape(_struct(model), kept)
 
 
+_Entry = tuple[str, Any, bool]
+"""A key of an object, the type of its value, and whether it must be there."""
+
+
 @cache
-def _struct(model: type[Any]) -> Any:
-    """Return the struct for the objects of a model or a dataclass."""
+def _struct(*models: type[Any]) -> Any:
+    """Return the struct for the objects of a model or a dataclass; of several, for those of any of them."""
     import msgspec
 
-    skipped: Sequence[str] | None = ()
+    all_entries = [_entries(model) for model in models]
+    unread = {name for model in models for name in _skipped(model) or ()}
+    types: dict[str, Any] = {}
+    for name, kind, _ in (entry for entries in all_entries for entry in entries):
+        types[name] = kind if types.get(name, kind) == kind else msgspec.Raw
+    required = [name for name, _, needed in all_entries[0] if needed and len(models) == 1]
+    return msgspec.defstruct(
+        models[0].__name__,
+        [
+            *((name, types[name]) for name in required),
+            *((name, kind, None) for name, kind in types.items() if name not in required),
+            *((name, msgspec.Raw, None) for name in sorted(unread)),
+        ],
+        forbid_unknown_fields=all(_skipped(model) is not None for model in models),
+        kw_only=True,
+    )
+
+
+def _skipped(model: type[Any]) -> Sequence[str] | None:
+    """Return the further keys that a model does not read, or None for all."""
+    extra = model.model_config.get("json_schema_extra") if issubclass(model, BaseModel) else None
+    return extra.get(SKIPPED, ()) if isinstance(extra, dict) else ()  # type: ignore[return-value]
+
+
+def _entries(model: type[Any]) -> list[_Entry]:
     if issubclass(model, BaseModel):
-        extra = model.model_config.get("json_schema_extra")
-        skipped = extra.get(SKIPPED, ()) if isinstance(extra, dict) else ()  # type: ignore[assignment]
-        fields = [
-            (field.alias or name, _type(field.annotation, field.metadata), field.is_required())
+        fields: list[_Entry] = [
+            (field.alias or name, _type(field.annotation, field.metadata, model), field.is_required())
             for name, field in model.model_fields.items()
         ]
     else:
         hints = get_type_hints(model, include_extras=True)
         fields = [
-            (field.name, _type(hints[field.name]), _is_required(field)) for field in dataclasses.fields(model)
+            (field.name, _type(hints[field.name], (), model), _is_required(field))
+            for field in dataclasses.fields(model)
         ]
     # pydantic checks whether a value may be null: before that, a model may take another one for it.
-    nullable = [(name, kind if kind is msgspec.Raw else kind | None, needed) for name, kind, needed in fields]
-    entries = [(name, kind) if needed else (name, kind, None) for name, kind, needed in nullable]
-    entries += [(name, msgspec.Raw, None) for name in skipped or ()]
-    return msgspec.defstruct(model.__name__, entries, forbid_unknown_fields=skipped is not None, kw_only=True)
+    raw = _type(Any)
+    return [(name, kind if kind is raw else kind | None, needed) for name, kind, needed in fields]
 
 
 def _is_required(field: dataclasses.Field[Any]) -> bool:
     return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
-def _type(kind: Any, metadata: Sequence[Any] = ()) -> Any:
-    """Return the type of msgspec for a type of pydantic; any value fits a type that is not known here."""
+def _type(kind: Any, metadata: Sequence[Any] = (), within: type[Any] | None = None) -> Any:
+    """Return the type of msgspec for a type of pydantic; any value fits a type that is not known here, and an
+    object of the class `within` in an object of this class."""
     import msgspec
 
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return _type(parts[0], [*metadata, *kind.__metadata__])
+        return _type(parts[0], [*metadata, *kind.__metadata__], within)
     if kind is int:
-        has_limits = any(hasattr(entry, "le") or hasattr(entry, "lt") for entry in metadata)
+        limits = [part for entry in metadata for part in getattr(entry, "metadata", [entry])]
+        has_limits = any(hasattr(entry, "le") or hasattr(entry, "lt") for entry in limits)
         return int if has_limits else Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
     if kind is float:
         return Annotated[float, msgspec.Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
-    if kind in (str, bool, None, NoneType):
+    if kind in (str, bool, None, NoneType) or origin is Literal:
         return kind
     if kind is Path:
         return str
-    if origin is Literal:
-        return kind
     if origin in (Union, UnionType):
-        return Union[tuple(_type(part) for part in parts)]  # noqa: UP007 - of types that are computed
+        return _union([_without_metadata(part) for part in parts], within)
     if origin in (dict, Mapping):
-        return Annotated[dict[str, _type(parts[1])], msgspec.Meta(max_length=_MAX_KEYS)]
+        return Annotated[dict[str, _type(parts[1], (), within)], msgspec.Meta(max_length=_MAX_KEYS)]
     if origin is tuple and parts[-1] is not Ellipsis:
-        return tuple[tuple(_type(part) for part in parts)]
+        return tuple[tuple(_type(part, (), within) for part in parts)]  # type: ignore[misc]
     if origin in (tuple, list, Sequence):
-        return Annotated[list[_type(parts[0])], msgspec.Meta(max_length=_MAX_ITEMS)]
+        return Annotated[list[_type(parts[0], (), within)], msgspec.Meta(max_length=_MAX_ITEMS)]  # type: ignore[misc]
     if isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields"):
-        return tuple[tuple(_type(hint) for hint in get_type_hints(kind, include_extras=True).values())]
-    is_object = isinstance(kind, type) and (issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind))
-    return _struct(kind) if is_object else msgspec.Raw
+        hints = get_type_hints(kind, include_extras=True)
+        return tuple[tuple(_type(hint) for hint in hints.values())]  # type: ignore[misc]
+    return _struct(kind) if _is_object(kind) and kind is not within else msgspec.Raw
+
+
+def _union(parts: Sequence[Any], within: type[Any] | None) -> Any:
+    """Return the type for a union, in which msgspec allows one kind of objects."""
+    import msgspec
+
+    models = [part for part in parts if _is_object(part)]
+    types = [_type(part, (), within) for part in parts if part not in models]
+    types += [_struct(*models)] if models and within not in models else []
+    return msgspec.Raw if msgspec.Raw in types or not types else Union[tuple(types)]  # noqa: UP007
+
+
+def _without_metadata(kind: Any) -> Any:
+    is_model = get_origin(kind) is Annotated and _is_object(get_args(kind)[0])
+    return get_args(kind)[0] if is_model else kind
+
+
+def _is_object(kind: Any) -> bool:
+    return isinstance(kind, type) and (issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind))
