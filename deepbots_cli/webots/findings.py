@@ -16,8 +16,6 @@ MAX_FINDINGS = 100
 
 Help = str | Callable[[], str]
 """A help, or the function that returns it, which is called only for findings that are kept."""
-
-
 Severity = Literal["error", "warning"]
 
 

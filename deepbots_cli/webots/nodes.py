@@ -235,12 +235,12 @@ def type_problem(kind: str, value: Value) -> str:
 
 
 def _other_problem(kind: str, value: Value, *, several: bool) -> str:
-    types: set[type] = {
+    kinds: dict[str, set[type]] = {
         "Bool": {bool},
         "String": {str},
         "Node": {Node} if several else {Node, type(None)},
-    }.get(kind[2:], value.types)
-    fits = value.types <= types and (several or len(value.items) == 1)
+    }
+    fits = value.types <= kinds.get(kind[2:], value.types) and (several or len(value.items) == 1)
     return "" if fits else f"not {_described(kind)}"
 
 

@@ -78,10 +78,12 @@ class Templates:
             raise TemplateError(
                 "needs the package mini-racer: pip install 'deepbots-cli[webots-js]'"
             ) from error
-        script = self._script(proto, node)
         if self._end is None:
             self._end = time.monotonic() + MAX_SECONDS
-        left = max(0.01, self._end - time.monotonic())
+        left = self._end - time.monotonic()
+        if left <= 0:
+            raise TemplateError(f"is left out: the templates before it took {MAX_SECONDS:g} s")
+        script = self._script(proto, node)
         try:
             with MiniRacer() as context:
                 try:

@@ -38,7 +38,6 @@ MAX_LEVELS = 150
 """The maximum depth of a world with all that PROTO and USE stand for; a level takes four calls of Python."""
 
 _HEADER = "#VRML_SIM R2025a utf8\n"
-_TOO_MANY_NODES = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
 
 
 @dataclass(frozen=True)
@@ -244,8 +243,7 @@ class Expander:
         copy = Node(node.type, node.span, node.name, is_internal=True)
         memo[id(node)] = copy
         self._clones += 1
-        if self._clones > MAX_NODES:
-            raise WorldSyntaxError(instance.span, _TOO_MANY_NODES)
+        _check_extent(instance, Extent(self._clones, 1), 0)
         for name, value in node.fields.items():
             if not value.alias:
                 copy.fields[name] = self._clone_value(value, instance, interface, memo)
@@ -276,7 +274,8 @@ def _check_extent(node: Node, extent: Extent, level: int) -> None:
         WorldSyntaxError: The node stands for too many nodes or levels.
     """
     if extent.nodes > MAX_NODES:
-        raise WorldSyntaxError(node.span, _TOO_MANY_NODES)
+        message = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
+        raise WorldSyntaxError(node.span, message)
     if level + extent.levels > MAX_LEVELS:
         raise WorldSyntaxError(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
 

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 
 MAX_BODIES = 2000
 MAX_POINTS = 1_000_000
-"""The maximum number of points and heights of all bounding objects, each as often as it is used; a face counts
-as two points."""
+"""The maximum number of points of all bounding objects, each as often as it is used. A height counts as one,
+and a face as two."""
 UNIT: Triple = (1.0, 1.0, 1.0)
 _UNSUPPORTED = frozenset(["Track", "Propeller", "Charger", "Fluid"])
 _DEVICE_SLOTS = ("device", "device2", "device3")

@@ -35,10 +35,12 @@ MAX_NODES = 20_000
 OLDEST_RELEASE = (2022, "a")
 """The first release whose worlds have z upward, and cylinders along z."""
 
-_NUMBER = r"""[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s,\[\]{}"\#]|\Z)"""
-# Possessive, so that a string without an end costs linear time.
+# Possessive, so that a list of a million numbers or a string without an end costs linear time; Python before
+# 3.11.5 matches possessive groups of alternatives wrongly.
+_NUMBER = r"""[-+]?+(?=\.?+\d)\d*+\.?+\d*+(?:[eE][-+]?+\d++)?+(?![^\s,\[\]{}"\#])"""
+_NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})++")
 _TOKEN = re.compile(
-    rf"""(?:[\s,]++|\#[^\n]*+)*+       # white space, commas and comments
+    rf"""[\s,]*+(?:\#[^\n]*+[\s,]*+)*+  # white space, commas and comments
     (?:("[^"\\]*+(?:\\.[^"\\]*+)*+")  # 1: a string
     |([\[\]{{}}])                      # 2: a bracket
     |({_NUMBER})                      # 3: a number
@@ -48,7 +50,6 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE | re.DOTALL,
 )
-_NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})++")
 _NAME = re.compile(r"[^\W\d][\w.+-]*\Z")
 _HEADER = re.compile(r"#VRML_SIM\s+(\S+)\s+utf8")
 _RELEASE = re.compile(r"R(20\d\d)([a-z])")
@@ -115,12 +116,11 @@ class Value:
 
 
 class Parameter(NamedTuple):
-    """A field in the interface of a PROTO, with the values that it allows (none: all)."""
+    """A field in the interface of a PROTO."""
 
     name: str
     type: str
     default: Value
-    allowed: tuple[Item, ...] = ()
 
 
 @dataclass(eq=False)
@@ -182,20 +182,13 @@ class _Token(NamedTuple):
     start: int
 
 
-class _Definition(NamedTuple):
-    """A node that has a name, and its depth; 0 before its end."""
-
-    node: Node
-    depth: int
-
-
 class _Parser:
     def __init__(self, source: Source) -> None:
         self.source, self.text = source, source.text
         if len(self.text) > MAX_BYTES:
             raise self._error(0, f"the file is larger than {MAX_BYTES >> 20} MiB")
         self.last_statement = max(self.text.rfind("%<"), self.text.rfind("%{"))  # of a template
-        self.definitions: dict[str, _Definition] = {}
+        self.definitions: dict[str, tuple[Node, int]] = {}  # with the depth of each, 0 before its end
         self.depth = self.deepest = self.words = self.numbers = self.nodes = 0
         self.token = _Token(0, "", 0)
         self.end = 0
@@ -331,21 +324,15 @@ class _Parser:
             kind = self.word("the type of the field")
             if not _FIELD_TYPE.match(kind.text):
                 raise self._error(kind, f"there is no type {kind.text[:40]}")
-            allowed: tuple[Item, ...] = ()
-            if self.token.text == "{":
-                allowed = self.allowed_values()
+            if self.token.text == "{":  # the allowed values, which only an editor needs
+                self.take()
+                while self.token.text != "}":
+                    self.value()
+                self.take()
             name = self.word("the name of the field")
-            fields[name.text] = Parameter(name.text, kind.text, self.value(), allowed)
+            fields[name.text] = Parameter(name.text, kind.text, self.value())
         self.take()
         return fields
-
-    def allowed_values(self) -> tuple[Item, ...]:
-        self.take()
-        items: list[Item] = []
-        while self.token.text != "}":
-            items.extend(self.value().items)
-        self.take()
-        return tuple(items)
 
     # Nodes and values
 
@@ -363,7 +350,7 @@ class _Parser:
         if self.nodes > MAX_NODES:
             raise self._error(token, f"the file has more than {MAX_NODES:,} nodes")
         if name:
-            self.definitions[name] = _Definition(node, 0)
+            self.definitions[name] = node, 0
         self.expect("{")
         outer, self.deepest = self.deepest, self.depth
         self._deeper(token)
@@ -377,7 +364,7 @@ class _Parser:
         self.take()
         self.depth -= 1
         if name:
-            self.definitions[name] = _Definition(node, self.deepest - self.depth)
+            self.definitions[name] = node, self.deepest - self.depth
         self.deepest = max(outer, self.deepest)
         return node
 

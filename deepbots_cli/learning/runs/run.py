@@ -2,8 +2,8 @@
 
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
-    ├── inputs/              a copy of every file that the scenario was read from, meshes too, which the copies
-    │                        of robot files name
+    ├── inputs/              a copy of every file that the scenario was read from, meshes too; a copied robot
+    │                        file names the copies of its meshes
     ├── resolved.yaml        the scenario after includes and overrides, with paths to the copies; the run is
     │                        loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
