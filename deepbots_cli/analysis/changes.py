@@ -181,10 +181,7 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
         for change in scenario_changes(first, second)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
-    acting: set[str] = set()
-    returns: set[str] = set()
-    success: set[str] = set()
-    reward: set[str] = set()
+    acting, returns, success, reward = (set[str]() for _ in range(4))
     for program in (first.program, second.program):
         agent = program.agent
         acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))

@@ -467,8 +467,8 @@ def group_json(group: GroupResult, *, returns: bool = True, solved: bool = True)
         ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
     )
     data = {name: getattr(group, name) for name in names}
-    runs = [evaluation.model_dump(mode="json") for evaluation in group.evaluations]
-    data |= {"solved": list(map(solved_by, group.evaluations)), "runs": runs}
+    data |= {"solved": list(map(solved_by, group.evaluations))}
+    data["runs"] = runs = [evaluation.model_dump(mode="json") for evaluation in group.evaluations]
     if not solved:
         data |= dict.fromkeys(("solved", "solved_after"))
     if not returns:

@@ -280,10 +280,9 @@ def _refusal(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
         return f"{name} ignores `forbid`", "remove `forbid`"
-    if train.symmetry is not None and not kind.mirrors:
-        return f"{name} cannot learn from mirror images", "remove `symmetry`"
-    if train.symmetry is not None and train.teacher is not None:
-        return "a training with a teacher cannot learn from mirror images", "remove `symmetry`"
+    if train.symmetry is not None and not (kind.mirrors and train.teacher is None):
+        learner = "a training with a teacher" if kind.mirrors else name
+        return f"{learner} cannot learn from mirror images", "remove `symmetry`"
     if namespace.scenario.critic and not kind.has_critic:
         return f"{name} has no critic beside its policy, so it cannot use `critic`", "remove `critic`"
     return None

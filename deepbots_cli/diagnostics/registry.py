@@ -322,14 +322,7 @@ _CATALOG = (
         preview=True,
     ),
     Rule("DB707", "non-finite-reward", "error", "a reward that is not finite", deep="only"),
-    Rule(
-        "DB708",
-        "hovering-pays",
-        "warning",
-        "avoiding success gives a higher return than reaching it",
-        deep="too",
-        deep_preview=True,
-    ),
+    Rule("DB708", "hovering-pays", "warning", "avoiding success gives a higher return than reaching it"),
     Rule(
         "DB709",
         "reward-beyond-the-goal",

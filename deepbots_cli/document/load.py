@@ -337,8 +337,8 @@ class _Reader:
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
     def without_removed(self, base: MappingNode | None, own: MappingNode, remove: Node) -> MappingNode:
-        """Lay the tree of a file upon its base, without the paths listed under `remove`. An entry that the file
-        itself writes stays; DB205 where it replaces the inherited one anyway."""
+        """Lay the tree of a file upon its base, without the paths listed under `remove`. An entry that the
+        file itself writes stays; DB205 where it replaces the inherited one anyway."""
         tree = own if base is None else merge(base, own)
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
@@ -363,8 +363,9 @@ class _Reader:
                 if not isinstance(value, MappingNode):
                     headline = f"`{item.text}` is both defined here and listed under `remove`"
                     help = "keep one of the two: a new value replaces the inherited one without `remove`"
-                    also = (Label(item.span, "removed here"),)
-                    self.findings.add("DB205", key.span, headline, help, labels=also)
+                    self.findings.add(
+                        "DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),)
+                    )
         own = _pruned(own, [path for path in paths if path not in written])
         return own if base is None else merge(_pruned(base, paths), own)
 

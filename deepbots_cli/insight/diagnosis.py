@@ -55,7 +55,6 @@ from deepbots_cli.insight.rewards import (
     return_at_ceiling,
     reward_apart_from_success,
     reward_exploited,
-    silent_terms,
     standing_still_pays,
     term_dominates,
 )
@@ -136,7 +135,6 @@ _EXPLAINED = {
 that pays most is not reported as exploring too little."""
 _PROVISIONAL_CAUSES = {
     "success_never_seen",
-    "silent_terms",
     "one_ending",
     "exploration_too_large",
 }
@@ -244,7 +242,6 @@ _COMMANDS: Mapping[str, str] = {
     "lint_warns": "lint {path}",
     "saturated_observation": "inspect {run}",
     "sensor_without_reading": "view {run}",
-    "silent_terms": "try {scenario}",
     "some_starts_fail": "eval {run} --details",
     "stage_too_hard": "eval {run} --details",
     "standing_still_pays": "try {scenario} --driver zero",
@@ -529,7 +526,6 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     teacher_fails,
     teacher_sees_more,
     success_never_seen,
-    silent_terms,
     # Other agents
     rival_too_strong,
     rival_improved,

@@ -10,7 +10,14 @@ from typing import Any
 from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, Trend, usual_settings
+from deepbots_cli.insight.training import (
+    MIN_EPISODES,
+    TrainingEvidence,
+    Trend,
+    return_trend,
+    success_trend,
+    usual_settings,
+)
 from deepbots_cli.learning.report import longer_goal
 
 TOTAL_TIMESTEPS = "train.total_timesteps"
@@ -39,7 +46,7 @@ def one_ending(evidence: TrainingEvidence) -> Numbers | None:
         not is_failure
         or share < 0.9
         or len(evidence.program.endings) < 2
-        or evidence.return_trend.direction == "rises"
+        or return_trend(evidence).direction == "rises"
     ):
         return None
     return {
@@ -90,7 +97,7 @@ def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
     advice="{advice}",
 )
 def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
-    length, success, trend = training_length(evidence), evidence.success_trend, evidence.return_trend
+    length, success, trend = training_length(evidence), success_trend(evidence), return_trend(evidence)
     measure, form = "mean return", "{:.3g}"
     if success.direction == "rises":
         measure, form, trend = "success rate", "{:.1%}", success

@@ -12,7 +12,7 @@ from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.ends import training_length
 from deepbots_cli.insight.stages import criterion, hides_success, needs_exploration
 from deepbots_cli.insight.statements import Numbers, Percentage, sentence, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, return_trend
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 
 _LARGE_RETURN = 1000.0
@@ -83,7 +83,7 @@ def _usual_rate(evidence: TrainingEvidence) -> float:
 def learning_rate_too_low(evidence: TrainingEvidence) -> Numbers | None:
     rate, usual = evidence.number_setting("learning_rate"), _usual_rate(evidence)
     kl = evidence.curve("train/approx_kl")
-    if not rate or len(evidence.episodes) < 2 * MIN_EPISODES or evidence.return_trend.direction == "rises":
+    if not rate or len(evidence.episodes) < 2 * MIN_EPISODES or return_trend(evidence).direction == "rises":
         return None
     # In an update of PPO with a usual rate, the KL divergence is about 0.01.
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):

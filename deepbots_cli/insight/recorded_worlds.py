@@ -30,8 +30,8 @@ from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_cli.words import counted, sentence_list, unit_text
 
 EPISODES, MAX_STEPS = 6, 100
-"""The number of compared episodes, and the largest number of steps of each if all end alike. A small difference
-grows, so later steps say nothing more about its cause."""
+"""The number of compared episodes, and the largest number of steps of each if all end alike. A small
+difference grows, so later steps say nothing more about its cause."""
 _THRESHOLD = 0.01
 """Two values of a number differ if they are further apart than this share of the width that the number spans
 in the first world."""
@@ -202,18 +202,14 @@ World = EngineWorld | RecordingWrapper
 """A world to build, or one that exists."""
 
 
-ChangedWorld = tuple[World, Act | None]
-"""A world, and the change of the actions in it."""
-
-
 @dataclass
 class ChangeEffect:
-    """Changes with the same effect, the values of all episodes with one of them, and the world with it; None
-    for a change of measured numbers only."""
+    """Changes with the same effect, the values of all episodes with one of them, and the world with it and
+    the change of the actions in it; None for a change of measured numbers only."""
 
     texts: list[str]
     values: list[Array]
-    world: Callable[[], ChangedWorld] | None = None
+    world: Callable[[], tuple[World, Act | None]] | None = None
 
 
 @contextmanager

@@ -14,7 +14,13 @@ from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return
+from deepbots_cli.insight.training import (
+    MIN_EPISODES,
+    TrainingEvidence,
+    mean_return,
+    return_trend,
+    success_trend,
+)
 
 _LIMITS = ("max_steps", "max_time")
 _CLEARLY_MORE = 0.05
@@ -463,7 +469,7 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
         SuccessRate(window.successes)
         for window in (evidence.episodes_between(0.0, 0.25), evidence.episodes_between(0.75, 1.0))
     ]
-    returns, success, term = evidence.return_trend, evidence.success_trend, rising_term(evidence)
+    returns, success, term = return_trend(evidence), success_trend(evidence), rising_term(evidence)
     rising = (
         "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
     )
@@ -551,7 +557,9 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
     has_grown = mean_return(evidence, 0.0, 0.1) < 0.9 * mean
-    if not is_near and (stands or not is_same or not has_grown or evidence.return_trend.direction == "rises"):
+    if not is_near and (
+        stands or not is_same or not has_grown or return_trend(evidence).direction == "rises"
+    ):
         return None
     steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
     remedy = (
@@ -559,14 +567,10 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         " raise this return."
     )
     if solved is not None and required is not None:
-        remedy = "Ask for a return that is possible, such as"
-        remedy += (
-            f" `mean_return >= {np.floor(98 * mean) / 100:.3g} over {solved.episodes} episodes`, or"
-            " raise what limits"
-        )
-        remedy += (
-            " it: the time of an episode, or the speed of the robot. More exploration or a longer"
-            " training cannot."
+        remedy = (
+            f"Ask for a return that is possible, such as `mean_return >= {np.floor(98 * mean) / 100:.3g} over"
+            f" {solved.episodes} episodes`, or raise what limits it: the time of an episode, or the speed of"
+            " the robot. More exploration or a longer training cannot."
         )
     return {
         "likelihood": 0.952,
@@ -581,30 +585,4 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if is_near else "",
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
-    }
-
-
-@statement(
-    "silent_terms",
-    "{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.",
-    advice="Check the condition of each such term: `deepbots try SCENARIO` shows the terms of an episode.",
-)
-def silent_terms(evidence: TrainingEvidence) -> Numbers | None:
-    names = [term.name for term in evidence.program.agent.reward]
-    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in evidence.probes) for name in names}
-    silent = [
-        name
-        for name, value in sums.items()
-        if value == 0 and not np.abs(evidence.curve(f"reward/{name}")).max(initial=0.0)
-    ]
-    steps = sum(trace.steps for trace in evidence.probes)
-    if not silent or not steps:
-        return None
-    likelihood = 0.9 if len(silent) == len(sums) else 0.3
-    return {
-        "likelihood": likelihood,
-        "names": list_text(silent),
-        "count": len(silent),
-        "of": len(sums),
-        "steps": steps,
     }

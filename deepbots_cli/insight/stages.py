@@ -13,7 +13,14 @@ import numpy as np
 from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
-from deepbots_cli.insight.training import MIN_EPISODES, MIN_QUARTER, TrainingEvidence, Trend
+from deepbots_cli.insight.training import (
+    MIN_EPISODES,
+    MIN_QUARTER,
+    TrainingEvidence,
+    Trend,
+    return_trend,
+    success_trend,
+)
 from deepbots_cli.learning.runs.draws import DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.program.levels import SUCCESS
@@ -153,7 +160,7 @@ def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:
         or was.rate < 0.5
         or now.rate > 0.1
         or now.high > 0.6 * was.low
-        or evidence.success_trend.direction == "rises"
+        or success_trend(evidence).direction == "rises"
     ):
         return None
     if evidence.late_success.rate > 0.3:
@@ -278,7 +285,7 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
         or hides_success(evidence) is not None
     ):
         return None
-    trend = evidence.success_trend if until.metric == "success_rate" else evidence.return_trend
+    trend = success_trend(evidence) if until.metric == "success_rate" else return_trend(evidence)
     if trend.direction == "rises":
         return None
     if evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95:
@@ -340,7 +347,7 @@ def plateau(evidence: TrainingEvidence) -> Trend | None:
     success is rare, or nearly certain, and in the first half of the planned steps."""
     if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    trend, late = evidence.success_trend, evidence.episodes_by_steps(0.5, 1.0)
+    trend, late = success_trend(evidence), evidence.episodes_by_steps(0.5, 1.0)
     if trend == Trend() or trend.direction == "rises" or _rate(late) > 0.9:
         return None
     return trend
@@ -348,8 +355,8 @@ def plateau(evidence: TrainingEvidence) -> Trend | None:
 
 @statement(
     "success_plateau",
-    "{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which is {change}."
-    " In the second half of {whole}, the policy succeeds in {success}.",
+    "{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which is"
+    " {change}. In the second half of {whole}, the policy succeeds in {success}.",
     advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
     " diagnose RUN --episode failed` shows which condition they miss.{more}",
 )
@@ -543,7 +550,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
     )
-    if share >= 0.8 and evidence.return_trend.direction != "rises":
+    if share >= 0.8 and return_trend(evidence).direction != "rises":
         though = (
             f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is"
             " in a local optimum of this term"

@@ -167,20 +167,17 @@ def transfer(
     settings["episodes"] = first.episodes
     second = evaluate(run, scenario=scenario, engine=engine, **settings)
     program = trained_in.program if scenario is None else scenario.program
-    worlds = (
-        EngineWorld(trained_in.program, run.record.engine, permissions),
-        EngineWorld(program, engine, permissions),
-    )
-    watch = on_world or (lambda count, planned: None)
+    here = EngineWorld(trained_in.program, run.record.engine, permissions)
     comparison = compare_worlds(
         run,
-        *worlds,
+        here,
+        EngineWorld(program, engine, permissions),
         base_document(base),
         seed=root,
         model=model,
         episodes=EPISODES if max_steps == inf else QUICK_EPISODES,
         outcomes=[*zip(first.outcomes, second.outcomes, strict=True)],
-        on_world=watch,
+        on_world=on_world or (lambda count, planned: None),
     )
     robustness = None
     if with_conditions:

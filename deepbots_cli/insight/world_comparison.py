@@ -33,7 +33,6 @@ from deepbots_cli.insight.recorded_worlds import (
     EPISODES,
     MAX_STEPS,
     REWARD,
-    ChangedWorld,
     ChangeEffect,
     Difference,
     EngineWorld,
@@ -113,12 +112,11 @@ class Cause:
 @dataclass(frozen=True)
 class Parting:
     """The steps before the outcomes of the policy part: `episodes` of `of` end in another way in the other
-    world. `first` and `last` are the range of these steps, and `differences` the largest of their means."""
+    world. `steps` is the range of these steps, and `differences` the largest ones of their means."""
 
     episodes: int
     of: int
-    first: int
-    last: int
+    steps: tuple[int, int]
     differences: tuple[Difference, ...]
 
 
@@ -232,7 +230,7 @@ def compare_worlds(
 
 def _phase(
     columns: Sequence[ValueColumn], pairs: Sequence[tuple[RecordedEpisode, RecordedEpisode]]
-) -> tuple[int, int, tuple[Difference, ...]]:
+) -> tuple[tuple[int, int], tuple[Difference, ...]]:
     """Return the first and the last step of the phase in which the outcomes of pairs of episodes part, and
     the columns whose means in it differ most."""
     lasts = [min(len(episode.actions) for episode in pair) for pair in pairs]
@@ -244,11 +242,18 @@ def _phase(
     means = here.mean(axis=0), there.mean(axis=0)
     shares = np.abs(means[1] - means[0]) / width
     order = [index for index in np.argsort(-shares, kind="stable") if shares[index] >= _CLEARLY_APART]
-    rows = [
-        Difference(*columns[index], 0, 0, *(float(mean[index]) for mean in means), float(shares[index]))
+    return (max(0, min(lasts) - _PHASE + 1), max(lasts)), tuple(
+        Difference(
+            columns[index].name,
+            columns[index].unit,
+            0,
+            0,
+            float(means[0][index]),
+            float(means[1][index]),
+            float(shares[index]),
+        )
         for index in order[:_MOST_APART]
-    ]
-    return max(0, min(lasts) - _PHASE + 1), max(lasts), tuple(rows)
+    )
 
 
 def _either(texts: Sequence[str]) -> str:
@@ -418,7 +423,7 @@ class Kind:
     """
 
     name: str
-    changed: Callable[[float], ChangedWorld]
+    changed: Callable[[float], tuple[World, Act | None]]
     amounts: tuple[float, ...] = (1.0,)
     probes: tuple[float, ...] = (1.0,)
     form: str = ""
@@ -430,10 +435,10 @@ class Kind:
 def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) -> Iterator[Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 
-    def with_actions(act: Callable[[float], Act]) -> Callable[[float], ChangedWorld]:
+    def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[World, Act | None]]:
         return lambda amount: (unchanged, act(amount))
 
-    def with_plan(plan: Plan) -> Callable[[float], ChangedWorld]:
+    def with_plan(plan: Plan) -> Callable[[float], tuple[World, Act | None]]:
         return lambda amount: (world._replace(program=changed_program(document, plan.change(amount))), None)
 
     for name, act in changed_actions(world.program):

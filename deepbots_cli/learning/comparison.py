@@ -361,8 +361,8 @@ def compare(
 
 
 class _World(NamedTuple):
-    """Whether a group is evaluated in its own scenario, how this scenario differs from that of the evaluation,
-    and how it differs from that of the first group."""
+    """Whether a group is evaluated in its own scenario, and how this scenario differs from that of the
+    evaluation and from that of the first group."""
 
     own: bool
     meanings: Meanings
@@ -380,8 +380,8 @@ def _world(judged: Compiled, first: Run, run: Run, *, own: bool, named: bool) ->
         for compiled in (judged, first.compiled)
     )
     asked, other = (each.program.agent.solved for each in (first, run))
-    by_return = asked is not None and asked.mean_return is not None
-    same = asked == other and not trainings.success and not (by_return and trainings.returns)
+    differing = trainings.returns if asked is not None and asked.mean_return is not None else ()
+    same = asked == other and not (trainings.success or differing)
     return _World(own or (bool(meanings.acting) and not named), meanings, trainings, same)
 
 

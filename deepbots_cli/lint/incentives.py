@@ -9,13 +9,12 @@ from math import ceil, floor, log10, nextafter
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range, uses_earlier_values
+from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.report import SimulatedEpisode
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
 
@@ -252,11 +251,13 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 
 def lower_help(
     term: Expression,
-    to: str = "",
-    raised: str = "success pay more than an episode without success can collect",
+    lowered: str = "",
+    raised: str = "success pay more than an episode without it can collect",
 ) -> str:
-    """Return the help for a term that pays more than the success; `to` is what it may pay."""
-    return f"lower `{term.name}`, line {term.span.start_position.line}{to}, or make {raised}"
+    """Return the help for a term that pays more than the success; `lowered` is its text with which it does
+    not."""
+    line = term.span.start_position.line
+    return f"lower `{term.name}`, line {line}{lowered and f', to `{lowered}` or less'}, or make {raised}"
 
 
 def _lowered(text: str, factor: float) -> str:
@@ -381,13 +382,12 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
             gain = paid[best] * steps - once
             room = prize - once - fine - (pay - paid[best]) * steps
             lowered = _lowered(best.text, room / gain) if 0.0 < room < gain else ""
-            to = f", to `{lowered}` or less" if lowered else ""
             yield Finding(
                 "DB708",
                 best.span,
                 f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
                 f" {pay * steps:.4g} in all, but `{success.name}` {prizes}",
-                f"{lower_help(best, to, raised)}{_end_at_one_time(analysis, success)}",
+                f"{lower_help(best, lowered, raised)}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
                 fix=Fix.replacing(best.span, best.text, lowered, safe=False) if lowered else None,
             )
@@ -468,123 +468,3 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     return _StillRanges(ranges.analysis, ranges.assumed, ranges.steps, restriction)
 
 
-@rule("DB708", simulated=True)
-def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """Report another behavior that pays more over a whole episode than success."""
-    successes = simulation.program.successes
-    if not successes or not simulation.is_complete:
-        return
-    better = _better_than_success(simulation.report.episodes)
-    if better:
-        best, success = better
-        also = (Label(successes[0].span, "ends these payments"),)
-        headline = (
-            f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
-            f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
-        )
-        notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        term = _most_paid(simulation, best.policy)
-        yield Finding("DB708", term.span, headline, lower_help(term), notes=notes, labels=also)
-    elif len(successes) == 1:
-        is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
-        idle = [] if is_reached else _idle_pays(simulation, successes[0])
-        yield from idle or _place_pays(simulation, successes[0])
-
-
-def _better_than_success(
-    episodes: list[SimulatedEpisode],
-) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
-    """Return the best episode that lasted to its limit and the best success, with the same seed, if the
-    result is the same for each seed with both."""
-    pairs = []
-    for seed in sorted({episode.seed for episode in episodes}):
-        lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
-        reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
-        if lasting and reached:
-            pairs.append(
-                (
-                    max(lasting, key=lambda episode: episode.discounted_return),
-                    max(reached, key=lambda episode: episode.discounted_return),
-                )
-            )
-    return (
-        pairs[0]
-        if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs)
-        else None
-    )
-
-
-def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """Report like the static rule a reward that depends on positions of unknown range: it uses the highest
-    reward of any simulated step."""
-    analysis = simulation.analysis
-    reward = simulation.analysis.reward
-    ordinary, final = reward.split_by_end()
-    if (
-        not reward.is_complete
-        or total_range(ordinary, _just_before(reward.ranges_while_running(), None)).high < INF
-    ):
-        return []
-    highest = {term.name: max(row.high for row in rows.values()) for term, rows in simulation.terms() if rows}
-    staying = [
-        term
-        for term, node in ordinary
-        if term.name in highest and not (uses_earlier_values(analysis, node) or _is_motion(analysis, node))
-    ]
-    best = max(staying, key=lambda term: highest[term.name], default=None)
-    prize = total_range(final, reward.ranges_at(success)).high
-    if best is None:
-        return []
-    pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
-    steps = _steps_from(analysis, success)
-    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= MIN_WORTH * prize:
-        return []
-    headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} over a whole episode"
-    headline += f", but `{success.name}` pays {prize:.3g} only once"
-    also = (Label(success.span, "ends these payments"),)
-    return [Finding("DB708", best.span, headline, lower_help(best), notes=(simulation.summary,), labels=also)]
-
-
-def _is_motion(analysis: Analysis, node: Scalar) -> bool:
-    """Return whether a value depends on a speed."""
-    return any(
-        isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS
-        for part in analysis.walk_definitions(node)
-    )
-
-
-def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """Report like the static rule: compare the reward of doing nothing in the steps that matter with the
-    single reward of the success."""
-    reward = simulation.analysis.reward
-    row = simulation.measured.get(IDLE)
-    ordinary, _ = reward.split_by_end()
-    if row is None or not reward.is_complete:
-        return []
-    if any(
-        episode.end not in ("limit", "left")
-        for episode in simulation.report.episodes
-        if episode.policy == IDLE
-    ):
-        return []
-    if any(uses_earlier_values(simulation.analysis, node) for _, node in ordinary):
-        return []
-    pay = sum(term.total for term in row.terms) / row.steps
-    prize = total_range(reward.terms, reward.ranges_at(success)).high
-    steps = min(reward.analysis.last_step / 2, horizon(reward))
-    if pay > 0.0 and pay * steps > prize:
-        headline = (
-            f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
-        )
-        notes = (
-            f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount"
-            " factor and the time limit",
-        )
-        also = (Label(success.span, "ends these payments"),)
-        term = _most_paid(simulation, IDLE)
-        return [Finding("DB708", term.span, headline, lower_help(term), notes=notes, labels=also)]
-    return []
-
-
-def _most_paid(simulation: Simulation, by: str) -> Expression:
-    return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]

@@ -206,17 +206,22 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         else node.span
     )
     fix = _fix(key_node if at_key else node, near)
-    labels: tuple[Label, ...] = ()
-    if (rival := context.get("rival")) and span.source is not root.span.source:
-        other = _key_span(root, (*path[:-1], rival))
-        if other.source is root.span.source:  # the key that the user wrote is at fault, not the inherited one
-            headline = f"`{rival}` cannot be combined with `{path[-1]}`"
-            span, labels = other, (Label(span, f"`{path[-1]}` is inherited"),)
+    finding = Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix)
     return _Problem(
         path,
-        Finding(kind, span, headline, help or sentence_about_key(data, path), labels=labels, fix=fix),
+        _at_own_key(root, path, context.get("rival", ""), finding),
         context["missing"],
     )
+
+
+def _at_own_key(root: nodes.MappingNode, path: NodePath, rival: str, finding: Finding) -> Finding:
+    """Return a finding about two keys that cannot be combined, at the one that the file itself has if the
+    other one is inherited."""
+    own, span = _key_span(root, (*path[:-1], rival)), finding.span
+    if not rival or span.source is root.span.source or own.source is not root.span.source:
+        return finding
+    headline = f"`{rival}` cannot be combined with `{path[-1]}`"
+    return replace(finding, headline=headline, span=own, labels=(Label(span, f"`{path[-1]}` is inherited"),))
 
 
 def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, suggestion: Suggestion) -> _Problem:

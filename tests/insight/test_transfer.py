@@ -371,8 +371,8 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
 def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The carriage waits until step 120, and succeeds in step 151 if it is near its start. `x 4` makes it leave
-    too early; an own speed from step 140 is a change that deepbots does not try."""
+    """The carriage waits until step 120, and succeeds in step 151 if it is near its start. `x 4` makes it
+    leave too early; an own speed from step 140 is a change that deepbots does not try."""
     run = train_shuttle(
         tmp_path,
         "robots.shuttle.receive={go: 0.05 m/s if time > 6 s else 0 m/s}",

@@ -257,8 +257,8 @@ def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> 
         "wide", "narrow", "mean_return", equal, None, between_seeds=True, solved_after=steps
     ).verdict
     assert verdict.startswith(
-        "narrow: the same mean return as wide in every run, so neither is better; it is solved after 19,600 more steps"
-        " of training (95 % interval "
+        "narrow: the same mean return as wide in every run, so neither is better; it is solved after 19,600 more"
+        " steps of training (95 % interval "
     )
 
 

@@ -185,12 +185,12 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         f" {comparison.seed}"
     )
     has_success = all(group.success_defined for group in comparison.groups)
-    left_out = () if comparison.returns_comparable else ("return", "return_95 %", "interquartile_mean")
-    left_out += () if comparison.criteria_comparable else ("solved_after_steps",)
-    rows = [_row(group, success_defined=has_success) for group in comparison.groups]
-    yield table([row | dict.fromkeys(left_out) for row in rows])
+    left_out = [] if comparison.returns_comparable else ["return", "return_95 %", "interquartile_mean"]
+    left_out += [] if comparison.criteria_comparable else ["solved_after_steps"]
+    groups = [_row(group, success_defined=has_success) for group in comparison.groups]
+    yield table([{**row, **dict.fromkeys(left_out)} for row in groups])
     yield f"\ndifference from {comparison.groups[0].name}"
-    rows = []
+    rows: list[Row] = []
     for entry in comparison.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
         improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"

@@ -41,12 +41,9 @@ if TYPE_CHECKING:
     from deepbots_cli.insight.transfer import Transfer
     from deepbots_cli.insight.world_comparison import WorldComparison
 
-WIDTH = 110
-"""The width of wrapped lines."""
-EXPLAINS_WHOLE = 0.9
-"""The share from which a change explains the whole difference, apart from the growth of a small rest."""
-EXPLAINS_MOST = 0.5
-"""The share of a difference in success below which the changes explain little."""
+EXPLAINS_WHOLE, EXPLAINS_MOST = 0.9, 0.5
+"""The share from which a change explains the whole difference, apart from the growth of a small rest, and the
+share of a difference in success below which the changes explain little."""
 DEFAULT_EPISODES = 50
 """The episodes of each evaluation."""
 QUICK_STEPS = 2_000
@@ -290,7 +287,7 @@ def _parting_lines(compared: WorldComparison, first_name: str, second_name: str)
     rows = [{"mean": row.name, **_sides(row, first_name, second_name)} for row in parting.differences]
     return [
         f"\n{parting.episodes} of {parting.of} episodes end in another way in {second_name}; before this, in"
-        f" steps {parting.first} to {parting.last}, with the policy acting in each world:",
+        f" steps {parting.steps[0]} to {parting.steps[1]}, with the policy acting in each world:",
         table(rows) if rows else "no mean of the observation, the reward and the success differs by 10 %",
     ]
 

@@ -35,8 +35,8 @@ def error(
     replacement: Replacement | None = None,
     rival: str = "",
 ) -> PydanticCustomError:
-    """Return an error with the parts of a finding: `missing` keys, a `replacement` of the whole value, and the
-    key beside it that it cannot be combined with."""
+    """Return an error with the parts of a finding: `missing` keys, a `replacement` of the whole value, and
+    the `rival` key beside it that it cannot be combined with."""
     context = {
         "headline": headline,
         "help": help,
