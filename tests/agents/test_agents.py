@@ -32,7 +32,7 @@ from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver
 from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.runtime.agents import combined_action, seats_of
-from tests.agents.carts import CARTS, OF_ONE, OF_TWO
+from tests.agents.carts import CARTS, OF_ONE, OF_TWO, scenario_fixture, write_scenario
 from tests.commands import Deepbots
 from tests.few import few
 
@@ -89,11 +89,7 @@ termination:
 )
 
 
-@pytest.fixture
-def several(tmp_path: Path) -> Path:
-    file = tmp_path / "several.yaml"
-    file.write_text(SEVERAL)
-    return file
+several = scenario_fixture(SEVERAL)
 
 
 def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
@@ -225,8 +221,7 @@ def test_a_batch_of_worlds_shows_what_single_worlds_show(tmp_path: Path, shown: 
         f"messages: {{between_robots: {SLOW_MESSAGES}}}\n",
         "rewards": OBSERVED,
     }[shown]
-    file = tmp_path / "carts.yaml"
-    file.write_text(text)
+    file = write_scenario(tmp_path, text)
     with closing(api.make_vec(file, 3)) as batch, closing(api.make(file, engine="mujoco")) as single:
         batch.reset(seed=[4, 5, 6])
         single.reset(seed=5)
@@ -319,11 +314,7 @@ ALONE = (
 PUSH = {"left": np.ones(1, np.float32), "right": np.zeros(1, np.float32)}
 
 
-@pytest.fixture
-def carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(ALONE)
-    return file
+carts = scenario_fixture(ALONE)
 
 
 def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
@@ -510,11 +501,7 @@ def test_an_agent_that_ends_before_others_trains_in_single_worlds(carts: Path) -
 LIMITED = CARTS.replace("{max_steps: 60}", "{max_steps: {limit: 3, success: right}}")
 
 
-@pytest.fixture
-def limited_carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(LIMITED)
-    return file
+limited_carts = scenario_fixture(LIMITED)
 
 
 def _last_info(file: Path) -> tuple[dict[str, object], dict[str, bool]]:
@@ -589,11 +576,7 @@ HEARING = (
 )
 
 
-@pytest.fixture
-def hearing_carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(HEARING)
-    return file
+hearing_carts = scenario_fixture(HEARING)
 
 
 def _observed(file: Path, steps: int = 12, engine: str | None = None) -> list[dict[str, list[float]]]:
@@ -705,8 +688,7 @@ OBSERVED = (
 
 @pytest.mark.parametrize("repeat", ["", "agent: {action_repeat: 3}\n"])
 def test_an_agent_sees_its_own_rewards(tmp_path: Path, repeat: str) -> None:
-    file = tmp_path / "carts.yaml"
-    file.write_text(OBSERVED + repeat)
+    file = write_scenario(tmp_path, OBSERVED + repeat)
     with closing(api.make(file)) as world:
         world.reset(seed=1)
         seats = seats_of(world)
@@ -748,11 +730,7 @@ tests:
 """
 
 
-@pytest.fixture
-def tested_carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(CARTS + TESTS)
-    return file
+tested_carts = scenario_fixture(CARTS + TESTS)
 
 
 def test_a_test_expects_the_results_of_one_agent(tested_carts: Path, deepbots: Deepbots) -> None:

@@ -39,7 +39,7 @@ from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
 from deepbots_cli.rollout.worlds import SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
-from tests.agents.carts import CARTS
+from tests.agents.carts import CARTS, scenario_fixture, write_scenario
 from tests.agents.test_agents import ALONE, SEVERAL
 from tests.few import every, few
 from tests.learning.interruption import At, outcome
@@ -59,12 +59,6 @@ TOGETHER = SEVERAL.replace("success: right, failure: left", "failure: all").repl
     "right_fell: {when: tilt(right.pole) > 30 deg, success: left, failure: right}",
     "near: {when: apart < 0.9 m, success: all}",
 )
-
-
-def write_scenario(folder: Path, text: str) -> Path:
-    file = folder / "several.yaml"
-    file.write_text(text)
-    return file
 
 
 @pytest.fixture(scope="module")
@@ -264,11 +258,7 @@ LEARNING = ALONE + PPO.replace("768", "1024") + "\n"
 NAMES = ["left", "right"]
 
 
-@pytest.fixture
-def carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(LEARNING)
-    return file
+carts = scenario_fixture(LEARNING)
 
 
 def _worlds(file: Path, kind: str, count: int) -> Worlds:
@@ -394,8 +384,7 @@ ROLE = "role={agent: right, others: {left: lean}}"
 
 @pytest.fixture
 def carts_with_critic(tmp_path: Path) -> api.Compiled:
-    file = tmp_path / "carts.yaml"
-    file.write_text(CRITIC + PPO_CRITIC_ALONE)
+    file = write_scenario(tmp_path, CRITIC + PPO_CRITIC_ALONE)
     return api.compile(file, overrides=[ROLE, "world.engine=mujoco"])
 
 
@@ -462,17 +451,12 @@ signals:""",
 """Three equal robots, each of which has an agent."""
 
 
-@pytest.fixture
-def sharing_carts(tmp_path: Path) -> Path:
-    file = tmp_path / "carts.yaml"
-    file.write_text(SHARED_POLICY + PPO_512)
-    return file
+sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 
 
 @pytest.mark.parametrize("text", [SHARED_POLICY, SHARED_ALONE], ids=["together", "alone"])
 def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "carts.yaml"
-    file.write_text(text)
+    file = write_scenario(tmp_path, text)
     program = api.compile(file).program
     terms = {name: [*member.terms.values()] for name, member in program.members.items()}
     alone = [name for name, member in program.members.items() if member.alone]

@@ -45,7 +45,8 @@ from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import plot
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.training_logs import read_logs
-from tests.agents.test_multi_agent_training import SHARED, write_scenario
+from tests.agents.carts import write_scenario
+from tests.agents.test_multi_agent_training import SHARED
 from tests.commands import Deepbots
 from tests.learning.interruption import At, outcome
 from tests.worlds import RAIL
