@@ -18,6 +18,7 @@ import pytest
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
+from tests.commands import Deepbots, Ran
 from tests.worlds import Make, Maker
 
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
@@ -95,6 +96,24 @@ def make(tmp_path: Path) -> Iterator[Maker]:
 @pytest.fixture
 def small(make: Maker) -> Make:
     return make.small
+
+
+@pytest.fixture
+def deepbots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Deepbots:
+    """Runs `deepbots` with the given words in `tmp_path`, and asserts its exit code. Wrong usage prints
+    nothing on standard output."""
+    from deepbots_cli.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object, code: int | None = 0) -> Ran:
+        capfd.readouterr()
+        ran = Ran(main([str(word) for word in words]), *capfd.readouterr())
+        assert code is None or ran.code == code, ran.err + ran.out
+        assert ran.code != 2 or not ran.out
+        return ran
+
+    return run
 
 
 @pytest.fixture

@@ -1,6 +1,9 @@
 """Two carts as two agents: the scenario that tests of several agents change."""
 
-from __future__ import annotations
+from pathlib import Path
+from typing import Any
+
+import pytest
 
 WORLD = """\
 deepbots: 1
@@ -44,3 +47,19 @@ endings:
   right_fell: {when: tilt(right.pole) > 30 deg, success: left, failure: right}
 """
 )
+
+
+def write_scenario(folder: Path, text: str) -> Path:
+    file = folder / "several.yaml"
+    file.write_text(text)
+    return file
+
+
+def scenario_fixture(text: str) -> Any:
+    """Return a fixture: the path of a file with this scenario."""
+
+    @pytest.fixture
+    def scenario(tmp_path: Path) -> Path:
+        return write_scenario(tmp_path, text)
+
+    return scenario

@@ -1,9 +1,21 @@
-"""Several agents in one world: the same world as with one agent that drives all robots, divided."""
+"""Several agents in one world, without learning.
+
+* Several agents in one world: the same world as with one agent that drives all robots, divided.
+* Endings that end the episode of one agent while others go on.
+* A limit that is a success.
+* Messages from robot to robot.
+* `previous_reward` and `episode_return` of one among several agents.
+* The section `tests` of a scenario with several agents.
+* The shipped scenarios with several agents: what their scripts achieve, and for whom an ending is a success.
+* The template `duel` of `deepbots new`: two equal robots with equal chances.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +25,16 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.rollout import Start
-from deepbots_cli.rollout.drivers import named_driver
+from deepbots_cli.rollout.drivers import AgentsDriver, named_driver
+from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.runtime.agents import combined_action, seats_of
-from tests.agents.carts import CARTS, OF_ONE, OF_TWO
+from tests.agents.carts import CARTS, OF_ONE, OF_TWO, scenario_fixture, write_scenario
+from tests.commands import Deepbots
+from tests.few import few
 
 
 def _noisy(carts: str) -> str:
@@ -73,11 +89,7 @@ termination:
 )
 
 
-@pytest.fixture
-def several(tmp_path: Path) -> Path:
-    file = tmp_path / "several.yaml"
-    file.write_text(SEVERAL)
-    return file
+several = scenario_fixture(SEVERAL)
 
 
 def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
@@ -137,8 +149,7 @@ def test_the_environment_of_a_role_is_the_world_with_the_others_driven(several: 
             observed, _, _, _, info = world.step(combined_action(world, seats, actions))
             seen, reward, _, _, own = environment.step(action)
             assert seen.tolist() == seats["left"].observation(observed).tolist()
-            assert reward == seats["left"].reward(info)
-            assert set(own["reward_terms"]) == {"upright", "calm"}
+            assert (reward, set(own["reward_terms"])) == (seats["left"].reward(info), {"upright", "calm"})
 
 
 def test_a_random_agent_acts_the_same_in_a_repeated_episode(several: Path) -> None:
@@ -154,9 +165,7 @@ def test_a_random_agent_acts_the_same_in_a_repeated_episode(several: Path) -> No
 def test_the_policy_of_a_role_is_trained_and_evaluated(several: Path, tmp_path: Path) -> None:
     compiled = api.compile(several, overrides=["role.agent=right"])
     result = deepbots_cli.train(compiled, run=tmp_path / "run")
-    evaluation = deepbots_cli.evaluate(result.run, episodes=2)
-    assert result.steps == 256
-    assert evaluation.episodes == 2
+    assert (result.steps, deepbots_cli.evaluate(result.run, episodes=2).episodes) == (256, 2)
 
 
 def test_pettingzoo_accepts_the_environment(several: Path) -> None:
@@ -201,16 +210,25 @@ def test_a_mistake_about_agents_is_one_finding(several: Path, setting: str, head
     assert headline in errors[0].headline
 
 
-def test_a_batch_of_worlds_shows_what_single_worlds_show(several: Path) -> None:
-    pytest.importorskip("mujoco")
-    with closing(api.make_vec(several, 3)) as batch, closing(api.make(several, engine="mujoco")) as single:
+SLOW_MESSAGES = "{loss: 30 %, latency: slow + uniform(0 .. 20 ms) each step}"
+
+
+@pytest.mark.parametrize("shown", ["robots", "messages", "rewards"])
+def test_a_batch_of_worlds_shows_what_single_worlds_show(tmp_path: Path, shown: str) -> None:
+    text = {
+        "robots": SEVERAL,
+        "messages": f"parameters: {{slow: uniform(20 .. 90 ms)}}\n{HEARING}"
+        f"messages: {{between_robots: {SLOW_MESSAGES}}}\n",
+        "rewards": OBSERVED,
+    }[shown]
+    file = write_scenario(tmp_path, text)
+    with closing(api.make_vec(file, 3)) as batch, closing(api.make(file, engine="mujoco")) as single:
         batch.reset(seed=[4, 5, 6])
         single.reset(seed=5)
         generator = np.random.default_rng(0)
-        for _ in range(8):
+        for _ in range(12):
             actions = generator.uniform(-1, 1, (3, 2)).astype(np.float32)
-            seen = batch.step(actions)[0]
-            assert seen[1].tolist() == single.step(actions[1])[0].tolist()
+            assert batch.step(actions)[0][1].tolist() == single.step(actions[1])[0].tolist()
 
 
 def test_the_options_of_a_command_replace_the_role_of_the_file(
@@ -286,3 +304,635 @@ def test_a_cost_of_a_shared_success_is_explained_by_the_endings_of_agents(tmp_pa
     (finding,) = (each for each in api.lint(tmp_path / "carts.yaml") if each.code == "DB703")
     assert "write it under `endings`" in (finding.help or "")
     assert finding.fix is None
+
+
+ALONE = (
+    CARTS.replace("success: right, failure: left}", "ends: left, failure: left}")
+    .replace("success: left, failure: right}", "ends: right, failure: right}")
+    .replace("near:", "fallen: -5 when terminated, near:")
+)
+PUSH = {"left": np.ones(1, np.float32), "right": np.zeros(1, np.float32)}
+
+
+carts = scenario_fixture(ALONE)
+
+
+def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
+    """Return the rows of an episode in which the left cart drives ahead and the right one does not move."""
+    rows = []
+    with closing(api.make(file, **options)) as world:
+        seats = seats_of(world)
+        world.reset(seed=3)
+        ended = cut = False
+        while not (ended or cut):
+            _, _, ended, cut, info = world.step(combined_action(world, seats, PUSH))
+            rows.append(
+                {
+                    "info": info,
+                    "rewards": {name: seat.reward(info) for name, seat in seats.items()},
+                    "infos": {name: seat.info(info) for name, seat in seats.items()},
+                    "ended": ended,
+                    "cut": cut,
+                }
+            )
+    return rows
+
+
+def test_an_ending_of_one_agent_may_use_its_names(carts: Path) -> None:
+    carts.write_text(ALONE.replace("tilt(left.pole) > 30 deg", "speed > 3 cm/s"))
+    assert _course(carts)[-1]["info"]["agent_endings"]["left"].endings == ("left_fell",)
+
+
+def test_an_agent_ends_while_the_other_goes_on(carts: Path) -> None:
+    rows = _course(carts)
+    last = next(number for number, row in enumerate(rows) if row["info"]["agent_endings"])
+    assert set(rows[last]["info"]["agent_endings"]) == {"left"}
+    assert not rows[last]["ended"]
+    assert rows[last]["infos"]["left"]["ended_by"] == "left_fell"
+    assert rows[last]["infos"]["left"]["reward_terms"]["fallen"] == -5
+    assert rows[last]["infos"]["right"]["ended_by"] is None
+    assert all(row["rewards"]["left"] == 0 for row in rows[last + 1 :])
+    assert all(row["rewards"]["right"] > 0 for row in rows[last + 1 :][:-1])
+    assert len(rows) > last + 2
+    assert rows[-1]["infos"]["right"]["ended_by"] in ("right_fell", "max_steps")
+    assert rows[-1]["infos"]["left"]["ended_by"] == "left_fell"
+
+
+def test_the_world_ends_with_its_last_agent(carts: Path) -> None:
+    carts.write_text(ALONE.replace("tilt(right.pole) > 30 deg", "time > 1.5 s"))
+    rows = _course(carts)
+    assert rows[-1]["ended"]
+    assert rows[-1]["info"]["ended_by"] == "right_fell"
+    assert {name: end.endings for name, end in rows[-1]["info"]["agent_endings"].items()} == {
+        "left": ("left_fell",),
+        "right": ("right_fell",),
+    }
+
+
+def test_the_robots_of_an_agent_that_has_ended_stop(carts: Path) -> None:
+    carts.write_text(ALONE.replace("tilt(left.pole) > 30 deg", "velocity(left).x > 3 cm/s"))
+    with closing(api.make(carts)) as world:
+        seats = seats_of(world)
+        world.reset(seed=3)
+        speeds = []
+        ended = False
+        while not ended:
+            observed, _, ended, cut, _ = world.step(combined_action(world, seats, PUSH))
+            ended = ended or cut
+            speeds.append(float(seats["left"].observation(observed)[1]))
+    assert max(speeds) > 0.03
+    assert abs(speeds[-1]) < 0.01
+
+
+def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> None:
+    carts.write_text(
+        ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
+            "tilt(right.pole) > 30 deg", "time > 1.5 s"
+        )
+    )
+    with closing(api.make(carts)) as world:
+        driver = AgentsDriver(world, {"left": "ahead", "right": "zero"})
+        episode = result_of(steps(world, driver, Start(3)), 0)
+        left, right = (own_episode(member, episode) for member in world.scenario.members.values())
+    assert left.ended_by == "left_fell"
+    assert left.is_success is False
+    assert right.ended_by == "right_fell"
+    assert right.is_success is True
+    assert left.length < right.length == episode.length
+    assert left.total_return + right.total_return == pytest.approx(episode.total_return)
+
+
+def test_the_episode_of_a_role_ends_with_its_agent(carts: Path) -> None:
+    role = ["role={agent: left, others: {right: zero}}"]
+    with closing(api.make(api.compile(carts, overrides=role))) as environment:
+        environment.reset(seed=3)
+        ended = False
+        number = 0
+        while not ended:
+            _, _, ended, cut, info = environment.step(PUSH["left"])
+            number += 1
+            assert not cut
+        assert info["ended_by"] == environment.ended_by == "left_fell"
+    alone = next(row for row in _course(carts) if row["info"]["agent_endings"])
+    assert alone["info"]["agent_endings"]["left"].step == number
+
+
+@pytest.mark.parametrize("repeat", ["", "agent: {action_repeat: 3}\n"])
+def test_a_batch_ends_agents_as_single_worlds_do(carts: Path, repeat: str) -> None:
+    pytest.importorskip("mujoco")
+    text = ALONE.replace("tilt(right.pole) > 30 deg", "time > 1.5 s") + repeat
+    carts.write_text(text.replace("upright: cos", "upright: 0.1 * previous_reward + cos"))
+    rows = _course(carts, engine="mujoco")
+    with closing(api.make_vec(carts, 2)) as vector:
+        batch = vector.batch
+        batch.reset([3, 5])
+        for row in rows:
+            outcome = batch.advance(np.array([[1.0, 0.0], [0.0, 0.0]], np.float32))
+            assert outcome.rewards[0] == pytest.approx(sum(row["rewards"].values()), rel=1e-12)
+            assert bool(outcome.terminated[0]) == row["ended"]
+            info = batch.info(0)
+            assert info["agent_endings"] == row["info"]["agent_endings"]
+        assert (outcome.done.tolist()[0], info["ended_by"]) == (0, rows[-1]["info"]["ended_by"])
+
+
+def test_an_agent_leaves_the_environment_of_pettingzoo(carts: Path) -> None:
+    pytest.importorskip("pettingzoo")
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    with closing(deepbots_cli.parallel_env(carts)) as environment:
+        parallel_api_test(environment, num_cycles=200)
+        environment.reset(seed=3)
+        seen = []
+        while environment.agents:
+            acting = list(environment.agents)
+            results = environment.step({name: PUSH[name] for name in acting})
+            assert all(set(result) == set(acting) for result in results)
+            seen.append((acting, results[2], results[3]))
+    both, alone = [each for each in seen if len(each[0]) == 2], [each for each in seen if len(each[0]) == 1]
+    assert both[-1][1] == {"left": True, "right": False}
+    assert alone
+    assert {name for acting, *_ in alone for name in acting} == {"right"}
+    parallel_seed_test(lambda: deepbots_cli.parallel_env(carts), num_cycles=10)
+
+
+@pytest.mark.parametrize(
+    ("setting", "headline"),
+    [
+        ("endings.left_fell.ends=middle", "there is no agent `middle`"),
+        (
+            "endings.left_fell.success=right",
+            "`left_fell` is a success of `right`, whose episode it does not end",
+        ),
+        (
+            "endings.left_fell={when: speed > 1 m/s, failure: all}",
+            "`speed` is a name of each agent, but `left_fell` is an ending of all",
+        ),
+        ("endings.left_fell.ends=all", "`left_fell` does not say what it is for the agent `right`"),
+        ("agents.right.reward={won: 1 when left_fell}", "`left_fell`"),
+    ],
+)
+def test_a_mistake_about_endings_of_one_agent_is_one_finding(
+    carts: Path, setting: str, headline: str
+) -> None:
+    errors = [finding for finding in api.lint(carts, overrides=[setting]) if finding.severity == "error"]
+    assert len(errors) == 1
+    assert headline in errors[0].headline
+
+
+def test_try_shows_the_result_of_each_agent(carts: Path, deepbots: Deepbots) -> None:
+    carts.write_text(
+        ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
+            "tilt(right.pole) > 30 deg", "time > 1.5 s"
+        )
+    )
+    (episode,) = json.loads(deepbots("try", carts, "--driver", "ahead", "--episodes", "1", "--json").out)[
+        "episodes"
+    ]
+    assert episode["ended_by"] == "right_fell"
+
+
+def test_an_agent_that_ends_before_others_trains_in_single_worlds(carts: Path) -> None:
+    program = api.compile(carts, overrides=["role={agent: left}", "world.engine=mujoco"]).program
+    assert batch_obstacles(program) == ["the episode of left may end before those of others"]
+    with pytest.raises(BatchError, match="may end before those of others"):
+        api.build_batch(program, 8, engine="mujoco")
+
+
+LIMITED = CARTS.replace("{max_steps: 60}", "{max_steps: {limit: 3, success: right}}")
+
+
+limited_carts = scenario_fixture(LIMITED)
+
+
+def _last_info(file: Path) -> tuple[dict[str, object], dict[str, bool]]:
+    with closing(api.make(file)) as world:
+        world.reset(seed=0)
+        for _ in range(3):
+            _, _, ended, cut, info = world.step(np.zeros(2, np.float32))
+        assert cut
+        assert not ended
+        return info, {name: seat.info(info)["is_success"] for name, seat in seats_of(world).items()}
+
+
+def test_a_limit_is_a_success_of_the_agents_that_it_names(limited_carts: Path) -> None:
+    info, successes = _last_info(limited_carts)
+    assert info["ended_by"] == "max_steps"
+    assert not info["is_success"]
+    assert successes == {"left": False, "right": True}
+    limited_carts.write_text(LIMITED.replace("success: right}}", "success: all}}"))
+    info, successes = _last_info(limited_carts)
+    assert info["is_success"]
+    assert successes == {"left": True, "right": True}
+
+
+def test_an_episode_of_a_role_succeeds_at_its_limit(limited_carts: Path, deepbots: Deepbots) -> None:
+    role = ["--agent", "right", "--against", "left=zero", "--driver", "zero"]
+    (episode,) = json.loads(deepbots("try", limited_carts, *role, "--episodes", "1", "--json").out)[
+        "episodes"
+    ]
+    assert episode["ended_by"] == "max_steps"
+    assert episode["success"]
+
+
+@pytest.mark.parametrize("engine", ["bullet", "batch"])
+def test_one_agent_succeeds_at_a_limit(tmp_path: Path, engine: str) -> None:
+    file = tmp_path / "still.yaml"
+    file.write_text(
+        "deepbots: 1\nextends: cartpole\nname: Still\ntruncation: {max_steps: {limit: 2, success: all}}\n"
+    )
+    if engine == "batch":
+        pytest.importorskip("mujoco")
+        with closing(api.make_vec(file, 2)) as batch:
+            batch.reset(seed=[0, 1])
+            for _ in range(2):
+                *_, truncated, infos = batch.step(np.array([0, 1]))
+            assert truncated.all()
+            assert infos["final_info"]["is_success"].all()
+        return
+    with closing(api.make(file)) as world:
+        world.reset(seed=0)
+        for _ in range(2):
+            *_, info = world.step(0)
+        assert info["is_success"]
+
+
+def test_a_limit_names_agents_that_exist(limited_carts: Path, tmp_path: Path) -> None:
+    limited_carts.write_text(LIMITED.replace("success: right}}", "success: middle}}"))
+    alone = tmp_path / "one.yaml"
+    alone.write_text(
+        "deepbots: 1\nextends: cartpole\nname: One\ntruncation: {max_time: {limit: 2 s, success: cart}}\n"
+    )
+    for file, name in ((limited_carts, "middle"), (alone, "cart")):
+        errors = [finding for finding in api.lint(file) if finding.severity == "error"]
+        assert [finding.headline for finding in errors] == [f"there is no agent `{name}`"]
+
+
+HEARING = (
+    CARTS.replace(
+        "  left:\n    urdf: cartpole\n", "  left:\n    urdf: cartpole\n    hear: {mate: right.angle}\n"
+    )
+    .replace("  right:\n    urdf: cartpole\n", "  right:\n    urdf: cartpole\n    hear: {mate: left.angle}\n")
+    .replace("speed: -1 .. 1 m/s}", "speed: -1 .. 1 m/s, left.mate: -1 .. 1 rad}")
+)
+
+
+hearing_carts = scenario_fixture(HEARING)
+
+
+def _observed(file: Path, steps: int = 12, engine: str | None = None) -> list[dict[str, list[float]]]:
+    """Return what each agent sees after the reset and after each step."""
+    with closing(api.make(file, engine=engine)) as world:
+        seats = seats_of(world)
+        seen = [world.reset(seed=3)[0]]
+        seen += [world.step(combined_action(world, seats, PUSH))[0] for _ in range(steps)]
+        return [{name: seat.observation(each).tolist() for name, seat in seats.items()} for each in seen]
+
+
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_an_agent_sees_what_its_robot_heard_a_timestep_ago(hearing_carts: Path, engine: str) -> None:
+    pytest.importorskip("mujoco")
+    seen = _observed(hearing_carts, engine="mujoco" if engine == "mujoco" else None)
+    for name, other in (("left", "right"), ("right", "left")):
+        heard = [each[name][2] for each in seen]
+        measured = [each[other][0] for each in seen]
+        assert heard[0] == measured[0]  # the first message arrives with the reset
+        assert heard[1:] == measured[:-1]
+        assert len(set(heard)) > 5
+
+
+def test_a_latency_delays_and_a_range_cuts_the_messages(hearing_carts: Path) -> None:
+    hearing_carts.write_text(HEARING + "messages: {between_robots: {latency: 64 ms}}\n")
+    seen = _observed(hearing_carts)
+    assert [each["left"][2] for each in seen[3:]] == [each["right"][0] for each in seen[:-3]]
+    hearing_carts.write_text(
+        HEARING + "messages: {between_robots: {range: 50 cm}}\n"
+    )  # the carts are 1 m apart
+    seen = _observed(hearing_carts)
+    assert {each["left"][2] for each in seen} == {seen[0]["right"][0]}
+    hearing_carts.write_text(HEARING + "messages: {between_robots: {range: 50 cm, on_loss: zero}}\n")
+    assert {each["left"][2] for each in _observed(hearing_carts)[2:]} == {0.0}
+
+
+def test_losses_are_drawn_for_each_pair_and_repeat_with_the_seed(hearing_carts: Path) -> None:
+    hearing_carts.write_text(
+        HEARING + "messages: {between_robots: {loss: 50 %, latency: uniform(0 .. 50 ms) each step}}\n"
+    )
+    first, second = _observed(hearing_carts, 40), _observed(hearing_carts, 40)
+    assert first == second
+    repeated = [a["left"][2] == b["left"][2] for a, b in pairwise(first)]
+    of_the_other_robot = [a["right"][2] == b["right"][2] for a, b in pairwise(first)]
+    assert 5 < sum(repeated) < 36
+    assert repeated != of_the_other_robot
+
+
+def test_a_robot_of_the_same_agent_is_heard_too(tmp_path: Path) -> None:
+    file = tmp_path / "one.yaml"
+    file.write_text(
+        "deepbots: 1\nextends: cartpole\nname: Pair\nmessages: {format: struct}\n"
+        "robots:\n  cart: {hear: {other_angle: other.lean}}\n"
+        "  other:\n    urdf: cartpole\n    pose: {y: 30 cm}\n"
+        "    sensors: {lean: {type: joint_position, joint: pole_hinge}}\n"
+        "observation: {cart.other_angle: -20 .. 20 deg}\n"
+        "reset: {joints: {other.pole_hinge: 3 deg}}\n"
+    )
+    with closing(api.make(file)) as world:
+        observed, _ = world.reset(seed=0)
+        assert observed[-1] == pytest.approx(3 / 20, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "headline"),
+    [
+        ("mate: right.angle", "mate: middle.angle", "there is no value of another robot `middle.angle`"),
+        ("mate: right.angle", "mate: right.angel", "there is no value of another robot `right.angel`"),
+        ("mate: right.angle", "mate: left.angle", "`left` cannot hear itself"),
+        ("mate: right.angle", "mate: right.mate", "`right` hears `right.mate`, and does not send it"),
+        ("left.mate: -1 .. 1 rad", "right.mate: -1 .. 1 rad", "`right` sends `mate` to its agent `right`"),
+        ("left.mate: -1 .. 1 rad", "right.angle: -1 .. 1 rad", "`right` sends `angle` to its agent `right`"),
+    ],
+)
+def test_a_mistake_in_what_a_robot_hears_is_one_finding(
+    hearing_carts: Path, old: str, new: str, headline: str
+) -> None:
+    hearing_carts.write_text(HEARING.replace(old, new, 1))
+    errors = [finding for finding in api.lint(hearing_carts) if finding.severity == "error"]
+    assert headline in errors[0].headline
+    assert len(errors) == 1
+
+
+def test_an_agent_learns_and_lint_has_no_doubts(hearing_carts: Path, tmp_path: Path) -> None:
+    codes = {finding.code for finding in api.lint(hearing_carts)}
+    assert codes <= {"DB708"}  # that falling ends the payments, which is the point here
+    hearing_carts.write_text(
+        HEARING + "train: {algorithm: PPO, total_timesteps: 128, n_steps: 64, n_epochs: 1, batch_size: 32}\n"
+    )
+    assert deepbots_cli.train(hearing_carts, run=tmp_path / "run", seed=0).steps == 128
+    pytest.importorskip("onnx")
+    folder = tmp_path / "bundle"
+    assert main(["export", str(tmp_path / "run"), "--agent", "left", "-o", str(folder)]) == 0
+    inputs = {entry["name"]: entry for entry in json.loads((folder / "bundle.json").read_text())["inputs"]}
+    assert inputs["left.mate"]["supplied_by"] == "messages of right"
+    assert inputs["left.mate"]["latency_s"] == 0.032
+    assert "left.mate: another robot sends this" in (folder / "README.md").read_text()
+
+
+OBSERVED = (
+    CARTS.replace(
+        "speed: -1 .. 1 m/s}", "speed: -1 .. 1 m/s, previous_reward: -10 .. 10, earned: -100 .. 100}"
+    )
+    .replace("augment: {", "augment: {earned: episode_return, ")
+    .replace("near:", "more: 0.1 * previous_reward, near:")
+    .replace("ahead: {drive: 1}", "ahead: {drive: 0.1 * previous_reward}")
+)
+
+
+@pytest.mark.parametrize("repeat", ["", "agent: {action_repeat: 3}\n"])
+def test_an_agent_sees_its_own_rewards(tmp_path: Path, repeat: str) -> None:
+    file = write_scenario(tmp_path, OBSERVED + repeat)
+    with closing(api.make(file)) as world:
+        world.reset(seed=1)
+        seats = seats_of(world)
+        generator = np.random.default_rng(0)
+        earned, last = dict.fromkeys(seats, 0.0), dict.fromkeys(seats, 0.0)
+        for _ in range(5):
+            observed, _, _, _, info = world.step(generator.uniform(-1, 1, 2).astype(np.float32))
+            for name, seat in seats.items():
+                reward = seat.reward(info)
+                *_, seen, total = seat.observation(observed)
+                assert seen == pytest.approx(reward / 10, rel=1e-5)
+                if not repeat:  # within a step of several timesteps, the return grows in each of them
+                    assert total == pytest.approx(earned[name] / 100, abs=1e-6)
+                assert seat.script("ahead")[0] == pytest.approx(min(1.0, 0.1 * reward), rel=1e-5)
+                more = seat.info(info)["reward_terms"]["more"]
+                assert more == pytest.approx(0.1 * last[name] * (3 if repeat else 1))
+                earned[name] += reward
+                last[name] = reward
+
+
+TESTS = """\
+tests:
+  left_falls:
+    driver: {left: ahead, right: zero}
+    episodes: 3
+    expect: {failure_rate: 100 %, ends_by: left_fell, eventually: speed > 10 cm/s}
+  right_wins:
+    agent: right
+    driver: {left: ahead, right: zero}
+    expect: {success_rate: 100 %, always: abs(speed) < 20 cm/s}
+  both_lean:
+    driver: lean
+    max_steps: 5
+    expect: {always: not left_fell and apart < 2 m}
+  pushed:
+    agent: right
+    actions: [{right: 1}, {left: {drive: -1}, right: {drive: 1}}, {left: 1}]
+    expect: {eventually: speed > 1 cm/s}
+"""
+
+
+tested_carts = scenario_fixture(CARTS + TESTS)
+
+
+def test_a_test_expects_the_results_of_one_agent(tested_carts: Path, deepbots: Deepbots) -> None:
+    assert not [finding for finding in api.lint(tested_carts) if finding.severity == "error"]
+    (scenario,) = json.loads(deepbots("test", tested_carts, "--json").out)["scenarios"]
+    assert [test["test"] for test in scenario["tests"]] == ["left_falls", "right_wins", "both_lean", "pushed"]
+    assert [test["steps"] for test in scenario["tests"]][2:] == [5, 3]
+
+
+def test_a_failed_test_shows_the_command_with_both_drivers(
+    tested_carts: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tested_carts.write_text((CARTS + TESTS).replace("success_rate: 100 %", "success_rate: 0 .. 10 %"))
+    assert main(["test", str(tested_carts), "-k", "right_wins", "--json"]) == 1
+    (scenario,) = json.loads(capsys.readouterr().out)["scenarios"]
+    ((miss,),) = [test["misses"] for test in scenario["tests"]]
+    assert miss["measured"].startswith("1 of 1 episodes")
+    words = miss["command"].split()
+    assert (words[:2], main(["try", *words[2:-2], "--episodes", "1", "--json"])) == (["deepbots", "view"], 0)
+    (episode,) = json.loads(capsys.readouterr().out)["episodes"]
+    assert episode["ended_by"] == "left_fell"
+    assert episode["success"]
+
+
+def test_a_failed_sequence_of_actions_is_repeated_by_its_command(
+    tested_carts: Path, deepbots: Deepbots
+) -> None:
+    tested_carts.write_text((CARTS + TESTS).replace("speed > 1 cm/s", "speed > 1 m/s"))
+    (scenario,) = json.loads(deepbots("test", tested_carts, "-k", "pushed", "--json", code=1).out)[
+        "scenarios"
+    ]
+    ((miss,),) = [test["misses"] for test in scenario["tests"]]
+    assert "--driver=0:1,-1:1,1:0 --steps 3" in miss["command"]
+    deepbots(*miss["command"].split()[1:])
+
+
+def test_an_agent_may_have_the_name_of_a_column(tested_carts: Path, deepbots: Deepbots) -> None:
+    tested_carts.write_text(re.sub(r"\bleft\b", "length", re.sub(r"\bright\b", "success", CARTS)))
+    _, columns, _, row = deepbots(
+        "try", tested_carts, "--driver", "zero", "--episodes", "1", "--steps", "3"
+    ).out.splitlines()[:4]
+    assert columns.split("  ")[1:] == [
+        "episode",
+        "return of length",
+        "return of success",
+        "length",
+        "ended_by",
+        "success",
+    ]
+    assert (row.split()[0], row.split()[3]) == ("0", "3")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "headline"),
+    [
+        ("agent: right", "agent: middle", "there is no agent `middle`"),
+        ("{left: ahead, right: zero}", "{left: ahead, middle: zero}", "there is no agent `middle`"),
+        ("{left: ahead, right: zero}", "{left: behind, right: zero}", "there is no script `behind`"),
+        ("driver: lean", "driver: leen", "there is no script `leen`"),
+        ("[{right: 1}, ", "[{middle: 1}, ", "there is no agent `middle`"),
+        ("[{right: 1}, ", "[1, ", "one action for several agents"),
+        ("{drive: -1}", "{drve: -1}", "`drve`"),
+        ("eventually: speed > 1 cm/s", "eventually: sped > 1 cm/s", "`sped`"),
+    ],
+)
+def test_a_mistake_in_a_test_is_one_finding(tested_carts: Path, old: str, new: str, headline: str) -> None:
+    tested_carts.write_text((CARTS + TESTS).replace(old, new, 1))
+    errors = [finding.headline for finding in api.lint(tested_carts) if finding.severity == "error"]
+    assert len(errors) == 1
+    assert headline in errors[0]
+
+
+@pytest.mark.parametrize(
+    ("test", "headline"),
+    [
+        ("{driver: {cart: zero}, expect: {mean_return: 1}}", "a driver of each agent belongs"),
+        ("{agent: cart, driver: zero, expect: {mean_return: 1}}", "`agent` of a test belongs"),
+    ],
+)
+def test_the_form_for_several_agents_is_refused_for_one(tmp_path: Path, test: str, headline: str) -> None:
+    file = tmp_path / "one.yaml"
+    file.write_text(f"deepbots: 1\nextends: cartpole\nname: One\ntests: {{some: {test}}}\n")
+    errors = [finding.headline for finding in api.lint(file) if finding.severity == "error"]
+    assert len(errors) == 1
+    assert headline in errors[0]
+
+
+def test_tests_of_a_file_with_a_role_are_about_all_agents(tested_carts: Path) -> None:
+    tested_carts.write_text(CARTS + TESTS + "role: {agent: right}\n")
+    assert main(["test", str(tested_carts)]) == 0
+
+
+Infos = dict[str, dict[str, Any]]
+RESTING = [2 * 0.2 / 1.1 - 1, 0.0]
+"""In [-1, 1], of `gas: -0.2 .. 0.9` and `turn`: both 0."""
+
+
+def play(scenario: str, seed: int, **drivers: str | list[float]) -> tuple[Infos, dict[str, float]]:
+    """Return the last infos and the returns of an episode in which each agent follows a script, or repeats an
+    action."""
+    with closing(api.make(scenario)) as world:
+        seats = seats_of(world)
+        world.reset(seed=seed)
+        returns = dict.fromkeys(seats, 0.0)
+        is_over = False
+        while not is_over:
+            actions = {
+                name: seats[name].script(driver) if isinstance(driver, str) else np.array(driver, np.float32)
+                for name, driver in drivers.items()
+            }
+            _, _, terminated, truncated, info = world.step(combined_action(world, seats, actions))
+            for name, seat in seats.items():
+                returns[name] += seat.reward(info)
+            is_over = terminated or truncated
+        return {name: seat.info(info) for name, seat in seats.items()}, returns
+
+
+@pytest.mark.parametrize(("right", "delivers"), [("push", True), ("rest", False)])
+def test_two_robots_carry_the_bar_to_the_mark_and_one_alone_does_not(right: str, delivers: bool) -> None:
+    infos, returns = play("carry", 1, left="push", right=right)
+    assert [info["is_success"] for info in infos.values()] == [delivers, delivers]
+    assert returns["left"] == returns["right"]
+
+
+@pytest.mark.parametrize(("winner", "loser"), [("red", "blue"), ("blue", "red")])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_robot_that_leaves_the_ring_loses(seed: int, winner: str, loser: str) -> None:
+    infos, _ = play("sumo", seed, **{winner: "push", loser: [0.0, 0.0]})
+    assert infos[loser]["ended_by"] == f"{loser}_out"
+    assert infos[winner]["is_success"]
+    assert not infos[loser]["is_success"]
+    win, lose = (infos[name]["reward_terms"] for name in (winner, loser))
+    assert (win["win"], win["lose"], lose["win"], lose["lose"]) == (10, 0, 0, -10)
+
+
+def test_in_sumo_both_agents_observe_the_same_from_their_own_side() -> None:
+    with closing(deepbots_cli.parallel_env("sumo")) as environment:
+        draws = {"away": 0.2, "aside": 0.1, "reset.place.red.yaw": 0.3, "reset.place.blue.yaw": 0.3 + np.pi}
+        observed, _ = environment.reset(seed=0, options={"draws": draws})
+        assert observed["red"] == pytest.approx(observed["blue"], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("hunter", "ending", "winner", "loser"),
+    [("chase", "caught", "hunter", "prey"), (RESTING, "escaped", "prey", "hunter")],
+)
+def test_a_hunter_that_chases_catches_the_prey_and_from_one_that_rests_it_escapes(
+    hunter: str | list[float], ending: str, winner: str, loser: str
+) -> None:
+    infos, _ = play("tag", 0, hunter=hunter, prey="stroll")
+    assert infos[winner]["ended_by"] == ending
+    assert infos[winner]["is_success"]
+    assert not infos[loser]["is_success"]
+
+
+@pytest.mark.parametrize("scenario", few(["tag", "carry", "sumo"], ["tag"]))
+@pytest.mark.filterwarnings("ignore:We recommend agents to be named")
+def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
+    pytest.importorskip("pettingzoo")
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
+    from pettingzoo.utils import parallel_to_aec
+
+    with closing(deepbots_cli.parallel_env(scenario)) as environment:
+        parallel_api_test(environment, num_cycles=50)
+        api_test(parallel_to_aec(environment), num_cycles=20)
+    parallel_seed_test(lambda: deepbots_cli.parallel_env(scenario), num_cycles=10)
+    with pytest.warns(RuntimeWarning, match="there is no display"):
+        render_test(
+            lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(scenario, render_mode=render_mode))
+        )
+
+
+MATCHES = 200
+
+
+def _drive(seen: np.ndarray) -> np.ndarray:
+    """Return the action of the script `drive`, given what an agent sees in all matches."""
+    angle = 180.0 * seen[:, 1]
+    gas = np.where(np.abs(angle) < 60.0, 1.0, -2.0 / 3.0)
+    return np.stack([gas, np.clip(angle / 45.0, -1.0, 1.0)], axis=1)
+
+
+@pytest.mark.slow
+def test_neither_of_two_equal_drivers_has_an_advantage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine", "--template", "duel"]) == 0
+    program = api.compile("mine.yaml").program
+    columns = [list(member.columns) for member in program.members.values()]
+    winners: dict[int, tuple[str, ...]] = {}
+    with closing(api.build_batch(program, MATCHES)) as batch:
+        seen = batch.reset(range(MATCHES))
+        assert seen[:, columns[0]][:, 0] == pytest.approx(seen[:, columns[1]][:, 0], abs=1e-6)
+        for _ in range(round(20 / program.period)):
+            actions = np.concatenate([_drive(seen[:, own]) for own in columns], axis=1)
+            outcome = batch.step(actions.astype(np.float32))
+            for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
+                winners.setdefault(world, info["endings"])
+            seen = outcome.observations
+            if len(winners) == MATCHES:
+                break
+    wins = [list(winners.values()).count((name,)) for name in ("red_first", "blue_first")]
+    assert sum(wins) > 0.7 * MATCHES
+    assert abs(wins[0] - wins[1]) < 3 * MATCHES**0.5  # three standard deviations

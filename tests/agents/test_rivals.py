@@ -1,30 +1,54 @@
-"""Policies of runs beside an agent, and match-ups of policies and scripts."""
+"""Agents against each other, and reports of each agent.
+
+* Policies of runs beside an agent, and match-ups of policies and scripts.
+* One policy for two equal agents, which plays against itself and against past versions of itself.
+* `diagnose` and `report` of each agent of a run by itself.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, ScenarioError, UsageError
+from deepbots_cli.insight.diagnosis import causes_after, diagnose
+from deepbots_cli.insight.probes import run_probes
+from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings
+from deepbots_cli.learning.agents import self_play
 from deepbots_cli.learning.agents.matches import play_matches
+from deepbots_cli.learning.agents.self_play import SelfPlayLearner, Sides, SidesCollector
+from deepbots_cli.learning.checkpoint_files import latest_checkpoint
 from deepbots_cli.learning.evaluation import evaluate, load_model
+from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.drivers import named_driver
-from deepbots_cli.runtime.agents import driven
+from deepbots_cli.rollout.worlds import SingleWorlds
+from deepbots_cli.runtime.agents import SeatLayout, driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import plot
+from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.training_logs import read_logs
-from tests.agents.test_multi_agent_training import SHARED, write_scenario
+from tests.agents.carts import write_scenario
+from tests.agents.test_multi_agent_training import SHARED
+from tests.commands import Deepbots
+from tests.learning.interruption import At, outcome
 from tests.worlds import RAIL
 
 
@@ -157,23 +181,23 @@ def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp
     assert all(set(match.agents) == {"left", "right"} for match in table.matches)
 
 
-def test_compare_prints_a_table_of_players(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", str(trained), "--episodes", "2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_compare_prints_a_table_of_players(trained: Path, deepbots: Deepbots) -> None:
+    lines = deepbots("compare", trained, "--episodes", "2").out.splitlines()
     assert lines[0].startswith("Carts: share of decided episodes that the row wins")
     assert [line.split()[0] for line in lines[3:6]] == ["policy", "lean", "random"]
-    assert main(["compare", str(trained), "--episodes", "2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["agents"] == ["left", "right"]
+    assert json.loads(deepbots("compare", trained, "--episodes", "2", "--json").out)["agents"] == [
+        "left",
+        "right",
+    ]
 
 
 def test_policies_play_in_another_scenario_of_the_same_agents(
-    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    trained: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     short = tmp_path / "short.yaml"
     short.write_text(f"deepbots: 1\nextends: {trained.parent / 'several.yaml'}\nname: Short\n")
     words = ["--scenario", str(short), "--allow-path", str(trained.parent)]
-    assert main(["compare", str(trained), "--episodes", "1", *words]) == 0
-    assert capsys.readouterr().out.startswith("Short: ")
+    assert deepbots("compare", trained, "--episodes", "1", *words).out.startswith("Short: ")
 
 
 def test_a_policy_that_random_actions_equal_is_named(trained: Path) -> None:
@@ -191,15 +215,11 @@ def test_a_plot_has_the_returns_and_terms_of_each_agent(trained: Path) -> None:
     assert "right: reward terms of an episode" in titles
 
 
-def test_scripts_play_against_each_other_before_any_training(
-    trained: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scripts_play_against_each_other_before_any_training(trained: Path, deepbots: Deepbots) -> None:
     scenario = str(trained.parent / "several.yaml")
-    assert main(["compare", scenario, "--episodes", "3"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = deepbots("compare", scenario, "--episodes", "3").out.splitlines()
     assert [line.split()[0] for line in lines[3:5]] == ["lean", "random"]
-    assert main(["compare", scenario, "--episodes", "3", "--json"]) == 0
-    (match,) = json.loads(capsys.readouterr().out)["matches"]
+    (match,) = json.loads(deepbots("compare", scenario, "--episodes", "3", "--json").out)["matches"]
     assert sum(match["endings"].values()) == match["episodes"] == 6
     seconds = []
     for own, rival in (("lean", "random"), ("random", "lean")):
@@ -252,10 +272,9 @@ def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("command", ["export", "serve"])
 def test_a_policy_of_several_agents_is_asked_for_by_name(
-    trained: Path, command: str, capsys: pytest.CaptureFixture[str]
+    trained: Path, command: str, deepbots: Deepbots
 ) -> None:
-    assert main([command, str(trained)]) == 2
-    assert f"deepbots export {trained} --agent left" in capsys.readouterr().err
+    assert f"deepbots export {trained} --agent left" in deepbots(command, trained, code=2).err
 
 
 @pytest.mark.parametrize(
@@ -273,38 +292,420 @@ def test_a_policy_of_several_agents_is_asked_for_by_name(
     ],
 )
 def test_a_number_about_all_agents_that_compete_is_refused(
-    trained: Path, words: list[str], instead: str, capsys: pytest.CaptureFixture[str]
+    trained: Path, words: list[str], instead: str, deepbots: Deepbots
 ) -> None:
-    assert main([word.replace("RUN", str(trained)) for word in words]) == 2
-    assert instead in capsys.readouterr().err
+    assert instead in deepbots(*[word.replace("RUN", str(trained)) for word in words], code=2).err
 
 
 @pytest.mark.slow
-def test_robustness_is_that_of_one_agent(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_robustness_is_that_of_one_agent(trained: Path, deepbots: Deepbots) -> None:
     assert (
-        main(["robustness", str(trained), "--agent", "left", "--episodes", "2", "--min-return", "-1000"]) == 0
+        "mass of"
+        in deepbots("robustness", trained, "--agent", "left", "--episodes", "2", "--min-return", "-1000").out
     )
-    assert "mass of" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_a_group_of_agents_that_compete_shows_the_return_of_each(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_group_of_agents_that_compete_shows_the_return_of_each(tmp_path: Path, deepbots: Deepbots) -> None:
     scenario = write_scenario(tmp_path, SHARED)
     deepbots_cli.learning.train_group(
         api.compile(scenario), [1, 2], group=tmp_path / "group", total_timesteps=64
     )
-    assert main(["eval", str(tmp_path / "group"), "--episodes", "2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = deepbots("eval", tmp_path / "group", "--episodes", "2").out.splitlines()
     assert lines[1].split() == ["run", "left", "right"]
     assert [line.split()[0] for line in lines[3:5]] == ["seed-1", "seed-2"]
 
 
-def test_an_agent_of_a_run_plays_against_the_policies_of_the_run(
-    trained: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_agent_of_a_run_plays_against_the_policies_of_the_run(trained: Path, deepbots: Deepbots) -> None:
     together = evaluate(trained, episodes=3, seed=9)
-    assert main(["eval", str(trained), "--agent", "right", "--episodes", "3", "--seed", "9", "--json"]) == 0
-    alone = json.loads(capsys.readouterr().out)
+    alone = json.loads(
+        deepbots("eval", trained, "--agent", "right", "--episodes", "3", "--seed", "9", "--json").out
+    )
     assert alone["mean_return"] == pytest.approx(together.agents["right"].mean_return)
+
+
+PLAYED = SHARED.replace(
+    "total_timesteps: 768,",
+    "total_timesteps: 1536, environments: 4, self_play: {every: 256, pool: 3, newest: 50 %},",
+).replace("n_steps: 64", "n_steps: 32")
+
+
+SCRIPTED = PLAYED.replace("newest: 50 %", "newest: 25 %, scripts: 50 %").replace(
+    "5 * left.angle / rad}", "5 * left.angle / rad}, ahead: {drive: 1}"
+)
+
+
+@given(worlds=st.integers(1, 200), newest=st.floats(0, 1), scripts=st.floats(0, 1))
+def test_the_policy_plays_one_or_both_sides_of_each_world(worlds: int, newest: float, scripts: float) -> None:
+    sides = Sides.divided(worlds, newest, scripts)
+    assert set(sides.scripted) <= set(sides.others)
+    assert len(sides.scripted) == min(len(sides.others), round(scripts * worlds))
+    first, second, past = set(sides.first), set(sides.second), set(sides.others)
+    assert first | second == set(range(worlds))
+    assert past == first ^ second  # there another policy plays the other side
+    assert abs(len(first) - len(second)) <= 1
+    assert len(past) == worlds - round(newest * worlds)
+
+
+def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
+    program = api.compile(write_scenario(tmp_path, PLAYED)).program
+    generator = np.random.default_rng(0)
+
+    def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
+        return Decision(generator.uniform(-1, 1, (4, 2)).astype(np.float32))
+
+    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
+    seats = [SeatLayout(member, program.agent) for member in program.members.values()]
+    sides = Sides.divided(4, 0.5)
+    assert (sides.first.tolist(), sides.second.tolist()) == ([0, 1, 2], [0, 1, 3])
+    with closing(SingleWorlds([api.build(program) for _ in range(4)], range(4), agent_terms=terms)) as worlds:
+        of_all = LocalCollector(worlds)
+        fragment = of_all.collect(act, 40)
+        collector = SidesCollector(of_all, seats, sides)
+        assert fragment is not None
+        part = collector.part_of(fragment)
+    for row, (world, side, name) in enumerate(
+        [(0, 0, "left"), (1, 0, "left"), (2, 0, "left"), (0, 1, "right"), (1, 1, "right"), (3, 1, "right")]
+    ):
+        seen = seats[side].observation(fragment.observations)
+        assert part.observations[:, row].tolist() == seen[:, world].tolist()
+        assert part.actions[:, row, 0].tolist() == fragment.actions[:, world, side].tolist()
+        assert part.rewards[:, row].tolist() == fragment.agent_rewards[name][:, world].tolist()
+        assert part.starts[:, row].tolist() == fragment.starts[:, world].tolist()
+    ended = [(number, ending.row) for number, ending in fragment.endings]
+    expected = [
+        (number, row) for number, world in ended for row in {0: (0, 3), 1: (1, 4), 2: (2,), 3: (5,)}[world]
+    ]
+    assert [(number, ending.row) for number, ending in part.endings] == sorted(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "worlds"),
+    [
+        pytest.param(PLAYED, 4, id="past policies", marks=pytest.mark.slow),
+        pytest.param(SCRIPTED, 4, id="scripts too", marks=pytest.mark.slow),
+        pytest.param(SCRIPTED, 16, id="scripts in a batch", marks=pytest.mark.slow),
+    ],
+)
+def test_an_interrupted_training_with_self_play_becomes_the_same(
+    tmp_path: Path, text: str, worlds: int
+) -> None:
+    scenario = write_scenario(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
+    deepbots_cli.train(scenario, run=tmp_path / "whole", seed=2)
+    assert deepbots_cli.train(scenario, run=tmp_path / "cut", seed=2, progress=At(900)).interrupted
+    resumed = deepbots_cli.resume(tmp_path / "cut")
+    assert outcome(tmp_path / "cut") == outcome(tmp_path / "whole")
+    assert resumed.ratings == Run.open(tmp_path / "whole").record.result.ratings  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+def test_both_agents_of_a_model_have_the_same_policy(tmp_path: Path) -> None:
+    result = deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    weights = load_model(Run.open(tmp_path / "run"), "best").weights()
+    left = {name.partition("/")[2]: array for name, array in weights.items() if name.startswith("left/")}
+    assert left
+    for name, array in left.items():
+        assert np.array_equal(weights[f"right/{name}"], array)
+    assert [rating.steps for rating in result.ratings] == [256, 512, 768, 1024, 1280, 1536, 1536]
+    assert result.ratings[0].mean == 25.0  # nobody was in the pool
+    assert result.ratings[-1].deviation < 25 / 3
+
+
+@pytest.mark.slow
+def test_past_policies_act_with_the_weights_of_their_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pools: list[list[int]] = []
+    act = SelfPlayLearner._let_opponents_act
+
+    def watched(
+        learner: SelfPlayLearner, worlds: np.ndarray, seen: np.ndarray, masks: None, actions: np.ndarray
+    ) -> None:
+        pools.append([past.rating.steps for past in learner.pool])
+        for past in learner.pool:
+            assert past.policy.digest() == digests.setdefault(past.rating.steps, past.policy.digest())
+        act(learner, worlds, seen, masks, actions)
+
+    digests: dict[int, str] = {}
+    monkeypatch.setattr(SelfPlayLearner, "_let_opponents_act", watched)
+    deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    assert pools[0] == []
+    assert pools[-1] == [768, 1024, 1280]  # a pool of three, the oldest ones gone
+    assert len(set(digests.values())) == len(digests) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
+def test_scripts_of_the_scenario_play_the_other_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str
+) -> None:
+    seen = []
+    collect = SelfPlayLearner.collect
+
+    def watched(learner: SelfPlayLearner) -> bool:
+        collected = collect(learner)
+        seen.append((learner._last.columns["opponents"], learner._last.actions, learner._sides))
+        return collected
+
+    monkeypatch.setattr(SelfPlayLearner, "collect", watched)
+    text = SCRIPTED.replace("environments: 4", "environments: 16").replace(
+        "arena:", f"engine: {engine}, arena:"
+    )
+    deepbots_cli.train(write_scenario(tmp_path, text), run=tmp_path / "run", seed=2)
+    ahead = 0
+    for opponents, actions, sides in seen:
+        assert set(np.unique(opponents[:, sides.scripted])) <= {-2, -3}  # lean and ahead
+        assert opponents[:, sides.others].max() < 3
+        for side, worlds in ((1, sides.others[::2]), (0, sides.others[1::2])):
+            is_ahead = opponents[:, worlds] == -3
+            ahead += is_ahead.sum()
+            assert (actions[:, worlds, side][is_ahead] == 1).all()
+    assert ahead > 100
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("newest: 50 %, scripts: 20 %", "newest: 50 %, scripts: 60 %", "`scripts` of `self_play` are shares"),
+        ("scripts: {lean: {drive: 5 * left.angle / rad}}", "", "needs agents with `scripts`"),
+        (
+            "{like: left, robots: [right]}",
+            "{like: left, robots: [right], reward: {alive: 1}}",
+            "two equal agents",
+        ),
+        (
+            "{like: left, robots: [right]}",
+            "{like: left, robots: [right], train: {n_epochs: 2}}",
+            "same `train`",
+        ),
+        ("algorithm: PPO", "algorithm: RecurrentPPO", "use PPO"),
+        ("environments: 4,", "environments: 4, shards: 2,", "`shards`"),
+    ],
+)
+def test_self_play_of_unequal_agents_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = PLAYED.replace("newest: 50 %", "newest: 50 %, scripts: 20 %") if "scripts" in message else PLAYED
+    assert old in text
+    with pytest.raises(UsageError, match=message):
+        deepbots_cli.train(write_scenario(tmp_path, text.replace(old, new)), run=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_damaged_pool_is_refused(tmp_path: Path) -> None:
+    deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    folder = latest_checkpoint(Run.open(tmp_path / "run"))
+    assert folder is not None
+    arrays = dict(np.load(folder / "arrays.npz"))
+    arrays["opponents"] = arrays["opponents"] + 7
+    np.savez(folder / "arrays.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(RunError, match="damaged"):
+        deepbots_cli.resume(tmp_path / "run", total_timesteps=3_000)
+
+
+def test_a_rating_follows_the_results_of_games() -> None:
+    rater = self_play._Rater()
+    winner, loser = rater.new(), rater.new()
+    for _ in range(20):
+        winner, loser = rater.rated(winner, loser, 1)
+    assert winner.mean > 25 > loser.mean
+    assert winner.deviation < rater.new().deviation
+    drawn, _ = rater.rated(rater.new(), rater.new(), 0)
+    assert drawn.mean == 25.0
+
+
+HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late: {when: step > 13")
+"""The right agent has failed after 14 steps, whatever it does."""
+
+
+@pytest.fixture(scope="module")
+def hopeless(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in which the right agent cannot succeed; not to be changed."""
+    folder = tmp_path_factory.mktemp("hopeless")
+    deepbots_cli.train(write_scenario(folder, HOPELESS), run=folder / "run", seed=1)
+    assert main(["eval", str(folder / "run"), "--episodes", "20"]) == 0
+    return folder / "run"
+
+
+def evidence_of(run: Path, agent: str) -> TrainingEvidence:
+    (training,) = [each for each in read_trainings(Run.open(run)) if each.agent == agent]
+    return training
+
+
+def test_each_agent_has_its_own_returns_successes_and_curves(hopeless: Path) -> None:
+    of_all, left, right = read_training(Run.open(hopeless)), *read_trainings(Run.open(hopeless))
+    assert (left.agent, right.agent) == ("left", "right")
+    total = left.all_episodes.returns + right.all_episodes.returns
+    assert total == pytest.approx(of_all.all_episodes.returns, abs=1e-5)
+    assert (left.all_episodes.successes.mean(), right.all_episodes.successes.mean()) == (1, 0)
+    assert left.evaluations[-1]["returns"] == [each.total_return for each in left.final_episodes]
+    assert {term.name for term in right.program.agent.reward} == {"upright", "calm"}
+    for training in (left, right):
+        assert len(training.curve("train/approx_kl"))
+        assert len(training.curve("reward/upright"))
+    assert left.curve("train/approx_kl").tolist() != right.curve("train/approx_kl").tolist()
+
+
+def test_short_episodes_of_an_agent_are_beside_the_policies_of_the_others(hopeless: Path) -> None:
+    training = evidence_of(hopeless, "right")
+    run_probes(training)
+    assert {*training.constant_actions} == {"drive"}
+    assert training.policy
+    assert not training.scripts  # a training of several agents has no teacher
+    assert len(training.failed) == 6
+    for trace, episode in zip(training.failed, training.final_episodes, strict=False):
+        assert trace.returns == pytest.approx(episode.total_return)
+
+
+def test_a_rival_that_is_too_strong_is_named_first(hopeless: Path) -> None:
+    cause = diagnose(evidence_of(hopeless, "right"))[0]
+    assert cause.cause == "rival_too_strong"
+    assert "`right` succeeds in 0%" in cause.text
+    assert "`left` in 100%" in cause.text
+    assert "rival_too_strong" not in [each.cause for each in diagnose(evidence_of(hopeless, "left"))]
+    named = [each.text.partition(":")[0] for each in causes_after(hopeless) if each.cause == cause.cause]
+    assert named == ["right"]
+
+
+@pytest.mark.parametrize(("own", "other"), [(0.3, 0.7), (0.0, 0.5)])
+def test_a_rival_that_is_only_better_is_not_too_strong(hopeless: Path, own: float, other: float) -> None:
+    training = evidence_of(hopeless, "right")
+    draw = np.random.default_rng(0).uniform(size=len(training.all_episodes))
+    training.all_episodes.successes = draw < own
+    planted = replace(training, rivals={"left": (draw > 1 - other).astype(float)})
+    assert "rival_too_strong" not in [each.cause for each in diagnose(planted)]
+
+
+def test_a_rival_that_got_better_is_not_a_fall_of_the_policy(hopeless: Path) -> None:
+    training = evidence_of(hopeless, "right")
+    count = len(training.all_episodes)
+    training.all_episodes.successes = np.arange(count) < count / 2
+    planted = replace(training, rivals={"left": (np.arange(count) >= count / 2).astype(float)})
+    causes = {cause.cause: cause for cause in diagnose(planted)}
+    assert "`right` succeeded in 100% of the episodes" in causes["rival_improved"].text
+    assert "`left` went from 0% to 100%" in causes["rival_improved"].text
+    assert "fell_apart" not in causes
+
+
+def with_games(run: Path, *games: PoolGames) -> TrainingEvidence:
+    training = evidence_of(run, "left")
+    result = training.run.record.result
+    assert result is not None
+    record = training.run.record.model_copy(
+        update={"result": result.model_copy(update={"pool_games": games})}
+    )
+    return replace(training, run=Run(run, record, training.run.compiled))
+
+
+def test_strategies_that_go_round_in_a_circle_are_a_cause(hopeless: Path) -> None:
+    games = PoolGames(100, 8, 32), PoolGames(200, 20, 20), PoolGames(300, 34, 6)
+    causes = {each.cause: each for each in diagnose(with_games(hopeless, *games))}
+    assert "wins 20% of its decided games against the version of 100 steps" in causes["strategies_cycle"].text
+    assert "85% against the later version of 300 steps" in causes["strategies_cycle"].text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "games",
+    [
+        (PoolGames(100, 34, 6), PoolGames(300, 8, 32)),  # it has got worse than the newest ones
+        (PoolGames(100, 2, 6), PoolGames(300, 6, 2)),  # too few games
+        (PoolGames(100, 17, 23), PoolGames(300, 34, 6)),  # by chance
+        (),
+    ],
+)
+def test_games_without_a_circle_are_not_a_cause(hopeless: Path, games: tuple[PoolGames, ...]) -> None:
+    assert "strategies_cycle" not in [each.cause for each in diagnose(with_games(hopeless, *games))]
+
+
+def test_advice_for_an_agent_is_a_setting_of_this_agent(hopeless: Path) -> None:
+    training = evidence_of(hopeless, "right")
+    training.all_episodes.successes[:] = 0
+    steps = np.arange(20.0)
+    curves = {"train/clip_fraction": (steps, np.full(20, 0.9)), "train/approx_kl": (steps, np.full(20, 0.5))}
+    planted = replace(training, rivals={}, scalars=curves)
+    planted.__dict__["settings"] = {**training.settings, "learning_rate": 0.1}
+    (cause,) = [each for each in diagnose(planted) if each.cause == "learning_rate_too_high"]
+    assert [*cause.settings] == ["agents.right.train.learning_rate"]
+    assert "--set agents.right.train.learning_rate=" in cause.command
+
+
+def test_diagnose_prints_the_causes_of_each_agent(hopeless: Path, deepbots: Deepbots) -> None:
+    reports = json.loads(deepbots("diagnose", hopeless, "--only-logs", "--json").out)["runs"]
+    assert [each["agent"] for each in reports] == ["left", "right"]
+    assert reports[1]["causes"][0]["cause"] == "rival_too_strong"
+    assert (
+        deepbots("diagnose", hopeless, "--only-logs", "--agent", "right")
+        .out.splitlines()[0]
+        .startswith(f"{hopeless}, right: ")
+    )
+    assert "its agents are left, right" in deepbots("diagnose", hopeless, "--agent", "middle", code=2).err
+
+
+def test_an_episode_is_explained_for_one_agent(hopeless: Path, deepbots: Deepbots) -> None:
+    explained = json.loads(
+        deepbots("diagnose", hopeless, "--agent", "right", "--episode", "failed", "--json").out
+    )
+    assert explained["episode"].startswith("episode 0 of ")
+    assert explained["outcome"] == "failure"
+    assert (
+        "none of the 20 episodes"
+        in deepbots("diagnose", hopeless, "--agent", "left", "--episode", "failed", code=2).err
+    )
+
+
+def test_a_recording_has_the_episodes_that_one_agent_failed(
+    hopeless: Path, tmp_path: Path, deepbots: Deepbots
+) -> None:
+    arguments = ["render", str(hopeless), "-o", str(tmp_path / "failed.mcap"), "--episodes", "failed"]
+    assert "--agent left|right" in deepbots(*arguments, code=2).err
+    (recording,) = json.loads(deepbots(*arguments, "--agent", "right", "--json").out)["files"]
+    evaluated = evidence_of(hopeless, "right").final_episodes
+    assert [each["return"] for each in recording["episodes"]] == pytest.approx(
+        [each.total_return for each in evaluated]
+    )
+
+
+def test_a_log_without_the_agents_is_refused_with_the_reason(hopeless: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(hopeless, tmp_path / "run")
+    lines = (run / "monitor.csv").read_text().splitlines()
+    lines[1] = lines[1].removesuffix(",agents")
+    (run / "monitor.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RunError, match="an older version wrote it"):
+        read_trainings(Run.open(run))
+
+
+@pytest.mark.slow
+def test_a_report_has_the_figures_and_the_causes_of_each_agent(
+    hopeless: Path, tmp_path: Path, deepbots: Deepbots
+) -> None:
+    pytest.importorskip("viser")
+    page, figures = tmp_path / "run.html", tmp_path / "figures"
+    words = ["report", str(hopeless), "-o", str(page), "--no-clips", "--episodes", "3", "--json"]
+    data = json.loads(deepbots(*words, "--figures", figures).out)
+    assert data["agents"]["right"]["causes"][0]["cause"] == "rival_too_strong"
+    assert "success rate 0.0%" in data["agents"]["right"]["result"]
+    assert {file.stem for file in figures.glob("*-*.png")} == {
+        f"{agent}-{name}" for agent in ("left", "right") for name in ("returns", "shares", "actions")
+    } | {"left-successes"}
+    text = page.read_text()
+    assert "<h2>left</h2>" in text
+    assert "The rival is too strong" in text
+
+
+def test_the_model_of_agents_that_compete_is_called_the_newest(hopeless: Path, deepbots: Deepbots) -> None:
+    output = deepbots("eval", hopeless, "--episodes", "2").out
+    assert "run (newest, after 768 steps)" in output
+    assert "2 held-out starts from evaluation seed 1, which no training uses" in output
+    assert " newest " in deepbots("runs", hopeless).out
+
+
+def test_the_caption_of_a_picture_names_the_agent_that_succeeds(hopeless: Path, tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    pytest.importorskip("mcap")
+    player = open_player(Showing(str(hopeless)).open())
+    with closing(player):
+        last = [*player.episode(1, 0)][-1]
+        recordings.record(player, tmp_path / "one.mcap", 1, [0])
+    with closing(ReplayPlayer(Showing(str(tmp_path / "one.mcap")).open())) as replayed:
+        recorded = [*replayed.episode(1, 0)][-1]
+    assert last.ending == recorded.ending == "success of left: late"

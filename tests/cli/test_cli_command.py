@@ -1,32 +1,57 @@
-"""The command as a whole: help, versions, exit codes, imported modules."""
+"""Commands in general: help, messages, files and progress.
+
+* The command as a whole: help, versions, exit codes, imported modules.
+* Messages of commands about mistakes that are not mistakes of a scenario. Each test is named after the report
+  of a user.
+* Files that commands write are whole or as they were, and nothing but a regular file is replaced.
+* The bar that shows how many episodes a command has played.
+* Columns of text.
+* `python -OO -m deepbots_cli` prints the same: no text for users is a docstring, and no assertion is needed.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
+import re
 import subprocess
 import sys
+import threading
 from importlib.machinery import PathFinder
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, doctor
+from deepbots_cli.cli.tables import row_as_lines, table
+from deepbots_cli.cli.terminal import ProgressBar
+from deepbots_cli.diagnostics.render import display_width
+from deepbots_cli.document import load, shipped
+from deepbots_cli.document.nodes import to_data
 from deepbots_cli.engine_kinds import ENGINES
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write
 from deepbots_cli.installation import extra_with, install_hint, requirements
+from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.robots.kinematics import box_around
+from deepbots_cli.runtime.overview import extent
 from tests.few import few
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
 
 
 def in_process_of_its_own(code: str) -> str:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
 @pytest.fixture
@@ -118,11 +143,10 @@ def test_the_overview_lists_every_verb(deepbots):
     [("deepbots tr", ["try", "train", "transfer"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])],
 )
 def test_a_shell_completes_commands_and_options(deepbots, monkeypatch, line, expected):
-    words = line.split()
     for name, value in {
         "_DEEPBOTS_COMPLETE": "complete_bash",
         "COMP_WORDS": line,
-        "COMP_CWORD": str(len(words) - 1),
+        "COMP_CWORD": str(len(line.split()) - 1),
     }.items():
         monkeypatch.setenv(name, value)
     assert deepbots().out.split() == expected
@@ -203,8 +227,7 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
         return "1.0"
 
     monkeypatch.setattr(doctor, "version", version)
-    ran = deepbots("doctor")
-    assert ran.err == f"{message}\n"
+    assert deepbots("doctor").err == f"{message}\n"
 
 
 def test_the_doctor_knows_all_extras_of_users(deepbots):
@@ -255,9 +278,8 @@ def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
 
 def test_a_terminal_with_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\nname: Pölé\n", encoding="utf-8")
-    command = [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"]
     done = subprocess.run(
-        command,
+        [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONIOENCODING": "ascii"},
         capture_output=True,
@@ -340,8 +362,7 @@ def test_the_package_runs_as_a_module():
     done = subprocess.run(
         [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0
-    assert done.stdout == f"deepbots {deepbots_cli.__version__}\n"
+    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
 
 
 def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
@@ -353,8 +374,7 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [
         ("broken", "unreadable")
     ]
-    ran = deepbots("runs")
-    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in ran.err
+    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in deepbots("runs").err
 
 
 def test_without_runs_the_list_says_how_to_make_one(deepbots):
@@ -364,8 +384,7 @@ def test_without_runs_the_list_says_how_to_make_one(deepbots):
 
 
 def test_the_doctor_finds_this_installation_in_order(deepbots):
-    ran = deepbots("doctor", "--json")
-    report = json.loads(ran.out)
+    report = json.loads(deepbots("doctor", "--json").out)
     assert report["ok"]
     assert {"mujoco", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {
         look["what"] for look in report["checks"]
@@ -401,8 +420,7 @@ def _in_shell(line: str) -> str:
 )
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output_and_no_error_is_printed(verb):
     *notes, code = _in_shell(f"(deepbots {verb} 2>&3 | true; echo ${{PIPESTATUS[0]}}) 3>&1").splitlines()
-    assert code == "0"
-    assert [note for note in notes if "rror" in note] == []
+    assert (code, [note for note in notes if "rror" in note]) == ("0", [])
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
@@ -451,3 +469,373 @@ def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments)
     (tmp_path / "-").write_bytes((tmp_path / "cartpole.yaml").read_bytes())
     printed = deepbots(*arguments)
     assert deepbots(*arguments, "-o", "-") == printed
+
+
+CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"
+
+
+def findings_of(folder: Path, text: str, name: str = "mine.yaml") -> list[tuple[str, str, str]]:
+    (folder / name).write_text(text, encoding="utf-8")
+    return [(finding.code, finding.headline, finding.help or "") for finding in api.lint(folder / name)]
+
+
+def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
+    (tmp_path / "base.yaml").write_text(f"{CARTPOLE}reset: {{place: {{cart: {{z: 5 cm, yaw: 10 deg}}}}}}\n")
+    (tmp_path / "mine.yaml").write_text(
+        "deepbots: 1\nextends: base.yaml\nreset: {place: {cart: {xyz: 0 0 1 m}}}\n"
+    )
+    assert to_data(load(tmp_path / "mine.yaml").root)["reset"]["place"]["cart"] == {
+        "yaw": "10 deg",
+        "xyz": "0 0 1 m",
+    }
+    assert api.lint(tmp_path / "mine.yaml") == []
+
+
+def test_a_height_of_the_ground_that_is_drawn_is_called_drawn(tmp_path):
+    text = f"{CARTPOLE}parameters: {{rise: uniform(1 .. 2 cm)}}\n"
+    text += "world: {terrain: {type: formula, heights: rise if x > 1 m else 0 m, size: 9 9 m}}\n"
+    ((code, headline, help),) = findings_of(tmp_path, text)
+    assert code == "DB407"
+    assert headline == "`heights` must be fixed, but uses `rise`, which is drawn in every episode"
+    assert help.startswith("give it a fixed value")
+
+
+def test_an_existing_value_under_augment_has_one_finding_that_shows_the_list(tmp_path):
+    text = (
+        f"{CARTPOLE}signals: {{clock: sin(360 deg * time / (1 s))}}\naugment: {{clock: clock, track:"
+        f" track}}\n"
+    )
+    findings = [finding for finding in findings_of(tmp_path, text) if finding[0] in ("DB202", "DB207")]
+    assert [(code, headline) for code, headline, _ in findings] == [
+        ("DB202", "`clock` under `augment` exists already"),
+        ("DB202", "`track` under `augment` exists already"),
+    ]
+    assert "`augment: [clock, ...]`" in findings[0][2]
+
+
+def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "buggy.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
+    assert "`--allow-path there`" in refused.err
+    assert "package://PACKAGE/PATH" in refused.err
+    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there")
+    deepbots("lint", "here/mine.yaml", "--allow-path", "there")
+
+
+def test_new_from_an_own_scenario_suggests_cp_and_extends(deepbots, tmp_path):
+    (tmp_path / "one.yaml").write_text(CARTPOLE)
+    error = deepbots("new", "base", "--from", "one.yaml", code=2).err
+    assert "`cp one.yaml base.yaml`" in error
+    assert "`extends: one.yaml`" in error
+
+
+def test_a_picture_of_a_robot_names_the_option_that_needs_a_scenario(deepbots):
+    assert "--labels needs a scenario" in deepbots("render", "epuck", "--labels", "-o", "a.png", code=2).err
+
+
+def test_a_drawn_mass_is_marked_in_inspect(deepbots, tmp_path):
+    (tmp_path / "mine.yaml").write_text(
+        f"{CARTPOLE}robots: {{cart: {{links: {{pole: {{mass: uniform(0.1 .. 0.3 kg)}}}}}}}}\n"
+    )
+    assert "drawn in every episode" in deepbots("inspect", "mine.yaml").out
+    assert "drawn in every episode" not in deepbots("inspect", "cartpole").out
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
+def test_serving_for_no_number_of_seconds_is_refused(deepbots, seconds):
+    assert (
+        f"--seconds {float(seconds):g}: write a number of seconds above 0"
+        in deepbots("serve", "bundle", "--seconds", seconds, code=2).err
+    )
+
+
+def test_the_first_seconds_of_a_training_say_no_time_to_go():
+    """The first updates of a training were slow, and it seemed to take 20 min; it took 4."""
+    progress = TrainingProgress(
+        steps=100, total_steps=100_000, episodes=1, mean_return=None, success_rate=None
+    )
+    assert progress.seconds_left(0, 1.0) is None
+    assert progress.seconds_left(0, 60.0) == pytest.approx(60.0 * 999)
+    assert not math.isnan(progress.seconds_left(0, 60.0) or math.nan)
+
+
+@pytest.mark.parametrize("far", ["1e38", "12345678"])
+def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(deepbots, tmp_path, far):
+    (tmp_path / "far.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 {far} 0\nf 1 2 3\n")
+    (tmp_path / "far.urdf").write_text(
+        '<robot name="far"><link name="a"><visual><geometry><mesh'
+        ' filename="far.obj"/></geometry></visual></link></robot>'
+    )
+    ran = deepbots("inspect", "far.urdf", code=1)
+    assert "the mesh has a vertex at 1" in ran.out + ran.err
+
+
+def test_inspect_has_ranges_in_si_units_as_json(deepbots):
+    assert '"low": -0.3490658503988659' in deepbots("inspect", "cartpole", "--json").out
+
+
+def test_a_robot_on_a_large_field_is_not_a_dot(tmp_path):
+    field = "deepbots: 1\nextends: quadruped\nname: Field\n"
+    field += "world: {terrain: {type: formula, heights: 1 cm * sin(x / m * 90 deg), size: 40 40 m}}\n"
+    (tmp_path / "field.yaml").write_text(field)
+    low, high = box_around(extent(api.compile(tmp_path / "field.yaml").program))
+    assert max(b - a for a, b in zip(low, high, strict=True)) < 10.0
+
+
+def put(path: Path, text: str) -> None:
+    with atomic_write(path) as draft:
+        draft.write_text(text)
+
+
+def test_a_file_is_replaced_as_a_whole_and_keeps_its_permissions(tmp_path):
+    path = tmp_path / "a.txt"
+    put(path, "one")
+    path.chmod(0o640)
+    put(path, "two")
+    assert (path.read_text(), path.stat().st_mode & 0o777, [*tmp_path.iterdir()]) == ("two", 0o640, [path])
+
+
+def test_an_exception_leaves_the_file_as_it_was(tmp_path):
+    path = tmp_path / "a.txt"
+    put(path, "one")
+    with pytest.raises(TypeError, match="str"):
+        put(path, 2)  # after the draft was opened for writing
+    assert (path.read_text(), [*tmp_path.iterdir()]) == ("one", [path])
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "there").mkdir()
+    target = tmp_path / "there" / "a.txt"
+    link = tmp_path / "link.txt"
+    target.write_text("one")
+    link.symlink_to(target)
+    put(link, "two")
+    assert link.is_symlink()
+    assert target.read_text() == "two"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_file_that_is_not_regular_is_written_to_and_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[str] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()), daemon=True)
+    reader.start()
+    put(pipe, "through")
+    reader.join(10)
+    assert read == ["through"]
+    assert pipe.is_fifo()
+
+
+def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
+    with pytest.raises(UsageError, match="cannot be written: no such file"):
+        put(tmp_path / "nowhere" / "a.txt", "")
+
+
+WRITING = {
+    "lsp": ("lsp", "--schema", "-o", "mine.json"),
+    "compile": ("compile", "cartpole", "-o", "mine.py"),
+    "report": ("report", "run", "-o", "mine.html"),
+    "report by its own name": ("report", "mine"),
+    "plot": ("plot", "run", "-o", "mine.png"),
+    **{
+        f"render, {kind}": ("render", "cartpole", "-o", f"mine.{kind}")
+        for kind in ("png", "gif", "mp4", "mcap")
+    },
+    "render by its own name": ("render", "mine.yaml"),
+    "test": ("test", "cartpole", "--junit", "mine.xml"),
+    "eval, CSV": ("eval", "run", "--csv", "mine.csv"),
+    "eval, JUnit": ("eval", "run", "--min-return", "0", "--junit", "mine.xml"),
+    "new": ("new", "mine", "--template", "pit"),
+    "new, project": ("new", "mine", "--template", "pit", "--project", "."),
+    "new, schema": ("new", "mine", "--template", "pit", "--schema"),
+    "new, copy": ("new", "mine", "--from", "cartpole"),
+    "compile, project": ("compile", "cartpole", "--project", "mine"),
+    "export": ("export", "run", "-o", "mine"),
+}
+PRESENT = (
+    "mine.json",
+    "mine.py",
+    "mine.html",
+    "mine.png",
+    "mine.gif",
+    "mine.mcap",
+    "mine.xml",
+    "mine.csv",
+    "mine.mp4",
+    "mine.yaml",
+)
+"""The files of a user that the commands would write."""
+
+
+@pytest.mark.parametrize("words", WRITING.values(), ids=WRITING)
+def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
+    present = [tmp_path / name for name in (*PRESENT, "cartpole.yaml", "mine/kept.txt")]
+    (tmp_path / "mine").mkdir()
+    for path in present:
+        path.write_text("of the user")
+    assert re.fullmatch(
+        r"error: ((mine\S*|cartpole.yaml) already exists; overwrite it|mine is not empty; .*) with --force"
+        r" .*\n",
+        deepbots(*words, code=2).err,
+    )
+    assert [path.read_text() for path in present] == ["of the user"] * len(present)
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {*present}
+
+
+def test_with_force_commands_overwrite(deepbots, tmp_path):
+    for words in (
+        ("lsp", "--schema", "-o", "mine.json"),
+        ("compile", "cartpole", "-o", "mine.py"),
+        ("new", "mine", "--template", "pit", "--schema"),
+    ):
+        for name in PRESENT:
+            (tmp_path / name).write_text("of the user")
+        (tmp_path / "mine.schema.json").write_text("of the user")
+        deepbots(*words, "--force")
+        written = {"lsp": "mine.json", "compile": "mine.py", "new": "mine.yaml"}[words[0]]
+        assert (tmp_path / written).read_text() != "of the user"
+    assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
+    deepbots("compile", "cartpole", "--project", ".", "--force")
+
+
+def test_every_command_that_writes_a_file_has_force(deepbots):
+    for words in WRITING.values():
+        assert "--force" in deepbots(words[0], "--help").out
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_one_line_is_rewritten_and_erased() -> None:
+    screen = Terminal()
+    bar = ProgressBar(40, "episodes", stream=screen)
+    for number in range(1, 41):
+        bar.update(number)
+    bar.close()
+    text = screen.getvalue()
+    assert "1 of 40 episodes" in text
+    assert "40 of 40 episodes" in text
+    assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
+
+
+def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with terminal.progress() as show:
+        for number in (*range(1, 11), *range(1, 11)):
+            show(number, 10)
+    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [
+        *map(str, range(1, 11))
+    ] * 2
+
+
+def test_elsewhere_there_is_a_line_for_every_tenth() -> None:
+    log = io.StringIO()
+    bar = ProgressBar(40, "episodes", stream=log)
+    for number in range(1, 41):
+        bar.update(number)
+    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*map(str, range(4, 41, 4))]
+
+
+CELLS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=12),
+    st.lists(st.text(max_size=3), max_size=3),
+)
+ROWS = st.lists(st.fixed_dictionaries({"a": CELLS, "b": CELLS, "c": CELLS}), min_size=1, max_size=5)
+
+
+def test_numbers_stand_to_the_right_and_text_to_the_left():
+    assert table([{"name": "x", "steps": 5}, {"name": "longer", "steps": 12_000}], indent="") == (
+        "name     steps\n------  ------\nx            5\nlonger  12,000"
+    )
+
+
+def test_a_column_without_any_value_is_left_out():
+    assert "empty" not in table([{"name": "x", "empty": None, "also": []}])
+    assert "empty" not in row_as_lines({"name": "x", "empty": ""})
+
+
+def test_wide_characters_take_two_columns():
+    first, _, second, third = table([{"n": "日本", "m": "x"}, {"n": "ab", "m": "y"}], indent="").splitlines()
+    assert display_width(second[: second.index("x")]) == third.index("y") == first.index("m")
+
+
+@given(rows=ROWS)
+def test_any_values_make_lines_that_no_terminal_obeys(rows):
+    text = table(rows)
+    assert text.replace("\n", "").isprintable()
+    assert text.count("\n") == len(rows) + 1
+
+
+def test_a_long_list_is_cut_short_and_says_how_long_it_is():
+    assert (
+        row_as_lines({"joints": [f"j{n}" for n in range(12)]}, indent="")
+        == "joints  j0, j1, j2, j3, ... 12 in all"
+    )
+    assert row_as_lines({"joints": [f"j{n}" for n in range(5)]}, indent="") == "joints  j0, j1, j2, j3, j4"
+
+
+LINES = [
+    *([name, "--help"] for name in COMMANDS),
+    ["--help"],
+    ["explain", "DB603"],
+    ["explain", "DB611"],
+    ["explain", "gyro"],
+    ["lint", "cartpole"],
+]
+
+
+@pytest.fixture
+def same_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+
+
+def without_docstrings(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-OO", *words], cwd=folder, capture_output=True, text=True, check=True
+    )
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [LINES, pytest.param([["lint", "cartpole", "--deep"]], marks=pytest.mark.slow)],
+    ids=["all", "deep"],
+)
+def test_a_command_prints_the_same_without_docstrings(deepbots, tmp_path, lines, same_width):
+    code = f"from deepbots_cli.cli import main\nfor line in {lines}:\n    main(line)"
+    printed = [deepbots(*line).out for line in lines]
+    assert all(printed)
+    assert without_docstrings(tmp_path, "-c", code).stdout == "".join(printed)
+
+
+@pytest.mark.slow
+def test_a_training_is_diagnosed_the_same_without_docstrings(deepbots, tmp_path, same_width):
+    trained = without_docstrings(
+        tmp_path, "-m", "deepbots_cli", "train", "cartpole", "--timesteps", "2000", "--run", "mine"
+    )
+    assert "most likely cause: The training is short." in trained.stdout + trained.stderr
+    diagnosis = without_docstrings(tmp_path, "-m", "deepbots_cli", "diagnose", "mine").stdout
+    assert "Try: Continue the training" in diagnosis
+    assert diagnosis == deepbots("diagnose", "mine").out
+
+
+def test_a_ground_beside_the_terrain_of_an_inherited_case_is_reported_at_the_ground(deepbots):
+    Path("mine.yaml").write_text(
+        "deepbots: 1\nextends: quadruped\nname: Mine\nworld: {ground: {friction: 0.5}}\n", encoding="utf-8"
+    )
+    ran = deepbots("lint", "mine.yaml", code=1)
+    assert "`ground` cannot be combined with `terrain`\n   --> mine.yaml:4:9" in ran.out
+    assert "with the settings of the case `rough`" in ran.out
+    assert "or leave this case out: `remove: [evaluation.cases.rough]`" in ran.out
+    text = Path("mine.yaml").read_text(encoding="utf-8")
+    Path("mine.yaml").write_text(text + "remove: [evaluation.cases.rough]\n", encoding="utf-8")
+    assert "DB101" not in deepbots("lint", "mine.yaml").out

@@ -1,15 +1,25 @@
-"""`deepbots lint --fix`: the files that it writes, those that it leaves alone, and its output."""
+"""Commands that change or compare files.
+
+* `deepbots lint --fix`: the files that it writes, those that it leaves alone, and its output.
+* `deepbots fmt`: files and folders, differences, and files that it refuses.
+* `deepbots diff`: what two scenarios do not share, by meaning and in the words of the language.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import stat
 import subprocess
+from pathlib import Path
 
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.document import shipped
+from deepbots_cli.learning.runs.records import RunRecord
+from tests.few import few
 from tests.named import with_defaults
 
 CARTPOLE = with_defaults(
@@ -105,10 +115,31 @@ def test_a_misspelled_name_is_put_right_only_where_guesses_are_allowed(deepbots,
     assert path.read_text() == CARTPOLE
 
 
-def test_a_misspelled_sensor_is_put_right(deepbots, scenario):
-    path = scenario(CARTPOLE.replace("    apply: {", "    emit: [pole_angl]\n    apply: {"))
-    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
-    assert "    emit: [pole_angle]\n" in path.read_text()
+SUMMARY = "summary: Keep a free pole upright by driving a four-wheeled cart back and forth."
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words", "line"),
+    [
+        (
+            "    apply: {",
+            "    emit: [pole_angl]\n    apply: {",
+            ["--unsafe-fixes"],
+            "    emit: [pole_angle]\n",
+        ),
+        (SUMMARY, "summary: no", [], 'summary: "no"\n'),
+        (SUMMARY, "summary: 10_00", ["--fail-on", "warning"], 'summary: "10_00"\n'),
+    ],
+    ids=[
+        "a misspelled sensor is put right",
+        "a word that older YAML takes for a truth value stays a text",
+        "a number in unusual groups stays a text",
+    ],
+)
+def test_a_value_is_put_right(deepbots, scenario, old, new, words, line):
+    path = scenario(CARTPOLE.replace(old, new))
+    deepbots("lint", "a.yaml", "--fix", *words)
+    assert line in path.read_text()
 
 
 @pytest.mark.parametrize(
@@ -154,12 +185,18 @@ def test_the_reason_beside_a_suppression_of_nothing_stays(deepbots, scenario):
     assert path.read_text() == CARTPOLE.replace("  alive: 1\n", "  alive: 1  # paid in every step\n")
 
 
-def test_what_looks_like_a_suppression_inside_a_text_is_left_alone(deepbots, scenario):
-    text = CARTPOLE.replace(
-        "summary: Keep a free pole upright", 'summary: "Keep # deepbots: ignore[DB603]"\n#'
-    )
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ("summary: Keep a free pole upright", 'summary: "Keep # deepbots: ignore[DB603]"\n#', 0),
+        ("abs(x) > track", '"abs(x) > tr\\x61k"', 1),
+    ],
+    ids=["what looks like a suppression inside a text", "a name written with an escape"],
+)
+def test_a_text_in_quotes_is_left_alone(deepbots, scenario, old, new, code):
+    text = CARTPOLE.replace(old, new)
     path = scenario(text)
-    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=code)
     assert path.read_text() == text
 
 
@@ -182,16 +219,6 @@ def test_a_definition_that_nothing_uses_goes_with_its_line_where_guesses_are_all
     assert path.read_text() == CARTPOLE
 
 
-def test_a_word_that_older_yaml_takes_for_a_truth_value_stays_a_text(deepbots, scenario):
-    path = scenario(
-        CARTPOLE.replace(
-            "summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: no"
-        )
-    )
-    deepbots("lint", "a.yaml", "--fix")
-    assert 'summary: "no"\n' in path.read_text()
-
-
 def test_a_word_where_a_truth_value_belongs_becomes_one(deepbots, scenario):
     box = "objects: {box: {shape: box, size: 1 1 1 cm, pose: {x: 0.3 m}, fixed: %s}}\n"
     path = scenario(CARTPOLE + box % "yes")
@@ -207,13 +234,6 @@ def test_a_word_inside_quotes_and_folded_text_is_put_right_in_its_place(deepbots
     path = scenario(text)
     deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert path.read_text() == text.replace("trak", "track").replace("pole_angel", "pole_angle")
-
-
-def test_a_name_written_with_an_escape_is_left_alone(deepbots, scenario):
-    text = CARTPOLE.replace("abs(x) > track", '"abs(x) > tr\\x61k"')
-    path = scenario(text)
-    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=1)
-    assert path.read_text() == text
 
 
 def test_line_ends_and_a_byte_order_mark_stay(deepbots, scenario):
@@ -259,17 +279,6 @@ def test_a_mistake_hidden_by_a_misspelling_is_reported_after_its_fix(deepbots, s
     ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=1)
     assert path.read_text() == faulty(other_use, ("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
     assert "DB503[dimension-mismatch]: a speed (m/s) is combined with `track`, a length (m)" in ran.out
-
-
-def test_a_number_in_unusual_groups_stays_a_text(deepbots, scenario):
-    path = scenario(
-        CARTPOLE.replace(
-            "summary: Keep a free pole upright by driving a four-wheeled cart back and forth.",
-            "summary: 10_00",
-        )
-    )
-    deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning")
-    assert 'summary: "10_00"\n' in path.read_text()
 
 
 GUESSES = [
@@ -330,16 +339,14 @@ def test_a_guess_keeps_what_was_written_and_makes_it_whole(deepbots, scenario, t
 def test_diff_shows_the_change_and_writes_nothing(deepbots, scenario):
     text = faulty(("  timestep:", "  timestop:"))
     path = scenario(text)
-    ran = deepbots("lint", "a.yaml", "--diff", code=1)
-    assert "-  timestop: 32 ms\n+  timestep: 32 ms\n" in ran.out
+    assert "-  timestop: 32 ms\n+  timestep: 32 ms\n" in deepbots("lint", "a.yaml", "--diff", code=1).out
     assert path.read_text() == text
 
 
 def test_diff_of_a_file_without_findings_is_empty(deepbots, scenario):
     scenario(CARTPOLE)
     ran = deepbots("lint", "a.yaml", "--diff")
-    assert ran.out == ""
-    assert ran.err == ""
+    assert (ran.out, ran.err) == ("", "")
 
 
 def test_an_included_file_of_the_project_is_fixed_and_one_outside_is_not(deepbots, tmp_path):
@@ -373,8 +380,7 @@ def test_permissions_stay_and_no_other_file_is_left_behind(deepbots, scenario, t
     path = scenario(faulty(("  timestep:", "  timestop:")))
     path.chmod(0o640)
     deepbots("lint", "a.yaml", "--fix")
-    assert stat.S_IMODE(path.stat().st_mode) == 0o640
-    assert os.listdir(tmp_path) == ["a.yaml"]
+    assert (stat.S_IMODE(path.stat().st_mode), os.listdir(tmp_path)) == (0o640, ["a.yaml"])
 
 
 def test_fixing_goes_through_a_symbolic_link(deepbots, scenario, tmp_path):
@@ -388,8 +394,7 @@ def test_fixing_goes_through_a_symbolic_link(deepbots, scenario, tmp_path):
 @pytest.mark.parametrize("words", [("--unsafe-fixes",), ("--fix", "--set", "fall_angle=10deg")])
 def test_options_that_do_not_go_together_are_refused(deepbots, scenario, words):
     scenario(CARTPOLE)
-    ran = deepbots("lint", "a.yaml", *words, code=2)
-    assert ran.err.startswith("error: --")
+    assert deepbots("lint", "a.yaml", *words, code=2).err.startswith("error: --")
 
 
 def test_lint_says_how_many_findings_can_be_fixed(deepbots, scenario):
@@ -509,3 +514,355 @@ def test_a_term_that_pays_more_than_the_success_is_lowered_until_the_finding_is_
     deepbots("lint", str(tmp_path / "a.yaml"), "--fix", "--unsafe-fixes", "--select", "DB708")
     assert "near: 0.05 * (0.5 *" in (tmp_path / "a.yaml").read_text()
     assert "DB708" not in deepbots("lint", str(tmp_path / "a.yaml")).out
+
+
+UNTIDY = "deepbots:   1\nworld:\n    timestep: 32 ms   # a tick\n"
+TIDY = "deepbots: 1\nworld:\n  timestep: 32 ms   # a tick\n"
+
+
+def test_a_file_is_put_into_the_canonical_layout(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_bytes(b"\xef\xbb\xbf" + UNTIDY.replace("\n", "\r\n").encode())
+    deepbots("fmt", "a.yaml")
+    assert (tmp_path / "a.yaml").read_bytes() == b"\xef\xbb\xbf" + TIDY.replace("\n", "\r\n").encode()
+    deepbots("fmt", "a.yaml", "--check")
+
+
+def test_check_and_diff_write_nothing(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    deepbots("fmt", "a.yaml", "--check", code=1)
+    assert "+deepbots: 1\n" in deepbots("fmt", "a.yaml", "--diff", code=1).out
+    assert (tmp_path / "a.yaml").read_text() == UNTIDY
+
+
+@pytest.mark.parametrize("verb", [("fmt", "--diff"), ("lint", "--diff", "--unsafe-fixes")], ids=" ".join)
+@pytest.mark.parametrize("name", ["a.yaml", "my \u00e4 file.yaml"])
+@pytest.mark.parametrize("tail", ["\r\n", ""], ids=["ended", "open"])
+def test_a_difference_in_a_pipe_is_a_patch_whatever_the_line_ends(deepbots, tmp_path, verb, name, tail):
+    before = f"\ufeffdeepbots: 1\r\nreward:  {{}}\r\nworld: {{timestop: 32 ms}}{tail}".encode()
+    (tmp_path / name).write_bytes(before)
+    ran = deepbots(*verb, name, code=None)
+    (tmp_path / "change.patch").write_text(ran.out, encoding="utf-8", newline="")
+    assert deepbots(
+        *(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"),
+        name,
+        code=None,
+    ).err
+    after = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(before)
+    subprocess.run(["git", "apply", "-p0", "change.patch"], cwd=tmp_path, check=True)
+    assert (tmp_path / name).read_bytes() == after != before
+
+
+def test_in_a_folder_only_scenarios_are_touched(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    (tmp_path / "other.yaml").write_text("a:   1\n")
+    deepbots("fmt", ".")
+    assert ((tmp_path / "a.yaml").read_text(), (tmp_path / "other.yaml").read_text()) == (TIDY, "a:   1\n")
+
+
+def test_a_file_that_cannot_be_read_is_left_alone(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text("a: {b:   1\n")
+    assert "deepbots lint a.yaml" in deepbots("fmt", "a.yaml", code=1).err
+    assert (tmp_path / "a.yaml").read_text() == "a: {b:   1\n"
+
+
+def test_a_broken_scenario_in_a_folder_is_refused_and_not_passed_over(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(TIDY)
+    (tmp_path / "broken.yaml").write_text("deepbots: 1\n  world: [\n")
+    ran = deepbots("fmt", ".", "--check", code=1)
+    assert "broken.yaml is not changed because it cannot be read" in ran.err
+
+
+def test_what_the_project_excludes_is_left_alone_in_its_folder_and_formatted_by_name(deepbots, tmp_path):
+    (tmp_path / "deepbots.toml").write_text("[lint]\nexclude = ['old*.yaml']\n")
+    for name in ("a.yaml", "old.yaml"):
+        (tmp_path / name).write_text(UNTIDY)
+    deepbots("fmt", ".")
+    assert ((tmp_path / "a.yaml").read_text(), (tmp_path / "old.yaml").read_text()) == (TIDY, UNTIDY)
+    deepbots("fmt", "old.yaml")
+    assert (tmp_path / "old.yaml").read_text() == TIDY
+
+
+def test_settings_that_mean_nothing_do_not_keep_a_named_file_from_being_formatted(deepbots, tmp_path):
+    (tmp_path / "deepbots.toml").write_text("[lint]\nexclud = []\n")
+    (tmp_path / "a.yaml").write_text(UNTIDY)
+    deepbots("fmt", ".", code=2)
+    deepbots("fmt", "a.yaml")
+    assert (tmp_path / "a.yaml").read_text() == TIDY
+
+
+SINGLE = [
+    ("observation.speed=-1 .. 1 m/s", "policy", "observation.speed"),
+    ("agent={frame_stack: 2}", "policy", "agent.frame_stack"),
+    ("action.drive.choices.forward=0.5", "policy", "action.drive"),
+    ("observation.speed={range: -0.8 .. 0.8 m/s, noise: 0.1 m/s}", "task", "observation.speed.noise"),
+    ("augment.x=position(cart).y", "task", "augment.x"),
+    ("augment.x={value: position(cart).x, noise: 2 mm}", "task", "augment.x"),
+    ("reward.alive=2", "task", "reward.alive"),
+    ("truncation.max_steps=300", "task", "truncation.max_steps"),
+    ("robots.cart.actuators.wheels.max_torque=5 N*m", "task", "robots.cart.actuators.wheels"),
+    ("robots.cart.apply.wheels=2 * drive * wheel_speed", "task", "robots.cart.apply.wheels"),
+    ("robots.cart.sensors.pole_angle.noise=1 deg", "task", "robots.cart.sensors.pole_angle"),
+    ("robots.cart.emit={pole_angle: 2 * pole_angle}", "task", "robots.cart.emit.pole_angle"),
+    ("world.timestep=16 ms", "world", "world.timestep"),
+    ("world.gravity=0 0 -1.6 m/s^2", "world", "world.gravity"),
+    ("world.arena.size=2 2 m", "world", "world.arena"),
+    ("robots.cart.links={pole: {mass: 1 kg}}", "world", "robots.cart.links.pole"),
+    ("messages.timing=delayed", "world", "messages.timing"),
+    ("messages.to_robot={latency: 40 ms}", "world", "messages.to_robot"),
+    ("reset.joints.cart\\.pole_hinge=uniform(-5 .. 5 deg)", "world", "reset.joints.cart.pole_hinge"),
+    ("agent={action_repeat: 2}", "world", "agent.action_repeat"),
+    ("train.gamma=0.9", "training", "train.gamma"),
+    ("train.network.hidden=[32]", "training", "train.network.hidden"),
+    ("solved=mean_return >= 100 over 100 episodes", "training", "solved"),
+    ("evaluation.episodes=7", "training", "evaluation.episodes"),
+    ("evaluation.cases={steep: {set: {fall_angle: 10 deg}}}", "training", "evaluation.cases.steep"),
+    ("name=Other", "cosmetic", "name"),
+    ("summary=Other words.", "cosmetic", "summary"),
+    ("world.arena.color=red", "cosmetic", "look of world.arena"),
+]
+
+
+def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], dict]]:
+    ran = deepbots("diff", *words, "--json", code=None)
+    assert ran.err == "" or ran.code != 2, ran.err
+    report = json.loads(ran.out)
+    listed = {(row["group"], row["path"]): row for row in report["differences"]}
+    assert report["same_meaning"] is (ran.code == 0)
+    assert report["policy_fits"] is not any(group == "policy" for group, _ in listed)
+    return ran.code, listed
+
+
+@pytest.mark.parametrize(
+    ("setting", "group", "path"), SINGLE, ids=[setting.partition("=")[0] for setting, _, _ in SINGLE]
+)
+def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, setting, group, path):
+    if "cart\\." in setting:
+        (Path("other.yaml")).write_text(
+            "deepbots: 1\nextends: cartpole.yaml\nreset: {joints: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n"
+        )
+        deepbots("new", "cartpole", "--from", "cartpole", "--json")
+        code, rows = differences(deepbots, "cartpole.yaml", "other.yaml")
+    else:
+        code, rows = differences(deepbots, "cartpole", "cartpole", "--set", setting)
+    assert (list(rows), code) == ([(group, path)], 0 if group == "cosmetic" else 1)
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "find_ball")))
+def test_a_scenario_has_no_difference_to_itself(deepbots, name):
+    assert deepbots("diff", name, name).out == f"{name} and {name} have the same meaning\n"
+
+
+VARIANTS = {
+    ("pit_escape", "pit_escape_as_printed"): {
+        "task": {"reward.progress"},
+        "training": {"solved", "train.total_timesteps"},
+    },
+    ("find_and_avoid", "find_and_avoid_unmasked"): {
+        "task": {"action.change.forbid"},
+        "training": {"train.algorithm"},
+    },
+}
+
+
+@pytest.mark.parametrize(("one", "other"), VARIANTS)
+def test_variants_differ_in_what_they_were_made_for(deepbots, one, other):
+    code, rows = differences(deepbots, one, other)
+    assert code == 1
+    expected = {(group, path) for group, paths in VARIANTS[one, other].items() for path in paths}
+    assert {key for key in rows if key[0] != "cosmetic"} == expected
+    assert {path for group, path in rows if group == "cosmetic"} == {"name", "summary"}
+
+
+def test_a_longer_pole_no_longer_fits_and_is_another_world(deepbots):
+    _, rows = differences(deepbots, "cartpole", "cartpole_long")
+    assert rows["policy", "observation.tip_speed"]["other"] == "-3 .. 3 m/s"
+    assert ("world", "robots.cart.links.pole") in rows
+    assert not any(group == "task" for group, _ in rows)
+
+
+@pytest.mark.slow
+def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
+    pairs = [
+        ("find_ball", "find_ball_as_printed"),
+        ("cartpole", "cartpole_wireless"),
+        ("cartpole", "cartpole_continuous"),
+    ]
+    for first, second in pairs:
+        _, forth = differences(deepbots, first, second)
+        _, back = differences(deepbots, second, first)
+        assert set(forth) == set(back)
+        assert api.compile(first).digest != api.compile(second).digest
+        assert any(group != "cosmetic" for group, _ in forth)
+        opposite = {"added": "removed", "removed": "added", "changed": "changed"}
+        assert all(back[key]["kind"] == opposite[row["kind"]] for key, row in forth.items())
+
+
+def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
+    text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
+    line = "  x:               -0.4 .. 0.4 m\n"
+    (tmp_path / "turned.yaml").write_text(
+        text.replace(line, "").replace("\nreward:", f"{line}\nreward:", 1), encoding="utf-8"
+    )
+    _, rows = differences(deepbots, "cartpole.yaml", "turned.yaml")
+    assert list(rows) == [("policy", "order of what is observed, done and sent")]
+
+
+REORDERED = {
+    "  time:   -0.05\n  found:  10 when found\n": "  found:  10 when found\n  time:   -0.05\n",
+    "  path: path_distance(epuck, ball)            # around the box\n  here: position(epuck)\n": (
+        "  here: position(epuck)\n  path: path_distance(epuck, ball)\n"
+    ),
+    "    ball:  {x: 38 cm, y: 38 cm}\n": "    ball:  {y: 38 cm, x: 38 cm}\n",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("old", REORDERED, ids=["reward", "signals", "coordinates"])
+def test_the_order_of_keys_is_not_a_difference_in_the_task(deepbots, tmp_path, old):
+    deepbots("new", "find_ball", "--from", "find_ball", "--json")
+    text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "other.yaml").write_text(text.replace(old, REORDERED[old]), encoding="utf-8")
+    code, rows = differences(deepbots, "find_ball.yaml", "other.yaml")
+    assert (code, set(rows)) in ((0, {("cosmetic", "order of keys")}), (0, set()))
+    assert "not written" not in deepbots("diff", "find_ball.yaml", "other.yaml").out
+
+
+def test_the_order_in_which_bodies_look_for_a_place_makes_other_starts(deepbots, tmp_path):
+    deepbots("new", "find_ball", "--from", "find_ball", "--json")
+    text = (tmp_path / "find_ball.yaml").read_text(encoding="utf-8")
+    ball, box = "    ball:  {x: 38 cm, y: 38 cm}\n", "    box:   {yaw: 45 deg}\n"
+    (tmp_path / "other.yaml").write_text(text.replace(ball + box, box + ball), encoding="utf-8")
+    _, rows = differences(deepbots, "find_ball.yaml", "other.yaml")
+    assert list(rows) == [("world", "order of reset.place")]
+    assert rows["world", "order of reset.place"]["other"] == "box, ball, epuck"
+
+
+def test_what_is_written_as_the_default_is_shown_on_both_sides(deepbots):
+    _, rows = differences(deepbots, "pit_escape", "pit_escape", "--set", "agent.frame_stack=1")
+    (row,) = rows.values()
+    assert (row["kind"], row["one"], row["other"]) == ("changed", "2", "1")
+
+
+def test_a_color_and_a_drawn_number_are_shown_as_they_are_written(deepbots):
+    _, rows = differences(
+        deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=choice(green | orange)"
+    )
+    (row,) = rows.values()
+    assert (row["one"], row["other"]) == ("choice(yellow | orange)", "choice(green | orange)")
+    _, rows = differences(
+        deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={pole: {mass: uniform(0.1 .. 0.2 kg)}}"
+    )
+    assert rows["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
+
+
+def test_a_number_that_differs_in_the_last_digit_means_the_same(deepbots):
+    code, rows = differences(
+        deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={tip: {mass: 0.020000000000000004 kg}}"
+    )
+    assert (code, {group for group, _ in rows}) == (0, {"cosmetic"})
+
+
+def test_a_number_that_differs_in_the_sixth_digit_is_a_difference(deepbots):
+    _, rows = differences(deepbots, "cartpole", "cartpole", "--set", "world.ground={friction: 1.000001}")
+    (row,) = rows.values()
+    assert row["other"] == "{friction: 1.000001}"
+
+
+def test_the_group_of_a_difference_is_the_same_from_both_sides(deepbots):
+    for pair in (("find_ball", "see_ball"), ("see_ball", "find_ball")):
+        _, rows = differences(deepbots, *pair)
+        assert ("world", "look of objects.ball") in rows
+
+
+def test_a_value_on_several_lines_is_shown_without_its_comments(deepbots):
+    _, rows = differences(deepbots, "cartpole", "pit_escape")
+    metric = rows["task", "signals.metric"]["other"]
+    assert metric.startswith("hold(0.5 * reach / radius if reach < radius else 0.5 + 0.5 *")
+    assert "#" not in metric
+
+
+def test_a_default_that_only_one_has_is_shown_with_its_numbers(deepbots):
+    _, rows = differences(deepbots, "cartpole", "pit_escape")
+    assert rows["world", "world.ground"]["one"] == "kind ground, friction 1, restitution 0"
+    assert rows["world", "world.ground"]["other"] == ""
+
+
+def test_a_link_that_only_one_has_is_named_without_its_inside(deepbots):
+    output = deepbots("diff", "cartpole", "pit_escape", code=1).out
+    assert "  robots.cart.links.pole\n    - (not written)\n" in output
+    assert "  robots.roller.links.ball\n    + " in output
+    assert "inertial" not in output
+
+
+def test_a_changed_number_of_a_link_is_shown(deepbots, tmp_path):
+    deepbots("new", "quadrotor", "--from", "quadrotor", "--json")
+    (tmp_path / "other").mkdir()
+    deepbots("new", "quadrotor", "other", "--from", "quadrotor", "--json")
+    robot = tmp_path / "other" / "robots" / "urdf" / "quadrotor.urdf"
+    robot.write_text(
+        robot.read_text(encoding="utf-8").replace('mass value="', 'mass value="1', 1), encoding="utf-8"
+    )
+    _, rows = differences(deepbots, "quadrotor.yaml", "other/quadrotor.yaml")
+    ((key, row),) = rows.items()
+    assert key == ("world", "robots.drone.links.base_link")
+    assert row["one"].startswith("inertial.mass 0.0")
+    assert row["other"].startswith("inertial.mass 10.0")
+
+
+def test_colors_count_where_a_camera_sees_them(deepbots):
+    _, rows = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=green")
+    assert {group for group, _ in rows} == {"world"}
+
+
+def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
+    head = "deepbots: 1\nextends: cartpole.yaml\ncurriculum:\n"
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
+    for name, angle in (("one", 25), ("two", 20)):
+        stages = (
+            f"  - {{name: wide, set: {{fall_angle: {angle} deg}}, until: mean_return >= 150 over 20"
+            f" episodes}}\n  - {{name: usual}}\n"
+        )
+        (tmp_path / f"{name}.yaml").write_text(head + stages)
+    _, rows = differences(deepbots, "one.yaml", "two.yaml")
+    assert list(rows) == [("training", "curriculum.wide")]
+    assert "25 deg" in rows["training", "curriculum.wide"]["one"]
+
+
+@pytest.mark.slow
+def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
+    deepbots("new", "cartpole", "--from", "cartpole", "--json")
+    deepbots(
+        "train",
+        "cartpole.yaml",
+        "--run",
+        "run",
+        "--set",
+        "train.total_timesteps=512",
+        "--set",
+        "evaluation.episodes=1",
+    )
+    assert isinstance(RunRecord.read(tmp_path / "run").digest, str)
+    _, rows = differences(deepbots, "run", "cartpole.yaml")
+    assert set(rows) == {("training", "train.total_timesteps"), ("training", "evaluation.episodes")}
+    assert rows["training", "train.total_timesteps"]["one"] == "512"
+
+
+def test_the_start_of_each_group_of_joints_is_compared(deepbots, tmp_path):
+    """Of two entries for one robot, only the last was compared."""
+    deepbots("new", "push", "--from", "panda_push", "--json")
+    text = (tmp_path / "push.yaml").read_text(encoding="utf-8")
+    both = text.replace("joints: {panda.arm: low}", "joints: {panda.arm: low, panda.fingers: 1 cm}")
+    assert both != text
+    (tmp_path / "both.yaml").write_text(both)
+    (tmp_path / "other.yaml").write_text(both.replace("panda_joint2: 12.5 deg", "panda_joint2: 13.5 deg"))
+    _, rows = differences(deepbots, "push.yaml", "both.yaml")
+    ((key, row),) = rows.items()
+    assert (key, row["kind"], row["one"]) == (("world", "reset.joints.panda.fingers"), "added", "")
+    assert row["other"] == "1 cm"
+    _, rows = differences(deepbots, "both.yaml", "other.yaml")
+    ((key, row),) = rows.items()
+    assert key == ("world", "reset.joints.panda.arm")
+    assert row["through"] == {"the pose low": ["{panda_joint2: 12.5 deg}", "{panda_joint2: 13.5 deg}"]}

@@ -1,21 +1,56 @@
-"""`deepbots lint`: its output and its exit code, for good files and bad ones."""
+"""`deepbots lint` and `deepbots explain`.
+
+* `deepbots lint`: its output and its exit code, for good files and bad ones.
+* What `deepbots lint` is asked for, by options and by the settings of a project.
+* `deepbots lint --deep`, on the command line.
+* `deepbots lint --exploits`, on the command line.
+* A rule or the compiler that raises an exception on one file: a finding of that file, and everything else is
+  linted all the same.
+* Files for other programs that run `deepbots lint` or read its output: a hook and a problem matcher.
+* `deepbots explain`: the meaning of a finding, in the terminal and for programs.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
+import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.cli import main
-from deepbots_cli.document import shipped
+from deepbots_cli import api
+from deepbots_cli.cli import exploits, main
+from deepbots_cli.cli.command import Commands
+from deepbots_cli.cli.explanations import Topic, topics
+from deepbots_cli.compiler import check
+from deepbots_cli.diagnostics import RULES, Finding
+from deepbots_cli.diagnostics import Source as SourceText
+from deepbots_cli.document import loads, shipped
+from deepbots_cli.installation import install_hint
+from deepbots_cli.lint import all_findings, run
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.pages import every_page
+from deepbots_cli.lsp.server import diagnostics
+from deepbots_cli.lsp.workspace import Document, analyze
+from deepbots_cli.rollout.source import Source
+from tests.named import with_defaults
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8")
+CARTPOLE = (
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 
 BAD = {
     "empty": b"",
@@ -90,9 +125,7 @@ def test_arbitrary_assignments_never_end_in_a_fault(value, path):
 def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
     (tmp_path / "s").mkdir()
     for name in ("b", "a"):
-        (tmp_path / "s" / f"{name}.yaml").write_text(
-            CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole") + "oops: 1\n"
-        )
+        (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE + "oops: 1\n")
     (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
     (tmp_path / "s" / "short.yml").write_text("deepbots: 2\n")
     (tmp_path / "s" / "quoted.yaml").write_text('"deepbots": 2\n')
@@ -161,16 +194,13 @@ def test_folders_in_folders_by_the_hundred_are_searched_without_a_fault(deepbots
     for _ in range(1200):  # what pytest removes folders with calls itself as well
         os.chdir("..")
         os.rmdir("a")
-    assert ran.out[:10] == "real.yaml:"
-    assert ran.err == ""
+    assert (ran.out[:10], ran.err) == ("real.yaml:", "")
 
 
 def test_several_files_are_linted_at_once(deepbots, tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\n")
-    ran = deepbots("lint", "cartpole", "a.yaml", "--json", code=1)
-    report = json.loads(ran.out)
-    assert report["version"] == 1
-    assert {finding["file"] for finding in report["findings"]} == {"a.yaml"}
+    report = json.loads(deepbots("lint", "cartpole", "a.yaml", "--json", code=1).out)
+    assert (report["version"], {finding["file"] for finding in report["findings"]}) == (1, {"a.yaml"})
     assert report["counts"]["error"] == len(report["findings"])
 
 
@@ -189,3 +219,709 @@ def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_eac
 def test_color_is_for_terminals_only(deepbots, tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\n")
     assert "\x1b[" not in deepbots("lint", "a.yaml", code=1).out
+
+
+WARNED = CARTPOLE.replace("summary:", "summary: on #").replace("15 deg", "15 rad")
+BROKEN = CARTPOLE.replace("abs(x) > track", "abs(xx) > track")
+
+
+@pytest.fixture
+def files(deepbots, tmp_path):
+    """Two scenarios: one with a DB003 and a DB504, one with a DB402."""
+    (tmp_path / "warned.yaml").write_text(WARNED)
+    (tmp_path / "broken.yaml").write_text(BROKEN)
+    return tmp_path
+
+
+def codes(ran):
+    return [finding["code"] for finding in json.loads(ran.out)["findings"]]
+
+
+def test_codes_are_selected_and_ignored(deepbots, files):
+    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB003", "DB504"]
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5")) == ["DB504"]
+    assert codes(
+        deepbots(
+            "lint",
+            "warned.yaml",
+            "--json",
+            "--select",
+            "DB5,yaml11-boolean",
+            "--ignore",
+            "degrees-as-radians",
+        )
+    ) == ["DB003"]
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--ignore", "DB0", "--ignore", "DB5")) == []
+
+
+def test_unselected_findings_do_not_fail(deepbots, files):
+    deepbots("lint", "warned.yaml", "--fail-on", "warning", code=1)
+    ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
+    assert ran.out == "warned.yaml: no findings among the selected rules\n"
+
+
+def test_an_error_that_is_not_selected_still_fails_with_one_line(deepbots, files):
+    ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise", code=1)
+    assert ran.out == ""
+    assert (
+        ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
+    )
+
+
+def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):
+    ran = deepbots("lint", "broken.yaml", "--ignore", "degrees-as-radian", code=2)
+    assert "did you mean degrees-as-radians?" in ran.err
+
+
+def test_a_rule_in_preview_that_does_not_run_is_a_warning_at_the_word_that_selected_it(deepbots, files):
+    (finding,) = json.loads(deepbots("lint", "warned.yaml", "--json", "--select", "DB706").out)["findings"]
+    assert (finding["code"], finding["file"]) == ("DB902", "--select")
+    assert finding["start"] == {"line": 1, "column": 1}
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--preview")) == []
+
+
+def test_findings_can_be_printed_without_failing(deepbots, files):
+    assert "DB402" in deepbots("lint", "broken.yaml", "--exit-zero", "--format", "concise").out
+
+
+def feed(monkeypatch, data: bytes) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+
+def test_standard_input_is_linted_as_the_file_that_it_is_of(deepbots, files, monkeypatch):
+    (files / "worlds").mkdir()
+    (files / "worlds" / "base.yaml").write_text(CARTPOLE)
+    feed(monkeypatch, b"deepbots: 1\nextends: base.yaml\nsummary: on\n")
+    ran = deepbots("lint", "-", "--stdin-filename", "worlds/unsaved.yaml", "--format", "concise")
+    assert ran.out.startswith("worlds/unsaved.yaml:3:10: warning DB003")
+
+
+def test_standard_input_needs_no_name_and_is_any_bytes(deepbots, files, monkeypatch):
+    feed(monkeypatch, b"\xff\xfe\x00")
+    ran = deepbots("lint", "-", "--json", code=1)
+    assert {finding["file"] for finding in json.loads(ran.out)["findings"]} == {"<stdin>"}
+
+
+@pytest.mark.parametrize("words", [["-", "--fix"], ["warned.yaml", "--stdin-filename", "a.yaml"]])
+def test_standard_input_that_cannot_be_meant_is_wrong_usage(deepbots, files, words):
+    assert "standard input" in deepbots("lint", *words, code=2).err
+
+
+def test_several_processes_say_the_same_in_the_same_order(deepbots, files):
+    for name in ("b", "a", "c"):
+        (files / f"{name}.yaml").write_text(WARNED)
+    single = deepbots("lint", "c.yaml", ".", "--format", "concise", code=1)
+    assert deepbots("lint", "c.yaml", ".", "--format", "concise", "--jobs", 3, code=1) == single
+    assert len(single.out.splitlines()) == 9
+
+
+def test_only_what_is_asked_for_is_fixed(deepbots, files):
+    (files / "a.yaml").write_text(CARTPOLE.replace("timestep:", "timstep:"))
+    deepbots("lint", "a.yaml", "--fix", "--select", "DB5")
+    assert "timestep:" in (files / "a.yaml").read_text()  # DB101 is never left out
+    (files / "a.yaml").write_text(WARNED)
+    deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", "--select", "DB0")
+    assert "15 rad" in (files / "a.yaml").read_text()
+    assert "summary: on" not in (files / "a.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("file", "head"),
+    [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")],
+)
+def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
+    (files / file).write_text(f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\n")
+    assert codes(deepbots("lint", "warned.yaml", code=1)) == ["DB504"]
+
+
+def test_the_command_line_wins_over_the_project(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\n")
+    ran = deepbots("lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise")
+    assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]"]
+
+
+def test_the_command_line_wins_over_the_preview_of_the_project(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\npreview = true\n")
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706")) == []
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--no-preview")) == ["DB902"]
+
+
+def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deepbots, files):
+    (files / "drafts").mkdir()
+    (files / "drafts" / "new.yaml").write_text(BROKEN)
+    (files / "drafts" / "kept.yaml").write_text(CARTPOLE)
+    (files / "deepbots.toml").write_text("[lint]\nexclude = ['drafts/n*']\n")
+    deepbots("lint", "drafts")
+    deepbots("lint", "drafts/new.yaml", code=1)
+    (files / "deepbots.toml").write_text("[lint]\nexclude = ['drafts/']\n")
+    assert deepbots("lint", "drafts").out == "0 scenarios: no findings\n"
+
+
+def test_the_settings_are_those_of_the_project_of_the_working_directory(deepbots, files, monkeypatch):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB6']\n")
+    (files / "inner").mkdir()
+    monkeypatch.chdir(files / "inner")
+    assert codes(deepbots("lint", "../warned.yaml", "--json")) == []
+
+
+def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5', 'DB706']\n")
+    findings = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
+    assert next((finding["code"], finding["file"], finding["start"]["line"]) for finding in findings) == (
+        "DB902",
+        "deepbots.toml",
+        2,
+    )
+
+
+def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files):
+    (files / "pyproject.toml").write_text("[tool]\nother.x = 1\ndeepbots.lint.select = ['DB5']\n")
+    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB504"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[lint]\nselct = ['DB5']\n", "unknown key 'selct'; did you mean 'select'?"),
+        ("[lnt]\nselect = ['DB5']\n", "unknown key 'lnt'; did you mean 'lint'?"),
+        ("[lint]\nselect = 'DB5'\n", "'select' must be a list of codes in quotes"),
+        ("[lint]\nselect = ['DB77']\n", "deepbots.toml: there is no finding 'DB77'"),
+        ("[lint]\nfail-on = 'errors'\n", "did you mean 'error'?"),
+        ("[lint]\nformat = 3\n", "use one of full, concise"),
+        ("[lint]\npreview = 'yes'\n", "'preview' must be true or false"),
+        ("[lint]\nexclude = [3]\n", "'exclude' must be a list of patterns"),
+        ("lint = 3\n", "'lint' must be a table of settings"),
+        ("[lint\n", "deepbots.toml cannot be read"),
+        ("select = " + "[" * 10_000, "its values are nested too deep"),
+        ("# " + "x" * 300_000, "deepbots.toml is larger than the limit of 256 KiB"),
+        ("[lint]\nexclude = [" + "'*', " * 2000 + "]\n", "'exclude' has 2,000 entries; the limit is 1,000"),
+    ],
+)
+def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files, text, message):
+    (files / "deepbots.toml").write_text(text)
+    ran = deepbots("lint", "warned.yaml", code=2)
+    assert message in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots, files):
+    before = deepbots("lint", "warned.yaml")
+    (files / "pyproject.toml").write_text("[project]\nname = 'deepbots-worlds'\n[tool.other]\nlint = true\n")
+    after = deepbots("lint", "warned.yaml")
+    assert (after.code, after.out) == (before.code, before.out)
+    assert "DB504" in after.out
+
+
+def test_the_settings_in_the_docs_are_settings(deepbots, files):
+    page = (Path(__file__).parents[2] / "docs" / "linting.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (files / "deepbots.toml").write_text(example)
+    ran = deepbots("lint", "warned.yaml", code=1)
+    assert [line.split()[2] for line in ran.out.splitlines()] == [
+        "DB003[yaml11-boolean]",
+        "DB504[degrees-as-radians]",
+    ]
+
+
+def test_statistics_count_the_findings_of_each_code(deepbots, files):
+    ran = deepbots("lint", ".", "--statistics", "--json", code=1)
+    assert [(row["count"], row["code"], row["fixable"]) for row in json.loads(ran.out)] == [
+        (1, "DB003", 1),
+        (1, "DB402", 1),
+        (1, "DB504", 1),
+    ]
+    assert "DB504  degrees-as-radians" in deepbots("lint", "warned.yaml", "--statistics").out
+    assert (
+        "--statistics prints a table or JSON"
+        in deepbots("lint", ".", "--statistics", "--format", "sarif", code=2).err
+    )
+
+
+def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch):
+    texts = iter([CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m")])
+
+    def save_or_interrupt(_):
+        text = next(texts, None)
+        if text is None:
+            raise KeyboardInterrupt
+        (files / "broken.yaml").write_text(text)
+
+    monkeypatch.setattr("time.sleep", save_or_interrupt)
+    ran = deepbots("lint", "broken.yaml", "--watch", "--format", "concise")
+    codes_shown = re.findall(r"DB\d+", ran.out)
+    assert (codes_shown[0], codes_shown[-1], len(codes_shown)) == ("DB402", "DB503", 2)
+    assert ran.err.count("watching 2 files; Ctrl-C ends it") == 3
+    deepbots("lint", "broken.yaml", "--watch", "--fix", code=2)
+
+
+SIMULATED = with_defaults(CARTPOLE)
+SUNK = SIMULATED.replace("z: 0.04 m", "z: 0.02 m")
+STILL = SIMULATED.replace(
+    "x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle"
+).replace("  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg")
+
+
+@pytest.fixture
+def simulated(deepbots, tmp_path, simulated_here):
+    (tmp_path / "sunk.yaml").write_text(SUNK)
+    (tmp_path / "still.yaml").write_text(STILL)
+    return tmp_path
+
+
+def test_a_simulated_finding_is_printed_like_any_other(deepbots, simulated):
+    ran = deepbots("lint", "sunk.yaml", "--deep", "--json", code=1)
+    (finding,) = json.loads(ran.out)["findings"]
+    assert (finding["code"], finding["file"], finding["start"]["line"]) == ("DB310", "sunk.yaml", 50)
+    deepbots("lint", "sunk.yaml")
+
+
+@pytest.mark.slow
+def test_a_simulated_finding_is_selected_and_suppressed_like_any_other(deepbots, simulated):
+    ran = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
+    assert ran.out.split()[2] == "DB608[constant-observation]"
+    assert (
+        deepbots(
+            "lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise"
+        ).out
+        == ""
+    )
+    (simulated / "still.yaml").write_text(
+        STILL.replace("pull: 0 .. 90 deg", "pull: 0 .. 90 deg  # deepbots: ignore[DB608]")
+    )
+    assert deepbots("lint", "still.yaml", "--deep", "--format", "concise").out == ""
+    assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
+
+
+def test_selecting_a_simulated_rule_without_a_simulation_is_reported(deepbots, simulated):
+    (finding,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
+    assert (finding["code"], finding["message"]) == ("DB902", "DB608 needs a simulation and does not run")
+
+
+def test_a_scenario_with_errors_is_not_simulated_and_a_note_says_so(deepbots, simulated):
+    (simulated / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
+    ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise", code=1)
+    assert ran.out.split()[2] == "DB402[unknown-name]"
+    assert ran.err == "broken.yaml: not simulated because it has errors\n"
+
+
+@pytest.mark.parametrize("option", ["--fix", "--diff"])
+def test_deep_refuses_fix(deepbots, simulated, option):
+    assert "--deep" in deepbots("lint", "sunk.yaml", "--deep", option, code=2).err
+
+
+def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, simulated, monkeypatch):
+    for engine in ("pybullet", "mujoco"):
+        monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
+    ran = deepbots("lint", "sunk.yaml", "--deep", code=2)
+    assert install_hint("sim") in ran.err
+
+
+HERE = Path(__file__).parents[1] / "lint"
+PARKED = """\
+deepbots: 1
+extends: arm.yaml
+name: Parked
+reward:
+  high: arm.angle / (90 deg)
+"""
+
+
+@pytest.fixture
+def parked(deepbots, tmp_path):
+    for name in ("arm.yaml", "arm.urdf"):
+        shutil.copy(HERE / name, tmp_path)
+    (tmp_path / "parked.yaml").write_text(PARKED)
+    return tmp_path
+
+
+def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepbots, parked):
+    ran = deepbots(
+        "lint", "parked.yaml", "--exploits", "--select", "DB713", "--fail-on", "warning", "--json", code=1
+    )
+    (finding,) = json.loads(ran.out)["findings"]
+    assert (finding["code"], finding["file"], finding["start"]["line"]) == ("DB713", "parked.yaml", 5)
+    assert (
+        finding["notes"][-1] == "`deepbots view exploits/parked/pays-without-success.mcap` shows the episode"
+    )
+    verified = deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap")
+    assert verified.out.split(": ")[1] == "1 episode and 60 steps are the same to the bit\n"
+    assert exploits.was_searched(api.compile("parked.yaml").program)
+    assert not exploits.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
+
+
+@pytest.mark.usefixtures("simulated_here")
+def test_a_search_replaces_the_recordings_of_an_earlier_one_and_no_other_file(deepbots, parked):
+    kept = parked / "exploits" / "parked" / "mine.mcap"
+    old = parked / "exploits" / "parked" / "early-end-pays.mcap"
+    kept.parent.mkdir(parents=True)
+    for file in (kept, old):
+        file.touch()
+    ran = deepbots("lint", "parked.yaml", "--exploits", "--ignore", "DB7")
+    assert ran.out == "parked.yaml: no findings among the selected rules, including the search for exploits\n"
+    assert sorted(file.name for file in kept.parent.iterdir()) == [
+        "mine.mcap",
+        "pays-without-success.mcap",
+        "searched.json",
+    ]
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"task": 1}', "\xff", "[" * 5000])
+def test_a_damaged_record_counts_as_no_search(deepbots, parked, content):
+    record = parked / "exploits" / "parked" / "searched.json"
+    record.parent.mkdir(parents=True)
+    record.write_text(content, encoding="latin-1")
+    assert not exploits.was_searched(api.compile("parked.yaml").program)
+
+
+def test_selecting_an_exploit_rule_without_a_search_is_reported(deepbots, parked):
+    (finding,) = json.loads(deepbots("lint", "parked.yaml", "--json", "--select", "DB713").out)["findings"]
+    assert (finding["code"], finding["help"]) == ("DB902", "add --exploits, or remove the code")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("parked.yaml", "--fix"),
+            "--exploits cannot be combined with --fix or --diff: its findings have no automatic fixes",
+        ),
+        (("-",), "--exploits needs a file: it records episodes of the scenario"),
+    ],
+)
+def test_exploits_refuse_fix_and_standard_input(deepbots, parked, words, message):
+    assert deepbots("lint", *words, "--exploits", code=2).err == f"error: {message}\n"
+
+
+def test_a_folder_that_cannot_be_written_is_named_before_the_search(deepbots, parked):
+    (parked / "exploits").touch()
+    ran = deepbots("lint", "parked.yaml", "--exploits", code=2)
+    assert ran.err == f"error: exploits/parked cannot be written: {parked / 'exploits'} is not a directory\n"
+
+
+@pytest.mark.parametrize(("module", "extra"), [("mcap", "sim"), ("gymnasium", "sim")])
+def test_without_the_extra_it_says_how_to_install_it(deepbots, parked, monkeypatch, module, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    ran = deepbots("lint", "parked.yaml", "--exploits", code=2)
+    assert install_hint(extra) in ran.err
+
+
+@rule("DB801")
+def breaking(context: RuleContext) -> Iterator[Finding]:
+    """Fails on the scenario that is named Broken."""
+    if context.program.name == "Broken":
+        raise IndexError("tuple index\nout of range")
+    yield from ()
+
+
+@rule("DB702")
+def breaking_too(simulation: Simulation) -> Iterator[Finding]:
+    """Fails on every scenario."""
+    raise KeyError(simulation.checked.document.path.name)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two scenarios, each with a warning; a rule fails on the first."""
+    (tmp_path / "a.yaml").write_text(scenario("Broken"))
+    (tmp_path / "b.yaml").write_text(scenario("Whole"))
+    monkeypatch.setattr(run, "STATIC_RULES", (breaking, *run.STATIC_RULES))
+    return tmp_path
+
+
+def scenario(name: str) -> str:
+    text = (
+        Source.open("cartpole")
+        .path.read_text(encoding="utf-8")
+        .replace("../robots/urdf/cartpole.urdf", "cartpole")
+    )
+    return text.replace("name: CartPole", f"name: {name}") + "\nsignals: {spare: abs(x)}\n"
+
+
+def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots, folder) -> None:
+    ran = deepbots("lint", ".", "--format", "concise", code=3)
+    rows = [line.split()[:3] for line in ran.out.splitlines()]
+    assert rows == [
+        ["a.yaml:1:1:", "error", "DB903[rule-failed]"],
+        [rows[1][0], "warning", "DB205[unused-definition]"],
+        [rows[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
+    ]
+    assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
+    assert re.search(r" \(deepbots_cli\.lint\.run:\d+\)", ran.out), "the innermost place in deepbots"
+    assert "Traceback" not in ran.out + ran.err
+
+
+@pytest.mark.parametrize(
+    "words", [("--select", "DB7"), ("--ignore", "DB903"), ("--exit-zero",), ("--jobs", "2")]
+)
+def test_no_option_hides_a_rule_that_failed(deepbots, folder, words) -> None:
+    assert "DB903" in deepbots("lint", ".", *words, code=3).out
+
+
+def test_those_who_debug_get_the_exception_of_a_rule(deepbots, folder, monkeypatch) -> None:
+    monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
+    with pytest.raises(IndexError):
+        deepbots("lint", "a.yaml")
+
+
+def test_every_format_reports_a_rule_that_failed_at_the_start_of_the_file(deepbots, folder) -> None:
+    (finding, _) = json.loads(deepbots("lint", "a.yaml", "--json", code=3).out)["findings"]
+    assert (finding["code"], finding["severity"]) == ("DB903", "error")
+    assert finding["start"] == {"line": 1, "column": 1}
+    assert "report this message" in finding["help"]
+    assert deepbots("lint", "a.yaml", "--format", "github", code=3).out.startswith(
+        "::error title=DB903 rule-failed,file=a.yaml,line=1,"
+    )
+    (run,) = json.loads(deepbots("lint", "a.yaml", "--format", "sarif", code=3).out)["runs"]
+    assert [(result["ruleId"], result["level"]) for result in run["results"]] == [
+        ("DB903", "error"),
+        ("DB205", "warning"),
+    ]
+    report = ElementTree.fromstring(deepbots("lint", "a.yaml", "--format", "junit", code=3).out)
+    assert (report.get("errors"), report.get("failures")) == ("1", "0")
+    assert [error.get("type") for error in report.iter("error")] == ["DB903"]
+
+
+def test_an_exception_of_the_compiler_on_one_file_is_a_finding_of_it(deepbots, folder, monkeypatch) -> None:
+    load = api.load
+    monkeypatch.setattr(api, "load", lambda name, **options: load(name, **options) if "b" in name else 1 // 0)
+    ran = deepbots("lint", ".", "--format", "concise", code=3)
+    assert ran.out.startswith(
+        "a.yaml:1:1: error DB903[rule-failed] the compiler failed on this file: ZeroDivisionError"
+    )
+    assert "b.yaml" in ran.out
+
+
+def test_a_scenario_on_which_a_rule_fails_still_compiles(folder) -> None:
+    compiled = api.compile(folder / "a.yaml")
+    assert [finding.code for finding in compiled.findings] == ["DB903", "DB205"]
+
+
+def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) -> None:
+    path = folder / "a.yaml"
+    document = Document(path.as_uri(), 1, path.read_text(encoding="utf-8"), path)
+    (diagnostic, _) = diagnostics(analyze(document, {}), {})[path.as_uri()]
+    assert (diagnostic.code, diagnostic.range.start.line, diagnostic.range.start.character) == ("DB903", 0, 0)
+
+
+@pytest.mark.slow
+def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(
+    deepbots, folder, monkeypatch
+) -> None:
+    monkeypatch.setattr(run, "SIMULATED_RULES", (breaking_too, *run.SIMULATED_RULES))
+    ran = deepbots(
+        "lint",
+        "b.yaml",
+        "--deep",
+        "--preview",
+        "--set",
+        "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}",
+        code=3,
+    )
+    assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out
+    assert "DB611" in ran.out
+
+
+def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
+    from deepbots_cli.diagnostics.findings import exception_finding
+
+    assert (
+        len(
+            exception_finding(
+                "the rule DB801", SourceText("a.yaml", ""), ValueError("long " * 10_000)
+            ).headline
+        )
+        < 300
+    )
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def hook():
+    (only,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())
+    return only
+
+
+@pytest.fixture
+def pattern():
+    (matcher,) = json.loads((ROOT / ".github" / "deepbots-problem-matcher.json").read_text())[
+        "problemMatcher"
+    ]
+    (only,) = matcher["pattern"]
+    return only
+
+
+def test_the_hook_for_commits_lints_the_scenarios_of_a_repository(deepbots, tmp_path, hook):
+    assert hook["language"] == "python"
+    assert hook["pass_filenames"] is False
+    command, *words = [*shlex.split(hook["entry"]), *hook["args"]]
+    assert command == "deepbots"
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE)
+    (tmp_path / "scenarios" / "part.yaml").write_text("a: 1\n")
+    deepbots(*words)
+    (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE.replace("timestep:", "timestop:"))
+    assert deepbots(*words, code=1).out.startswith("scenarios/mine.yaml:")
+
+
+@pytest.mark.parametrize("name", ["scenarios/a.yaml", "robots/a.urdf", "b.yml"])
+def test_the_hook_heeds_whatever_a_scenario_may_read(hook, name):
+    assert re.search(hook["files"], name)
+    assert not re.search(hook["files"], name + ".orig")
+
+
+@pytest.mark.parametrize("name", ["a.yaml", "my worlds/a.yaml", "a:1:2: b.yaml"])
+def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp_path, pattern, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(
+        CARTPOLE.replace("timestep:", "timestop:").replace("summary:", "summary: on #")
+    )
+    lines = deepbots("lint", name, "--format", "concise", code=1).out.splitlines()
+    assert len(lines) == 2
+    matches = [re.match(pattern["regexp"], line) for line in lines]
+    assert [match[pattern["file"]] for match in matches] == [name, name]
+    assert [match[pattern["severity"]] for match in matches] == ["warning", "error"]
+    assert [match[pattern["code"]] for match in matches] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
+    report = json.loads(deepbots("lint", name, "--json", code=1).out)["findings"]
+    assert [int(match[pattern["line"]]) for match in matches] == [
+        finding["start"]["line"] for finding in report
+    ]
+    assert [int(match[pattern["column"]]) for match in matches] == [
+        finding["start"]["column"] for finding in report
+    ]
+    assert all(
+        match[pattern["message"]].startswith(finding["message"])
+        for match, finding in zip(matches, report, strict=True)
+    )
+
+
+def test_the_command_lines_of_the_page_on_linting_parse():
+    page = (ROOT / "docs" / "linting.md").read_text(encoding="utf-8")
+    lines = re.findall(r"deepbots (lint [^`|\n]*?)(?: <.*| >.*)?$", page, re.MULTILINE)
+    assert len(lines) >= 4
+    for line in lines:
+        Commands().get_command(None, "lint").make_context("lint", shlex.split(line)[1:]).close()
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["db603", "saturates-before-termination", "saturates_before_termination", "Saturates-Before-Termination"],
+)
+def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, word):
+    assert deepbots("explain", word).out == deepbots("explain", "DB603").out
+
+
+def test_the_text_is_that_of_the_reference(deepbots):
+    for page in every_page():
+        (explained,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
+        assert {"about": page.about, "example": page.example, "instead": page.instead} in explained["pages"]
+
+
+def test_without_a_code_every_finding_has_its_line(deepbots):
+    lines = deepbots("explain").out.splitlines()[2:]
+    assert [line.split()[0] for line in lines] == [*RULES]
+    report = json.loads(deepbots("explain", "--json").out)
+    assert (report["version"], [entry["code"] for entry in report["rules"]]) == (1, [*RULES])
+
+
+def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
+    report = json.loads(deepbots("explain", "noise", "--json").out)
+    assert (report["version"], report["see_also"][:2]) == (1, ["exploration", "action_noise"])
+    assert [entry["title"] for entry in report["entries"]][:2] == [
+        "noise: a concept",
+        "noise: a key of `world.terrain` with `type: pit`",
+    ]
+    assert "Value: a number; default 0." in report["entries"][1]["text"]
+
+
+@pytest.mark.parametrize(
+    ("word", "concept"),
+    [
+        ("HER", "hindsight"),
+        ("hindsight", "hindsight"),
+        ("domain randomisation", "domain randomization"),
+        ("Domain Randomization", "domain randomization"),
+        ("domain-randomization", "domain randomization"),
+        ("camera", "camera"),
+        ("noise", "noise"),
+        ("curriculum", "curriculum"),
+        ("latency", "latency"),
+        ("frame_stack", "frame stack"),
+        ("reward shaping", "reward shaping"),
+        ("success", "success"),
+        ("seed", "seeds"),
+        ("observation noise", "noise"),
+        ("privileged information", "privileged information"),
+        ("asymmetric critic", "privileged information"),
+        ("TimeLimit", "time limit"),
+        ("truncated", "time limit"),
+        ("action repeat", "action repeat"),
+        ("frame skip", "action repeat"),
+        ("sim-to-real", "sim-to-real"),
+        ("sim2real", "sim-to-real"),
+        ("delays", "latency"),
+        ("baselines", "baseline"),
+        ("held-out", "evaluation"),
+        ("success rate", "success"),
+        ("observation normalization", "normalization"),
+        ("action scaling", "action scaling"),
+        ("discount factor", "discount"),
+        ("VecEnv", "vectorized environments"),
+        ("vectorised environments", "vectorized environments"),
+        ("checkpoints", "checkpoint"),
+        ("resume", "resume"),
+        ("record", "video"),
+        ("normalise", "normalization"),
+        ("mask", "action mask"),
+        ("observation group", "privileged information"),
+        ("return", "return"),
+        ("episode", "episode"),
+        ("exploration", "exploration"),
+        ("policy", "policy"),
+        ("entropy", "entropy"),
+        ("local optimum", "local optimum"),
+        ("mimic", "mimic joint"),
+        ("passive joint", "passive joint"),
+        ("two policies", "several policies"),
+        ("scenario", "scenario"),
+        ("step", "step"),
+        ("training", "training"),
+        ("run", "run"),
+        ("reinforcement learning", "reinforcement learning"),
+        ("agent", "agent"),
+        ("reward", "reward"),
+        ("URDF", "robot file"),
+        ("95 %", "confidence interval"),
+    ],
+)
+def test_a_concept_is_explained_by_its_name_and_by_usual_others(deepbots, word, concept):
+    ran = deepbots("explain", word)
+    assert ran.err == ""
+    assert ran.out.startswith(f"{concept}: a concept\n")
+    assert "Read more: docs/" in ran.out
+
+
+@pytest.mark.parametrize("topic", topics(), ids=lambda topic: topic.name)
+def test_the_example_of_a_concept_lints_clean_and_its_page_has_the_section(topic: Topic):
+    text = f"deepbots: 1\nextends: cartpole.yaml\n{topic.example}\n"
+    assert [finding.headline for finding in all_findings(check(loads(text, base=ROOT / "scenarios")))] == []
+    page, _, section = topic.read.partition("#")
+    heads = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
+    assert section in {"", *(re.sub(r"[^a-z0-9 _-]", "", head.lower()).replace(" ", "-") for head in heads)}
+
+
+def test_no_two_concepts_share_a_name():
+    names = [name.lower() for topic in topics() for name in (topic.name, *topic.names)]
+    assert len(names) == len(set(names))
+
+
+def test_two_words_need_no_quotes(deepbots):
+    assert deepbots("explain", "success", "rate").out == deepbots("explain", "success rate").out
+
+
+def test_a_term_of_isaac_lab_is_explained_by_the_lines_of_its_page(deepbots):
+    lines = deepbots("explain", "illegal_contact").out.splitlines()
+    assert lines[0] == "illegal_contact: a term of Isaac Lab"
+    assert lines[2:4] == ["    termination.failure:", "      trunk_down: contact_force(dog.trunk) > 1 N"]
+    assert lines[-1] == "Read more: docs/isaac-lab.md"

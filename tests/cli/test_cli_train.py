@@ -1,4 +1,8 @@
-"""`deepbots train` and `deepbots eval`, on trainings of seconds."""
+"""Training, evaluation and models.
+
+* `deepbots train` and `deepbots eval`, on trainings of seconds.
+* One way to name a model: every command that takes the policy of a run also takes one of its models.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +33,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.verdict import run_verdict
-from tests.cli.conftest import Ran
+from tests.commands import Deepbots, Ran
 
 FAST = (
     *("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64"),
@@ -160,8 +164,7 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
 
 
 def test_a_run_is_never_overwritten(deepbots, trained):
-    ran = deepbots(*TINY, "--run", "mine", code=2)
-    assert "not overwritten" in ran.err
+    assert "not overwritten" in deepbots(*TINY, "--run", "mine", code=2).err
 
 
 @pytest.mark.slow
@@ -263,8 +266,7 @@ def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, mon
     cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
     ran = deepbots("eval", "mine", "--episodes", "3", "--set", cases, "--json", code=130)
     report = json.loads(ran.out)
-    assert [case["case"] for case in report["cases"]] == ["short"]
-    assert report["unfinished"] == ["case steep"]
+    assert ([case["case"] for case in report["cases"]], report["unfinished"]) == (["short"], ["case steep"])
     assert "not evaluated: case steep" in ran.err
 
 
@@ -318,9 +320,8 @@ def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
 def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
     report = json.loads(deepbots("eval", "mine/models/agent/last.zip", "--episodes", "2", "--json").out)
     assert (report["run"], report["model"]) == ("mine", "last")
-    refused = deepbots("eval", "mine/models/agent/last.zip", "--last", code=2)
     assert (
-        refused.err
+        deepbots("eval", "mine/models/agent/last.zip", "--last", code=2).err
         == "error: --last chooses a model of a run, but mine/models/agent/last.zip is already a model; leave it"
         " out\n"
     )
@@ -409,11 +410,8 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     ]
     assert len(report["evaluation"]["runs"]) == 2
     (row,) = json.loads(deepbots("runs", "--scenario", "cartpole", "--json").out)
-    assert row["name"] == "cartpole-seeds-1"
-    assert row["state"] == "finished"
-    assert row["seeds"] == [0, 2]
-    assert row["score"] == "evaluation"
-    assert row["mean_return"] == report["evaluation"]["mean_return"]
+    assert (row["name"], row["state"], row["seeds"]) == ("cartpole-seeds-1", "finished", [0, 2])
+    assert (row["score"], row["mean_return"]) == ("evaluation", report["evaluation"]["mean_return"])
     assert [
         entry["name"] for entry in json.loads(deepbots("runs", "runs/cartpole-seeds-1", "--json").out)
     ] == [
@@ -443,8 +441,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "2")
     assert "other: no significant difference from cartpole-seeds-1" in ran.out
-    again = json.loads(deepbots("resume", group, "--json").out)
-    assert again["training"]["skipped"] == [0, 2]
+    assert json.loads(deepbots("resume", group, "--json").out)["training"]["skipped"] == [0, 2]
 
 
 @pytest.mark.parametrize("verb", ["eval", "compare"])
@@ -520,13 +517,11 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
         f"mean return of at least 0 {remarks}",
     ]
     named = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
-    assert named["run"] == "mine"
-    assert named["scenario"] == "CartPole"
+    assert (named["run"], named["scenario"]) == ("mine", "CartPole")
     assert named["set"] == "solved=mean_return >= 1 over 4 episodes"
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
-    assert row["run"] == "mine"
-    assert row["set"] == "solved=mean_return >= 1 over 4 episodes"
+    assert (row["run"], row["set"]) == ("mine", "solved=mean_return >= 1 over 4 episodes")
     assert row["remarks"] == remarks[1:-1]
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     deepbots(
@@ -600,8 +595,7 @@ def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, 
     kept.write_text(json.dumps(json.loads(kept.read_text()) | {"solved": False}))
     assert json.loads(deepbots("runs", ".", "--json").out)[0]["solved"] is False
     assert json.loads(deepbots("inspect", "mine", "--json").out)["run"]["solved"] == "no"
-    verdict = run_verdict(tmp_path / "mine", RunRecord.read(tmp_path / "mine"))
-    assert verdict.text.endswith("; not solved")
+    assert run_verdict(tmp_path / "mine", RunRecord.read(tmp_path / "mine")).text.endswith("; not solved")
 
 
 @pytest.mark.slow
@@ -609,8 +603,7 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
     pytest.importorskip("pybullet")
     report = json.loads(deepbots("eval", "mine", "--engine", "pybullet,mujoco", "--json").out)
     first, second = report["evaluations"]
-    assert (first["engine"], second["engine"]) == ("pybullet", "mujoco")
-    assert first["seed"] == second["seed"]
+    assert ((first["engine"], second["engine"]), first["seed"]) == (("pybullet", "mujoco"), second["seed"])
     (difference,) = report["differences"]
     assert (difference["first"], difference["engine"]) == ("pybullet", "mujoco")
     assert difference["mean_return"]["mean"] == pytest.approx(second["mean_return"] - first["mean_return"])
@@ -641,12 +634,9 @@ def test_settings_that_change_what_a_policy_sees_are_refused(deepbots, trained):
 def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(deepbots, trained):
     tables = json.loads(deepbots("inspect", "mine", "--json").out)
     run = tables["run"]
-    assert run["status"] == "finished"
-    assert run["seed"] == 0
-    assert run["solved"] == "no"
+    assert (run["status"], run["seed"], run["solved"]) == ("finished", 0, "no")
     assert run["steps"] >= 200 == run["total_timesteps"]
-    assert run["best_model"] == "mine/models/agent/best.zip"
-    assert tables["training"]["evaluation_episodes"] == 4
+    assert (run["best_model"], tables["training"]["evaluation_episodes"]) == ("mine/models/agent/best.zip", 4)
     assert {row["parameter"]: row["value"] for row in tables["parameters"]}["track"] == "0.39 m"
     assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
 
@@ -685,8 +675,7 @@ def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_b
     "words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]]
 )
 def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
-    ran = deepbots("resume", "mine", *words, code=2)
-    assert "Usage: deepbots resume" in ran.err
+    assert "Usage: deepbots resume" in deepbots("resume", "mine", *words, code=2).err
 
 
 def read_until_closed(terminal: int) -> bytes:
@@ -778,5 +767,95 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
 )
 def test_the_spelling_of_the_version_before_is_understood_and_named(deepbots, old, new):
     stderr = deepbots(*old[:1], *old[1:], code=2).err if old != new else ""
-    assert without_old_spelling(old) == new
-    assert stderr.count(f"is now `deepbots {new[0]}`") == (old != new)
+    assert (without_old_spelling(old), stderr.count(f"is now `deepbots {new[0]}`")) == (new, old != new)
+
+
+TINIER = (
+    "--timesteps",
+    "200",
+    "--set",
+    "train.n_epochs=1",
+    "--set",
+    "train.environments=2",
+    "--set",
+    "train.n_steps=64",
+)
+FEW = ("--set", "evaluation={episodes: 4}", "--set", "solved=mean_return >= 195 over 4 episodes")
+STEP = "mine/models/agent/step-000000128.zip"
+
+
+@pytest.fixture(scope="module")
+def first_with_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run of 256 steps, `mine`, and a model after 128 steps."""
+    folder = tmp_path_factory.mktemp("trained")
+    err = StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(StringIO()), contextlib.redirect_stderr(err):
+        code = main(["train", "cartpole", *TINIER, *FEW, "--keep-checkpoints", "2", "--run", "mine"])
+    assert code == 0, err.getvalue()
+    return folder
+
+
+@pytest.fixture
+def mine(first_with_models: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(first_with_models / "mine", tmp_path / "mine"))
+
+
+@pytest.mark.slow
+def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path) -> None:
+    ran = deepbots("compare", "mine", STEP, "--episodes", "2")
+    assert "mine (step-000000128)" in ran.out
+    assert "after_steps" in ran.out
+    report = json.loads(deepbots("compare", "mine", STEP, "--episodes", "2", "--json").out)
+    assert [group["runs"][0]["model_steps"] for group in report["groups"]] == [256, 128]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("eval", STEP, "--episodes", "1"),
+        ("diagnose", STEP, "--episode", "0"),
+        ("render", STEP, "-o", "one.mcap", "--steps", "2"),
+        ("inspect", STEP),
+        ("diff", STEP, "mine"),
+        ("train", "cartpole", *TINIER, *FEW, "--initialize-from", STEP, "--run", "other"),
+    ],
+)
+def test_every_command_that_takes_a_policy_takes_a_checkpoint(
+    deepbots: Deepbots, mine: Path, words: tuple[str, ...]
+) -> None:
+    deepbots(*words)
+
+
+@pytest.mark.slow
+def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, mine: Path) -> None:
+    report = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json").out)
+    assert (report["nominal"]["model"], report["nominal"]["model_steps"]) == ("step-000000128", 128)
+
+
+@pytest.mark.slow
+def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, mine: Path) -> None:
+    ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
+    assert "models of mine on new starts, the best first" in ran.out
+    assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
+    best = RunRecord.read(mine).result.best_model  # type: ignore[union-attr]
+    assert best is not None
+    assert best.chosen_by == "new starts"
+    assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
+
+
+def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: Path) -> None:
+    report = json.loads(deepbots("eval", STEP, "--keep", "--episodes", "2", "--json").out)
+    assert (report["model"], report["model_steps"]) == ("best", 128)
+    assert report["kept"]["best"]["chosen_by"] == "hand"
+    assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
+    assert "chosen by hand" in deepbots("inspect", "mine").out
+    refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
+    assert "--set cannot be combined with --keep" in refused.err
+
+
+def test_the_list_of_runs_names_the_command_that_chooses_again(deepbots: Deepbots, mine: Path) -> None:
+    record = json.loads((mine / "run.json").read_text())
+    record["result"].pop("best")
+    (mine / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+    assert "choose again with: deepbots eval mine --keep" in deepbots("runs", ".").err

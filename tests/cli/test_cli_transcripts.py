@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Deepbots, Ran
+from tests.commands import Deepbots, Ran
 
 FOLDER = Path(__file__).parents[1] / "data" / "transcripts"
 

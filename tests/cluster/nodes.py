@@ -14,6 +14,7 @@ import pytest
 @contextmanager
 def cluster_of_nodes(head_cpus: int = 0) -> Iterator[Any]:
     """A Ray cluster on this machine; `head_cpus` is the number of CPUs of its head."""
+    pytest.importorskip("ray")
     from ray.cluster_utils import Cluster as Nodes
 
     folder = tempfile.mkdtemp(prefix="nodes-", dir="/tmp")  # sockets need a short path

@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from test_cluster_fleet import outcomes
-from test_cluster_shards import CASES, outcome, trained
+from test_cluster_workers import CASES, outcome, outcomes, trained
 
 from deepbots_cli import api
 from deepbots_cli.learning import train_group
@@ -296,11 +295,10 @@ def test_workers_and_nodes_that_are_killed_change_nothing(
 def command(kind: str, folder: Path, *place: str) -> list[str]:
     scenario, changes, steps = GROUP if kind == "group" else CASES[kind]
     parts = ["--seeds", ",".join(map(str, SEEDS))] if kind == "group" else ["--shards", "2"]
-    sets = [part for change in changes for part in ("--set", change)]
     return [
         "train",
         scenario,
-        *sets,
+        *[part for change in changes for part in ("--set", change)],
         *parts,
         "--timesteps",
         str(steps),

@@ -69,8 +69,7 @@ def test_wheels_roll_without_slip_on_their_exact_radius(worlds, build):
     engine = build("pybullet", worlds.arena(timestep=0.016))
     engine.place("ball", (0, 3, 0.05), (0, 0, 0, 1))
     engine.position_motor("robot", ["hinge"], [1e3], None, None)([0.0])
-    drive = engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)
-    drive([2.5] * 4)
+    engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([2.5] * 4)
     velocity = engine.velocity("robot")
     pose = engine.pose("robot")
     for _ in range(30):
@@ -163,8 +162,7 @@ def test_the_velocity_of_a_link_is_that_of_its_origin_and_not_of_its_center_of_m
     engine.set_joint("robot", "hinge", 0.6, 3.0)
     for _ in range(5):
         linear, angular = engine.velocity("robot", "arm")()
-        assert linear == pytest.approx((0, 0, 0), abs=1e-6)
-        assert angular == pytest.approx((0, 0, 3.0))
+        assert (linear, angular) == (pytest.approx((0, 0, 0), abs=1e-6), pytest.approx((0, 0, 3.0)))
         assert engine.pose("robot", "arm")()[0] == pytest.approx((0.2, 0, 0), abs=1e-6)
         engine.step(4)
 
@@ -300,8 +298,7 @@ def test_a_picture_shows_bodies_before_floor_and_sky(worlds, build):
     engine = build("pybullet", worlds.arena())
     view = View((1.0, -1.3, 0.9), (0.0, 0.0, 0.2), width=120, height=80)
     picture = engine.render(view)
-    assert picture.shape == (80, 120, 3)
-    assert picture.dtype == np.uint8
+    assert (picture.shape, picture.dtype) == ((80, 120, 3), np.uint8)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 200
     engine.place("robot", (0.2, 0.2, 0.04), (0, 0, 0, 1))
     moved = engine.render(view)

@@ -1,23 +1,60 @@
-"""Evaluating a run."""
+"""Evaluations of a run.
+
+* Evaluating a run.
+* Changed conditions of an evaluation.
+* The best model of a run, chosen again on new starts or by hand (`eval --keep`).
+"""
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import stand_in
+from stand_in import hyper
 
+from deepbots_cli import api
 from deepbots_cli.api import Compiled, compile, make
-from deepbots_cli.cli.records import case_rows, evaluation_text, summary_text
+from deepbots_cli.cli.records import case_rows, evaluation_text, robustness_text, summary_text
+from deepbots_cli.document import Document, load
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
+from deepbots_cli.learning import (
+    TrainingResult,
+    evaluate,
+    evaluate_baselines,
+    evaluate_cases,
+    evaluate_robustness,
+    train,
+)
+from deepbots_cli.learning.keeping import keep, kept_models
+from deepbots_cli.learning.model_files import steps_of
+from deepbots_cli.learning.robustness import (
+    Change,
+    RobustnessLevel,
+    Side,
+    _bar,
+    base_document,
+    changed_scenario,
+    plans,
+)
+from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
-from deepbots_cli.learning.runs.verdict import solved_verdict
-from deepbots_cli.program.task import Solved
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import Source
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from tests.commands import Deepbots
+from tests.few import few
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
@@ -54,8 +91,7 @@ def test_other_seeds_are_other_starts(trained: TrainingResult) -> None:
 
 def test_the_figures_belong_together(trained: TrainingResult) -> None:
     result = evaluate(trained.run, build=stand_in.build)
-    assert result.episodes == 20
-    assert sum(result.endings.values()) == 20
+    assert (result.episodes, sum(result.endings.values())) == (20, 20)
     assert (
         result.mean_return == pytest.approx(result.mean_length) == pytest.approx(result.term_means["alive"])
     )
@@ -155,8 +191,7 @@ def test_a_policy_may_be_tried_in_a_scenario_with_other_rules(trained: TrainingR
     result = evaluate(
         trained.run, episodes=3, scenario=stand_in.compiled(max_steps=7, name="Short"), build=stand_in.build
     )
-    assert result.scenario == "Short"
-    assert result.greatest_return == 7
+    assert (result.scenario, result.greatest_return) == ("Short", 7)
 
 
 @pytest.mark.parametrize(
@@ -186,9 +221,7 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
     run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
     base = evaluate(run, build=stand_in.build)
     short, same = evaluate_cases(run, build=stand_in.build)
-    assert short.case == "short"
-    assert short.episodes == 3
-    assert short.greatest_return == 7.0
+    assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
     plain = {"case": None, "circumstances": [], "verdict": base.verdict}
     assert same.model_dump(mode="json") | plain == base.model_dump(mode="json")
     assert evaluate(run, case="short", build=stand_in.build) == short
@@ -242,8 +275,7 @@ def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> No
             "truncation.max_steps=50",
         ],
     )
-    run = train(task, run=tmp_path / "run", total_timesteps=1).run
-    result = evaluate(run, episodes=2)
+    result = evaluate(train(task, run=tmp_path / "run", total_timesteps=1).run, episodes=2)
     with make("find_ball") as env:
         for episode in result.outcomes:
             assert env.reset(seed=episode.seed)[1]["drawn"] == episode.drawn != {}
@@ -267,3 +299,400 @@ def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
         assert [episode.drawn for episode in result.outcomes] == [
             episode.drawn for episode in policy.outcomes
         ]
+
+
+def changes(
+    name: str, case: str | None = None, stage: str | None = None
+) -> tuple[Document, dict[str, dict[str, Change]]]:
+    """A shipped scenario, in a case or stage, and the changes of each condition by level."""
+    base = base_document(Source.open(name), (), case, stage)
+    assert base.root is not None
+    program = api.compile(name).program.variant(case, stage)
+    return base, {plan.name: dict(plan.levels) for plan in plans(base.root, program)}
+
+
+def masses(program: Program) -> list[float]:
+    return [
+        link.inertial.mass
+        for robot in program.world.robots
+        for link in robot.model.links
+        if link.inertial is not None
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", few(["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"], ["find_ball_random"])
+)
+def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(name: str) -> None:
+    base, conditions = changes(name)
+    plain = api.compile(name)
+    for levels in conditions.values():
+        changed = changed_scenario(base, [*levels.values()][-1])
+        assert identity.differences(plain.program, changed.program) == []
+        assert changed.digest != plain.digest
+
+
+def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
+    base, conditions = changes("cartpole")
+    plain = api.compile("cartpole").program
+    assert list(conditions) == [
+        "latency to the robot",
+        "latency from the robot",
+        "message loss",
+        "observation noise",
+        "mass of cart.body",
+        "friction of the ground",
+        "motor strength",
+    ]
+
+    def changed(condition: str, level: str) -> Program:
+        return changed_scenario(base, conditions[condition][level]).program
+
+    loaded = changed("mass of cart.body", "x 2")
+    factors = [after / before for before, after in zip(masses(plain), masses(loaded), strict=True)]
+    assert sorted(factors) == pytest.approx([1.0] * (len(factors) - 1) + [2.0])
+    assert loaded.robots[0].to_route.perfect
+    late = changed("latency to the robot", "+64 ms").robots[0]
+    assert late.to_route.latency is not None
+    assert late.to_route.latency.scalar.value == pytest.approx(0.064)  # type: ignore[union-attr]
+    assert late.from_route.perfect
+    lossy = changed("message loss", "20%").robots[0]
+    assert lossy.to_route.loses
+    assert lossy.from_route.loses
+    ground = changed("friction of the ground", "x 0.5").world.ground
+    assert ground is not None
+    assert ground.friction == 0.5
+    noisy = changed("observation noise", "10% of the range").agent.numbers
+    assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "case", "stage"),
+    [("find_ball_random", None, "crowded"), pytest.param("quadruped", "rough", None, marks=pytest.mark.slow)],
+)
+def test_in_a_case_or_stage_its_settings_apply_before_the_changes(
+    name: str, case: str | None, stage: str | None
+) -> None:
+    base, conditions = changes(name, case, stage)
+    plain = api.compile(name).program.variant(case, stage)
+
+    def variant(change: Change) -> Program:
+        return changed_scenario(base, change).program.variant(case, stage)
+
+    assert identity.task_digest(variant({})) == identity.task_digest(plain)
+    assert any(condition.startswith("friction of the ground") for condition in conditions)
+    for levels in conditions.values():
+        assert identity.task_digest(variant([*levels.values()][-1])) != identity.task_digest(plain)
+
+
+def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: TrainingResult) -> None:
+    for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
+        base = base_document(Source.open(scenario))
+        assert base.root is not None
+        (plan,) = (
+            plan
+            for plan in plans(base.root, api.compile(scenario).program, name)
+            if plan.name == f"mass of {name}"
+        )
+        assert changed_scenario(base, dict(plan.levels)["x 2"]).digest != api.compile(scenario).digest
+    with pytest.raises(
+        UsageError, match=r"there is no link or object 'cart.poel' with a mass; choose from: cart\.body, "
+    ):
+        evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
+
+
+ARM = """\
+deepbots: 1
+name: Arm
+world: {timestep: 32 ms}
+robots:
+  arm:
+    urdf: arm.urdf
+    base: fixed
+    sensors: {angle: {type: joint_position, joint: turn}}
+    actuators: {motor: {type: velocity_motor, joint: turn}}
+    emit: [angle]
+    apply: {motor: drive * 1 rad/s}
+objects: {wall: {shape: box, size: 1 1 1 m, fixed: true, mass: 9 kg}}
+action: {drive: -1 .. 1}
+observation: {arm.angle: -3.2 .. 3.2 rad}
+reward: {alive: 1}
+truncation: {max_steps: 10}
+train: {algorithm: PPO, total_timesteps: 100}
+"""
+URDF = """<robot name="arm">
+<link name="base"><inertial><mass value="50"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="post"><inertial><mass value="20"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="rod"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="weld" type="fixed"><parent link="base"/><child link="post"/></joint>
+<joint name="turn" type="continuous"><parent link="post"/><child link="rod"/><axis xyz="0 0 1"/></joint>
+</robot>"""
+
+
+def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(ARM)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    root, program = load(tmp_path / "arm.yaml").root, api.compile(tmp_path / "arm.yaml").program
+    assert root is not None
+    assert [plan.name for plan in plans(root, program) if plan.name.startswith("mass")] == ["mass of arm.rod"]
+    for name in ("arm.post", "wall"):
+        with pytest.raises(
+            UsageError,
+            match=f"'{name}' is fixed to the world, so its mass has no effect; choose from: arm.rod$",
+        ):
+            list(plans(root, program, name))
+
+
+def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
+    progress: list[tuple[int, int]] = []
+    result = evaluate_robustness(
+        trained.run,
+        episodes=2,
+        min_return=1.0,
+        build=stand_in.build,
+        on_level=lambda done, of: progress.append((done, of)),
+    )
+    assert (result.metric, result.bar, result.bar_source) == ("mean_return", 1.0, "given")
+    levels = [entry for condition in result.conditions for entry in condition.levels]
+    assert progress[-1] == (1 + len(levels), 1 + len(levels))
+    assert result.conditions[0].verdicts == {"latency to the robot": "holds up to +256 ms"}
+    assert {
+        condition.name: [side.holds_up_to for side in condition.sides] for condition in result.conditions
+    }["mass of cart.body"] == [
+        "x 0.5",
+        "x 2",
+    ]
+    starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
+    assert starts == {tuple(episode.seed for episode in result.nominal.outcomes)}
+    brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
+    strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
+    # A single episode has no interval.
+    assert strict.conditions[0].verdicts == {"latency to the robot": "fails from +32 ms (not significant)"}
+    assert (result.nominal_holds, strict.nominal_holds) == (True, False)
+    assert (result.nominal_certain, strict.nominal_certain) == (True, False)
+    assert re.search(r"\(no change\) .* missed, not significant", robustness_text(strict))
+    assert "even without any change; set another one with --min-return" in robustness_text(strict)
+    assert "set another one" not in robustness_text(result)
+    assert _bar(Run.open(trained.run).program, result.nominal, None, None)[1] == 195.0
+
+
+def side(**levels: tuple[float, float, float]) -> Side:
+    """Levels of a latency with a score, and the ends of its interval; the required score is 0.8."""
+    return Side(
+        "",
+        tuple(
+            RobustnessLevel(
+                f"+{name[1:]} ms", SimpleNamespace(), score >= 0.8, not low <= 0.8 <= high, (low, high)
+            )  # type: ignore[arg-type]
+            for name, (score, low, high) in levels.items()
+        ),
+    )
+
+
+def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_not_a_threshold() -> None:
+    close = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
+    assert close.verdict == (
+        "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within"
+        " their intervals"
+    )
+    assert (close.holds_up_to, close.fails_from) == ("+10 ms", "+80 ms")
+    apart = side(l20=(0.5, 0.4, 0.6), l40=(0.9, 0.85, 0.97))
+    assert apart.verdict == "fails at +20 ms but holds at +40 ms: here, a larger change is not always harder"
+
+
+def test_the_verdict_says_up_to_which_level_the_interval_excludes_the_required_score() -> None:
+    falling = side(
+        l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2)
+    )
+    assert (
+        falling.verdict
+        == "holds up to +20 ms (up to +10 ms with 95 % confidence), fails from +40 ms (from +80 ms with 95 %"
+        " confidence)"
+    )
+
+
+def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change_on() -> None:
+    base = base_document(Source.open("cartpole"))
+    assert base.root is not None
+    planned = {plan.name: plan for plan in plans(base.root, api.compile("cartpole").program)}
+    for plan in (planned["mass of cart.body"], planned["friction of the ground"]):
+        assert {
+            side: [plan.level(amount)[0] for amount in amounts] for side, amounts in plan.sides.items()
+        } == {
+            "smaller": ["x 0.75", "x 0.5"],
+            "larger": ["x 1.25", "x 1.5", "x 2"],
+        }
+
+
+STAIR = (
+    "{stair: {shape: box, size: 1 1 0.1 m, fixed: true, friction: 0.8}, mark: {shape: sphere, radius: 1"
+    " cm, fixed: true, solid: false}}"
+)
+
+
+def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -> None:
+    source = Source.open("cartpole")
+    base = base_document(source, [f"objects={STAIR}"])
+    assert base.root is not None
+    program = api.compile(source.checked(overrides=[f"objects={STAIR}"])).program
+    (plan,) = (plan for plan in plans(base.root, program) if plan.name.startswith("friction"))
+    assert plan.name == "friction of the ground and stair"
+    world = changed_scenario(base, dict(plan.levels)["x 0.5"]).program.world
+    assert world.ground is not None
+    assert world.ground.friction == 0.5
+    assert {body.name: body.friction for body in world.objects} == {"stair": 0.4, "mark": 1.0}
+
+
+def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
+    trained: TrainingResult, tmp_path: Path, deepbots: Deepbots
+) -> None:
+    without_solved = re.sub(r"(?m)^solved:.*\n", "", (trained.run / "resolved.yaml").read_text()).replace(
+        "inputs/robots/urdf/cartpole.urdf", "cartpole"
+    )
+    hard = tmp_path / "hard.yaml"
+    hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
+    options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]
+    output = deepbots("robustness", trained.run, *options, code=1).out
+    assert "nothing to keep: without any change, the success rate is 0.0%" in output
+    assert "required" not in output
+    result = evaluate_robustness(trained.run, episodes=2, scenario=hard, engine="mujoco")
+    assert result.bar is None
+    assert result.nominal_holds is False
+    assert result.conditions == ()
+
+
+SHORT = Training(
+    "PPO",
+    400,
+    2,
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
+)
+
+
+class PaidByTurn:
+    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE`
+    worlds."""
+
+    def __init__(self, *turns: int) -> None:
+        self.turns = turns
+        self.count = 0
+        self.seeds: set[int] = set()
+
+    def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
+        self.count += 1
+        return Paid(program, self, float((self.count - 1) // FORWARD_BATCH_SIZE in self.turns))
+
+
+class Paid(stand_in.CartPole):
+    def __init__(self, program: Program, worlds: PaidByTurn, reward: float) -> None:
+        super().__init__(program)
+        self.worlds, self.reward = worlds, reward
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        if seed is not None:
+            self.worlds.seeds.add(seed)
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, _, terminated, truncated, info = super().step(action)
+        return observation, self.reward, terminated, truncated, info
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """A run with three models: of 192, 320 and 448 steps; the last one is the best."""
+    task = stand_in.compiled(training=SHORT)
+    return Run.open(train(task, run=tmp_path / "run", build=stand_in.build, keep_checkpoints=3).run)
+
+
+def bytes_of(run: Run, name: str) -> bytes:
+    return run.model(name).read_bytes()
+
+
+def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(run: Run) -> None:
+    before = bytes_of(run, "best")
+    names = kept_models(run)
+    assert len(names) >= 3
+    assert len(set(names.values())) == len(names)
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
+    # The second model wins the first round, and is the first to play in each later one.
+    turns = [1]
+    left = len(names)
+    played = left
+    while (left := (left + 1) // 2) > 1:
+        turns.append(played)
+        played += left
+    build = PaidByTurn(*turns)
+    progress = list[tuple[int, int]]()
+    kept = keep(ModelRef(run), build=build, on_model=lambda done, planned: progress.append((done, planned)))
+    steps, name = list(names.items())[1]
+    assert (kept.name, kept.best.steps, kept.best.chosen_by) == (name, steps, "new starts")
+    assert (kept.best.mean_return, progress[-1]) == (kept.played[0].result.mean_return, (played, played))
+    assert (bytes_of(run, "best"), kept.earlier) == (bytes_of(run, name), run.model("earlier-1"))
+    assert bytes_of(run, "earlier-1") == before
+    record = RunRecord.read(run.path)
+    assert record.result is not None
+    assert record.result.best == kept.best
+    # The evaluations of the earlier model do not apply to this one.
+    assert run_verdict(run.path, record).evaluation is None
+    seeds_of_the_choice = set(build.seeds)
+    evaluated = evaluate(kept.run, episodes=4, build=build)
+    assert evaluated.seed == kept.best.evaluation_seed != run.record.seed
+    assert not {episode.seed for episode in evaluated.outcomes} & seeds_of_the_choice
+    kept.run.write_evaluation(evaluated.model_dump(mode="json"))
+    assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
+
+
+def test_a_run_of_before_whose_best_model_was_chosen_by_return_is_judged_again(run: Run) -> None:
+    record = json.loads((run.path / "run.json").read_text())
+    record["result"].pop("best")
+    (run.path / "run.json").write_text(
+        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
+    )
+    keep(ModelRef.open(run.path), build=stand_in.build)
+    result = RunRecord.read(run.path).result
+    assert result is not None
+    assert result.best_model is not None
+    assert result.best_model.chosen_by == "new starts"
+
+
+def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:
+    name = next(name for name in kept_models(run).values() if name.startswith("step-"))
+    before = bytes_of(run, "best")
+    kept = keep(ModelRef.open(run.model(name)), build=stand_in.build)
+    assert (kept.best.chosen_by, kept.best.steps, kept.played) == ("hand", steps_of(run.model(name)), ())
+    assert "chosen by hand" in kept.best.text
+    assert (bytes_of(run, "best"), bytes_of(run, "earlier-1")) == (bytes_of(run, name), before)
+    again = keep(ModelRef.open(run.model("earlier-1")), build=stand_in.build)
+    assert (bytes_of(run, "best"), again.earlier) == (before, run.model("earlier-2"))
+    assert again.best.evaluation_seed != kept.best.evaluation_seed
+
+
+def test_the_best_model_stays_with_its_evaluations_where_it_is_chosen_again(run: Run) -> None:
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
+    assert keep(ModelRef.open(run.model("best")), build=stand_in.build).earlier is None
+    assert not list(run.model("best").parent.glob("earlier-*"))
+    assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
+
+
+def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
+    digest = stand_in.tree_digest(run.path / "models")
+    with run_lock(run.path), pytest.raises(UsageError, match="another process writes to"):
+        keep(ModelRef(run), build=stand_in.build)
+    record = json.loads((run.path / "run.json").read_text())
+    (run.path / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
+    with pytest.raises(UsageError, match="has not ended; continue it with: deepbots resume"):
+        keep(ModelRef.open(run.path), build=stand_in.build)
+    assert stand_in.tree_digest(run.path / "models") == digest
+
+
+def test_a_file_that_is_not_a_model_is_not_kept(run: Run) -> None:
+    run.model("step-000000001").write_bytes(b"nothing")
+    before = bytes_of(run, "best")
+    with pytest.raises(RunError, match="is damaged, or was not written by deepbots"):
+        keep(ModelRef.open(run.model("step-000000001")), build=stand_in.build)
+    assert bytes_of(run, "best") == before

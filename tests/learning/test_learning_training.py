@@ -1,4 +1,12 @@
-"""Training and going on with it."""
+"""Trainings.
+
+* Training and going on with it.
+* A scenario that names no algorithm is trained with the learner that deepbots chooses by its structure.
+* Compiled scenarios of every kind of observation, learned from in the engine: for a moment, to see that all
+  of it fits together.
+* A number that is not finite, or a world that explodes, is located, and its episode can be repeated.
+* The shipped scenarios are learned as the results page says; minutes, so run by `make results`.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +26,30 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 from stand_in import hyper
 
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
 from deepbots_cli.cli.records import training_text
-from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
+from deepbots_cli.compiler import check
+from deepbots_cli.document import loads, shipped
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError, ScenarioError, UsageError
 from deepbots_cli.installation import install_hint
-from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, learner, limits, resume, train
+from deepbots_cli.learning import (
+    TrainingResult,
+    checkpoints,
+    evaluate,
+    evaluate_cases,
+    learner,
+    limits,
+    resume,
+    train,
+)
+from deepbots_cli.learning.failures import FailureRecorder, reproduce
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -37,6 +60,8 @@ from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
+from deepbots_cli.rollout.source import Source
+from tests.commands import Deepbots
 from tests.few import few
 from tests.learning.interruption import monitor_rows
 
@@ -162,8 +187,7 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(
     assert [int(row["episode"]) for row in monitor_rows(run_copy)] == list(range(1, result.episodes + 1))
     assert events < set((run_copy / "tensorboard").iterdir())
     record = json.loads((run_copy / "run.json").read_text())
-    assert record["resumed_at"] == [trained.steps]
-    assert record["status"] == "finished"
+    assert (record["resumed_at"], record["status"]) == ([trained.steps], "finished")
 
 
 @pytest.mark.slow
@@ -317,8 +341,7 @@ def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
     for second in range(120):
         now = float(second)
         display.update(TrainingProgress(second * 100, 1_000_000, 0, None, None, evaluations=second // 50))
-    steps = [int(line.split()[0].replace(",", "")) for line in stream.getvalue().splitlines()]
-    assert steps == [
+    assert [int(line.split()[0].replace(",", "")) for line in stream.getvalue().splitlines()] == [
         3_000,
         5_000,
         8_000,
@@ -384,8 +407,7 @@ def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path
 def test_a_reward_that_is_not_a_number_ends_the_training_with_its_term(tmp_path: Path) -> None:
     with pytest.raises(DeepbotsError, match="center"):
         short(tmp_path, build=lambda program, render_mode=None: stand_in.Failing(program, render_mode))
-    run = next(tmp_path.iterdir())
-    assert json.loads((run / "run.json").read_text())["status"] == "failed"
+    assert json.loads((next(tmp_path.iterdir()) / "run.json").read_text())["status"] == "failed"
 
 
 LEARNERS: list[tuple[str, bool, dict[str, Any]]] = [
@@ -616,8 +638,7 @@ def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_pat
         return stand_in.build(*arguments, **settings)
 
     result = short(tmp_path, build=interrupted)
-    assert result.status == "interrupted"
-    assert result.steps == 0
+    assert (result.status, result.steps) == ("interrupted", 0)
     assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
     gone_on = resume(result.run, build=stand_in.build)
     assert gone_on.weights_digest == short(tmp_path, build=stand_in.build).weights_digest
@@ -630,8 +651,7 @@ def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(
     (run_copy / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
     events = {path.name: path.read_bytes() for path in (run_copy / "tensorboard").iterdir()}
     result = resume(run_copy, build=stand_in.build)
-    assert result.status == "finished"
-    assert result.steps == trained.steps
+    assert (result.status, result.steps) == ("finished", trained.steps)
     assert result.weights_digest == trained.weights_digest
     assert (run_copy / "monitor.csv").read_bytes() == (trained.run / "monitor.csv").read_bytes()
     assert all((run_copy / "tensorboard" / name).read_bytes() == content for name, content in events.items())
@@ -681,3 +701,444 @@ def test_a_replay_buffer_with_actions_that_do_not_exist_is_refused(tmp_path: Pat
             archive.writestr(name, data)
     with pytest.raises(RunError, match="contains actions that the scenario does not have"):
         resume(done.run, total_timesteps=600, build=stand_in.build)
+
+
+EXPECTED = {
+    "balancer": ("PPO", 16),
+    "cartpole": ("PPO", 8),
+    "cartpole_continuous": ("PPO", 8),
+    "find_and_avoid": ("MaskablePPO", 16),
+    "find_ball": ("SAC", 8),
+    "multi_cartpole": ("PPO", 1),
+    "panda_push": ("SAC", 4),
+    "panda_reach": ("SAC", 4),
+    "quadruped": ("PPO", 256),
+    "see_ball": ("PPO", 16),
+}
+
+
+def compiled(folder: Path, scenario: str, train: str | None = None) -> Compiled:
+    """A shipped scenario with this `train` section instead of its own, with the learner that is chosen."""
+    own = "" if train is None else f"train: {train}\n"
+    base = folder / "base.yaml"
+    base.write_text(f"deepbots: 1\nextends: {scenario}\nname: Base\nremove: [train]\n", encoding="utf-8")
+    file = folder / "mine.yaml"
+    file.write_text(f"deepbots: 1\nextends: base.yaml\nname: Mine\n{own}", encoding="utf-8")
+    return api.with_learner(api.compile(file))
+
+
+def settings(chosen: Compiled) -> dict[str, Any]:
+    training = chosen.program.agent.training
+    assert training is not None
+    return {entry.name: entry.value for entry in training.hyperparameters} | vars(training)
+
+
+@pytest.mark.parametrize(
+    "scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped", "tag"))
+)
+def test_every_shipped_scenario_without_train_can_be_trained(tmp_path: Path, scenario: str) -> None:
+    chosen = compiled(tmp_path, scenario)
+    assert chosen.findings == ()
+    assert chosen.learner
+    algorithm, worlds = EXPECTED.get(scenario, (None, None))
+    assert algorithm is None or (settings(chosen)["algorithm"], settings(chosen)["environments"]) == (
+        algorithm,
+        worlds,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", few(EXPECTED, ("cartpole",)))
+def test_a_chosen_learner_trains(tmp_path: Path, scenario: str) -> None:
+    assert train(compiled(tmp_path, scenario), run=tmp_path / "run", total_timesteps=300).steps >= 300
+    run = Run.open(tmp_path / "run")
+    assert run.program.agent.training == compiled(tmp_path, scenario).program.agent.training
+    assert run.record.learner == compiled(tmp_path, scenario).learner
+
+
+def test_auto_is_the_same_as_none(tmp_path: Path) -> None:
+    none, empty, auto = (
+        compiled(tmp_path, "cartpole", text) for text in (None, "{gamma: 98 %}", "{algorithm: auto}")
+    )
+    assert none.digest == auto.digest == empty.digest
+    assert none.resolved == auto.resolved
+
+
+def test_with_a_teacher_the_policy_learns_by_imitation(tmp_path: Path) -> None:
+    assert settings(compiled(tmp_path, "panda_push", "{teacher: by_hand}"))["algorithm"] == "PPO"
+    assert settings(compiled(tmp_path, "quadruped", "{teacher: trot}"))["environments"] == 16
+
+
+def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
+    values = {
+        "gamma": 0.5,
+        "n_epochs": 3,
+        "environments": 3,
+        "network": {"activation": "relu"},
+        "total_timesteps": 1000,
+        "learning_rate": "1e-3 -> 0",
+    }
+    chosen = compiled(tmp_path, "cartpole", json.dumps(values))
+    chosen_settings = settings(chosen)
+    assert (
+        chosen_settings["gamma"],
+        chosen_settings["environments"],
+        chosen_settings["total_timesteps"],
+    ) == (0.5, 3, 1000)
+    assert (chosen_settings["network"].hidden, chosen_settings["network"].activation) == ((64, 64), "relu")
+    assert (chosen_settings["learning_rate"].start, chosen_settings["learning_rate"].end) == (1e-3, 0)
+    assert (chosen_settings["n_epochs"], chosen_settings["n_steps"]) == (3, 64)
+    assert [reason.split(":")[0] for reason in chosen.learner] == [
+        "PPO"
+    ]  # those for `environments` and `gamma` are gone
+
+
+def test_a_scenario_without_train_is_otherwise_as_before(tmp_path: Path) -> None:
+    compiled(tmp_path, "cartpole")
+    assert api.compile(tmp_path / "mine.yaml").program.agent.training is None
+
+
+def test_what_no_algorithm_can_act_in_is_an_error(tmp_path: Path) -> None:
+    base = compiled(tmp_path, "cartpole").source
+    mixed = tmp_path / "mixed.yaml"
+    mixed.write_text(
+        f"deepbots: 1\nextends: {base.name}\nname: Mixed\naction: {{more: -1 .. 1}}\n", encoding="utf-8"
+    )
+    with pytest.raises(ScenarioError, match="no algorithm supports choices and ranges"):
+        train(mixed, run=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+KINDS = {
+    "goal": """
+remove: [reward.alive, solved]
+parameters: {place: uniform(-0.3 .. 0.3 m)}
+action: {drive: -1 .. 1}
+goal: {achieved: x, desired: place, tolerance: 2 cm, range: -0.4 .. 0.4 m}
+reward:
+  near: 0 if goal_reached else -1
+truncation: {max_steps: 40}
+train: {algorithm: SAC, total_timesteps: 200, environments: 2, replay: her, network: {hidden: [8]}, learning_starts: 80}
+""",
+    "picture": """
+robots:
+  cart:
+    sensors:
+      eye: {type: camera, link: body, pose: {z: 5 cm}, resolution: 40 36}
+    emit: [pole_angle, eye]
+messages: {format: struct}
+observation:
+  cart.eye: {range: auto, history: 2}
+train: {total_timesteps: 100, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
+    "memory": """
+train: {algorithm: RecurrentPPO, lstm: 8, total_timesteps: 200, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
+    "team": """
+robots: {cart: {count: 3, spacing: 0 0.5 0 m}}
+agent: {each: cart}
+world: {arena: {size: 4 4 m}}
+train: {total_timesteps: 300, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
+    "masks": """
+action:
+  drive:
+    choices: {forward: 1, backward: -1}
+    forbid: {forward: x > 0.2 m}
+train: {algorithm: MaskablePPO, total_timesteps: 200, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
+    "stages": """
+curriculum:
+  - {name: near, set: {track: 0.2 m}, until: 100 steps}
+  - {name: late, set: {messages.timing: delayed}, until: mean_return >= 5 over 2 episodes}
+  - {name: usual}
+evaluation:
+  cases:
+    steep: {set: {fall_angle: 5 deg}, episodes: 2}
+train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+""",
+}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "goal",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in few(KINDS, ["stages"]) if kind != "goal"),
+    ],
+)
+def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> None:
+    base = shipped.scenario_path("cartpole")
+    assert base is not None
+    scenario = tmp_path / f"{kind}.yaml"
+    scenario.write_text(f"deepbots: 1\nextends: {base}\nname: Kind\n{KINDS[kind]}", encoding="utf-8")
+    compiled = api.compile(scenario, overrides=["world.engine=mujoco"])  # which is the faster
+    result = train(compiled, run=tmp_path / "run")
+    first, again = (evaluate(result.run, episodes=2) for _ in range(2))
+    assert (first, first.success_defined) == (again, kind == "goal")
+    assert [case.case for case in evaluate_cases(result.run)] == [
+        case.name for case in compiled.program.cases
+    ]
+    assert result.stage == ("usual" if kind == "stages" else None)
+    goal = result.steps + 64
+    assert resume(result.run, total_timesteps=goal).steps >= goal
+
+
+ODD = {
+    "reward": "reward: {alive: 1, odd: 1 / (20 - step)}",
+    "observation": "augment: {growth: exp(step * 4)}\nobservation: {growth: {range: 0 .. 1, clip: false}}",
+}
+
+
+def not_finite_after_some_steps(name: str) -> Compiled:
+    """The CartPole, in which a reward term or an observed value has no value after some steps."""
+    return api.compile(
+        check(
+            loads(
+                f"deepbots: 1\nextends: cartpole.yaml\nname: Odd\n{ODD[name]}\n",
+                base=Path("scenarios").absolute(),
+            )
+        )
+    )
+
+
+@pytest.mark.parametrize(("name", "field"), [("reward", "`odd = "), ("observation", "growth")])
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
+def test_a_value_that_is_not_finite_is_reported_with_its_place_and_repeated_from_a_file(
+    tmp_path: Path, name: str, field: str, engine: str
+) -> None:
+    """On MuJoCo the worlds are a batch."""
+    pytest.importorskip(engine)
+    with pytest.raises(DeepbotsError) as caught:
+        train(not_finite_after_some_steps(name), run=tmp_path / "run", total_timesteps=2_000, engine=engine)
+    text = str(caught.value)
+    notes = caught.value.full_message
+    path = tmp_path / "run" / "failures" / "0001.json"
+    failure, error = reproduce(path)
+    assert all(
+        part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots try {path}")
+    )
+    assert failure.error in text
+    assert error is not None
+    assert text.startswith(error)
+    assert "nothing was learned before; run `deepbots lint --deep SCENARIO`" in notes
+    assert "deepbots eval" not in notes
+
+
+def hurled(push: str) -> Compiled:
+    """The CartPole with a motor at its hinge that hurls the pole out of the range of numbers, in the episodes
+    that draw a `push`."""
+    text = f"""
+deepbots: 1
+extends: cartpole.yaml
+name: Hurled
+parameters: {{push: {push}}}
+robots:
+  cart:
+    receive: {{push: push}}
+    actuators: {{hinge: {{type: torque_motor, joint: pole_hinge, max_torque: 1e9 N*m}}}}
+    apply: {{hinge: push * 1 N*m}}
+termination: {{failure: {{fallen: abs(cart.pole_angle) > 10000 deg, off_track: abs(x) > 1e200 m}}}}
+truncation: {{max_steps: 4}}
+train: {{n_steps: 16, n_epochs: 1}}
+"""
+    return api.compile(check(loads(text, base=Path("scenarios").absolute())))
+
+
+class Notes(Reporter):
+    """Keeps the notes to the user."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_kept(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    notes = Notes()
+    rarely = f"choice({' | '.join(['0'] * 5)} | 1e9)"
+    done = train(hurled(rarely), run=tmp_path / "run", total_timesteps=256, engine="mujoco", progress=notes)
+    resets = [text for text in notes.texts if "was reset" in text]
+    files = sorted((tmp_path / "run" / "failures").iterdir())
+    assert done.status == "finished"
+    assert len(resets) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
+    for text, path in zip(resets, files, strict=True):
+        assert re.match(
+            r"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .*"
+            rf" {path}\n",
+            text,
+        )
+        failure, error = reproduce(path)
+        assert error is not None
+        assert failure.error.endswith(error.partition("), ")[2])
+
+
+def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    with pytest.raises(
+        EngineError,
+        match=r"in 10 of the last \d+ episodes the state became infinite or NaN; the last one is episode",
+    ) as caught:
+        train(hurled("1e9"), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
+    files = sorted(path.name for path in (tmp_path / "run" / "failures").iterdir())
+    assert len(files) == 10
+    assert files[-1] in str(caught.value)
+
+
+def test_a_reward_that_is_not_finite_names_its_term(tmp_path: Path) -> None:
+    with pytest.raises(
+        DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'center' is not finite"
+    ):
+        train(stand_in.compiled(), run=tmp_path / "run", build=stand_in.Failing)
+
+
+def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
+    class Late(stand_in.Failing):
+        """Fails in its second episode."""
+
+        episodes = 0
+
+        def reset(self, **settings: Any) -> Any:
+            self.episodes += 1
+            return super().reset(**settings)
+
+        def step(self, action: Any) -> Any:
+            return super().step(action) if self.episodes > 1 else stand_in.CartPole.step(self, action)
+
+    with pytest.raises(DeepbotsError, match=r"episode 2 \(seed \d+\), step 5: .*'center'"):
+        evaluate(run_copy, episodes=2, copies=1, build=Late)
+    assert (run_copy / "failures" / "0001.json").exists()
+
+
+def test_an_observation_that_is_not_finite_is_named() -> None:
+    class Blind(stand_in.CartPole):
+        def _observation(self) -> Any:
+            observation = super()._observation()
+            observation[2] = np.nan if self.steps == 3 else observation[2]
+            return observation
+
+        def reset(self, **settings: Any) -> Any:
+            self.steps = 0
+            return super().reset(**settings)
+
+    program = stand_in.scenario()
+    world = FailureRecorder(Blind(program), program=program)
+    world.reset(seed=1)
+    for _ in range(2):
+        world.step(0)
+    with pytest.raises(DeepbotsError, match=r"step 3: the observation 'cart.pole_angle' is not finite"):
+        world.step(0)
+
+
+def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> None:
+    folder = run_copy / "failures"
+    folder.mkdir()
+    whole = (
+        '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
+    )
+    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"'), whole % ("-1", "0")):
+        (folder / "0001.json").write_text(content)
+        with pytest.raises(RunError, match="damaged"):
+            reproduce(folder / "0001.json")
+
+
+@pytest.mark.slow
+def test_actions_after_the_end_of_the_episode_are_not_repeated(
+    trained: TrainingResult, run_copy: Path
+) -> None:
+    (run_copy / "failures").mkdir()
+    content = {
+        "error": "",
+        "step": 1,
+        "episode": 1,
+        "case": None,
+        "stage": None,
+        "start": 0,
+        "actions": [0] * 1_000_000,
+    }
+    (run_copy / "failures" / "0001.json").write_text(json.dumps(content))
+    failure, error = reproduce(run_copy / "failures" / "0001.json")
+    assert error is None
+    assert len(failure.actions) < 1000
+
+
+@pytest.fixture
+def failed(trained: TrainingResult, run_copy: Path) -> Path:
+    """The file of a failed episode in a run of the CartPole."""
+    folder = run_copy / "failures"
+    folder.mkdir()
+    content = {
+        "error": "odd",
+        "step": 2,
+        "episode": 1,
+        "case": None,
+        "stage": None,
+        "start": 0,
+        "actions": [0, 1],
+    }
+    (folder / "0001.json").write_text(json.dumps(content))
+    return folder / "0001.json"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--engine", "mujoco"),
+        ("--lockstep",),
+        ("--speed", "5"),
+        ("--seed", "0"),
+        ("--driver", "zero", "--episodes", "1"),
+    ],
+)
+def test_a_kept_episode_takes_no_settings(failed: Path, words: tuple[str, ...], deepbots: Deepbots) -> None:
+    message = deepbots("try", failed, *words, code=2).err
+    assert "already contains its scenario, start and actions" in message
+    assert all(word in message for word in words if word.startswith("--"))
+
+
+def test_a_kept_episode_is_repeated_from_within_its_folder(
+    failed: Path, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
+) -> None:
+    monkeypatch.chdir(failed.parent)
+    assert "repeated 2 actions: the episode does not fail" in deepbots("try", failed.name).out
+
+
+def test_a_kept_episode_without_its_run_is_refused(failed: Path, tmp_path: Path, deepbots: Deepbots) -> None:
+    assert (
+        "copy the file into the folder `failures` of the run"
+        in deepbots("try", failed.rename(tmp_path / "sent.json"), code=2).err
+    )
+
+
+def test_a_scenario_in_json_is_not_a_kept_episode(tmp_path: Path, deepbots: Deepbots) -> None:
+    scenario = tmp_path / "mine.json"
+    scenario.write_text('{"deepbots": 1, "extends": "cartpole", "name": "Mine"}')
+    assert "episodes" in deepbots("try", scenario, "--episodes", "1").out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cartpole", "cartpole_continuous"])
+def test_a_shipped_cartpole_is_solved_in_half_a_simulated_hour_and_balances_from_unseen_starts(
+    name: str, tmp_path: Path
+) -> None:
+    result = train(api.compile(name), run=tmp_path / "run", seed=106)
+    assert result.solved_at is not None
+    assert result.solved_at.simulated_hours <= 0.5
+    evaluation = evaluate(result.run, episodes=100)
+    assert evaluation.solved
+    assert evaluation.mean_return >= 199.0
+
+
+@pytest.mark.slow
+def test_a_pole_of_another_length_is_learned_from_a_copy_that_changes_one_line(tmp_path: Path) -> None:
+    longer = tmp_path / "longer.yaml"
+    shipped = Source.open("cartpole").path
+    longer.write_text(
+        f"deepbots: 1\nextends: {shipped}\nname: LongPole\nrobots: {{cart: {{links: {{pole: {{scale: 1 1"
+        f" 1.5}}}}}}}}\n"
+    )
+    result = train(api.compile(longer), run=tmp_path / "run", seed=106)
+    assert result.solved_at is not None
+    assert evaluate(result.run, episodes=100).solved

@@ -1,21 +1,41 @@
-"""The supervisor between engine and robots: timing, endings, failures, and the code that one sees."""
+"""Environments of generated code: their steps, `reset`, and Gymnasium.
+
+* The supervisor between engine and robots: timing, endings, failures, and the code that one sees.
+* `reset(options={...})`: values of an episode in place of draws.
+* Scenarios by way of Gymnasium: `make`, `make_vec` and the `spec` of an environment.
+* Random streams: one root seed, and each purpose for itself.
+"""
 
 from __future__ import annotations
 
 import ast
 import inspect
+import json
 import linecache
 import math
+import pickle
 import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, MessageError, UsageError
+from deepbots_cli.program import Program
+from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import RAIL, Make
+from deepbots_cli.runtime.streams import Streams, derive_seed
+from deepbots_cli.view.frames import FrameReader
+from tests.contract.rollout import as_bytes
+from tests.few import LIGHT, few
+from tests.worlds import RAIL, SCENARIOS, Make
 
 NEARLY = 1e-6  # a motor of limited force leaves the speed so near to its target
 DRIVES = (1.0, -1.0, -1.0, 0.5, 1.0)
@@ -32,12 +52,9 @@ TIMED = "reward: {sent: cart.rate * s / m, truth: velocity(cart.cart).x * s / m}
 
 
 # Timing
-
-
 def test_immediate_timing_acts_at_once_and_sends_what_is_so_afterwards(small: Make) -> None:
     sent, truth = rates(small(TIMED))
-    assert truth == pytest.approx(DRIVES, abs=NEARLY)
-    assert sent == pytest.approx(DRIVES, abs=NEARLY)
+    assert (truth, sent) == (pytest.approx(DRIVES, abs=NEARLY), pytest.approx(DRIVES, abs=NEARLY))
 
 
 def test_paper_timing_acts_one_step_late_and_what_the_robot_sends_is_one_step_old(small: Make) -> None:
@@ -52,8 +69,6 @@ def test_paper_timing_does_not_grow_later_with_each_episode(small: Make) -> None
 
 
 # Endings and limits
-
-
 def test_time_limits_count_whole_steps(small: Make) -> None:
     environment = small("reward: {a: 1}", "truncation={max_time: 0.3 s}")
     environment.reset(seed=0)
@@ -73,8 +88,7 @@ def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
     assert terminated is True
     assert truncated is False
     assert info["is_success"] is False
-    assert info["ended_by"] == "fast"
-    assert info["endings"] == ("fast", "far")
+    assert (info["ended_by"], info["endings"]) == ("fast", ("fast", "far"))
 
 
 def test_termination_beats_a_limit_in_the_same_step(small: Make) -> None:
@@ -96,8 +110,6 @@ def test_an_ending_that_is_true_at_the_start_is_an_error_and_leaves_nothing_to_s
 
 
 # What has no value
-
-
 @pytest.mark.parametrize(
     ("term", "line"),
     [
@@ -150,8 +162,6 @@ def test_a_world_that_blew_up_is_the_engines_failure(make: Make, format: str, en
 
 
 # Messages that do not fit
-
-
 @pytest.mark.parametrize("message", [b"", b"garbage", "text", None, b"\0" * 12, b"\0" * 500])
 def test_a_foreign_message_on_the_way_is_refused_by_the_robot(make: Make, message: Any) -> None:
     environment = make(RAIL, engine="exact")
@@ -186,13 +196,10 @@ def test_every_failure_of_a_step_is_one_line_and_within_our_tree(make: Make) -> 
 
 
 # The code
-
-
 def test_the_code_that_the_compiler_prints_is_the_code_that_runs(make: Make) -> None:
     environment = make(RAIL, engine="exact")
     code = api.compile(RAIL).code
-    filename = inspect.getfile(type(environment)._advance)
-    assert "".join(linecache.getlines(filename)) == code
+    assert "".join(linecache.getlines(inspect.getfile(type(environment)._advance))) == code
     assert inspect.getsource(type(environment)._advance) in code
     assert inspect.getsource(type(environment.robot_cart).create_message) in code
 
@@ -213,8 +220,6 @@ def test_the_printed_module_has_the_papers_classes_and_imports_nothing_odd() -> 
 
 
 # Physics, end to end
-
-
 def test_two_engines_agree_on_the_rail(make: Make) -> None:
     """0.8 s of a falling pole on a cart that is pushed back and forth: PyBullet at 1.25 ms steps is within
     3e-3 of the exact motion.
@@ -244,3 +249,483 @@ def test_an_action_of_text_or_truth_values_fits_no_interval(small: Make, action:
     environment.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(action)
+
+
+SECTIONS = """\
+parameters:
+  stride: 0.02 m
+  mark: uniform(-0.5 -0.2 .. 0.6 0.2 m)
+  twice: 2 * mark.x
+  side: choice(-1 | 1)
+  push: choice(-1 | 1) * uniform(1 .. 2)
+  crates: integer(1 .. 4)
+  noisy: uniform(0 .. 1) each step
+reset:
+  joints: {cart.slider: uniform(-1 .. 1 m), cart.hinge: {position: 0 rad, velocity: uniform(-1 .. 1 rad/s)}}
+reward:
+  x: mark.x / 1 m
+  y: mark.y / 1 m
+  twice: twice / 1 m
+  side: side
+  push: push
+  crates: crates
+  noisy: noisy
+  stride: stride / 1 m
+  lean: joint_position(cart.hinge) / 1 rad
+"""
+
+
+@pytest.fixture
+def env(small: Make) -> Supervisor:
+    return small(SECTIONS)
+
+
+def drawn_rewards(env: Any, **reset: Any) -> dict[str, float]:
+    """The values of the episode that a reset begins, by their terms of the reward."""
+    observation, _ = env.reset(**reset)
+    place = float(observation[0]) * 2.4
+    *_, info = env.step(env.action_space.sample() * 0)
+    return {**info["reward_terms"], "place": place}
+
+
+def test_reset_options_set_a_drawn_parameter_and_a_vector(env: Supervisor) -> None:
+    values = drawn_rewards(env, seed=1, options={"mark": [0.6, 0], "side": -1, "crates": 3})
+    assert (values["x"], values["y"], values["side"], values["crates"]) == (0.6, 0.0, -1.0, 3.0)
+
+
+def test_what_is_computed_from_a_value_that_was_set_follows_it(env: Supervisor) -> None:
+    assert drawn_rewards(env, options={"mark": (0.25, 0.1)})["twice"] == 0.5
+
+
+def test_reset_options_set_joints_by_their_path(env: Supervisor) -> None:
+    assert drawn_rewards(env, options={"reset.joints.cart.slider": 0.5})["place"] == pytest.approx(0.5)
+    assert drawn_rewards(env, options={"reset.joints.cart.hinge.velocity": -0.75})["lean"] == pytest.approx(
+        -0.75 * 0.02, rel=0.1
+    )
+
+
+def test_other_draws_of_this_episode_and_of_later_ones_stay_as_they_are(env: Supervisor) -> None:
+    plain = [drawn_rewards(env, seed=5), drawn_rewards(env), drawn_rewards(env)]
+    some = [
+        drawn_rewards(env, seed=5, options={"mark": [0.6, 0], "crates": 2}),
+        drawn_rewards(env, options={"side": 1}),
+        drawn_rewards(env),
+    ]
+    for name in ("push", "place", "noisy"):
+        assert [values[name] for values in some] == [values[name] for values in plain]
+    assert some[2] == plain[2]
+
+
+def test_a_value_that_is_drawn_in_each_step_keeps_what_was_set_through_the_episode(env: Supervisor) -> None:
+    env.reset(options={"noisy": 0.5})
+    assert {env.step(env.action_space.sample() * 0)[4]["reward_terms"]["noisy"] for _ in range(5)} == {0.5}
+
+
+def test_what_was_set_counts_for_one_episode(env: Supervisor) -> None:
+    env.reset(seed=2, options={"mark": [0.6, 0]})
+    assert drawn_rewards(env)["x"] != 0.6
+
+
+def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
+    assert drawn_rewards(env, options={"mark": np.array([0.6, 0.2], np.float32)})["x"] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"marc": [0.6, 0]},
+            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side',"
+            r" .*'reset\.joints\.cart\.slider'",
+        ),
+        ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by overrides=\['stride=\.\.\.'\]"),
+        ({"twice": 0.1}, "'twice': it is computed from other parameters; set those"),
+        ({"mark": [0.7, 0]}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
+        ({"mark": 0.6}, r"'mark' to 0\.6: it is 2 numbers \(x, y\)"),
+        ({"mark.x": 0.7}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
+        ({"mark.x": [0.5, 0.1]}, r"'mark\.x' to \[0\.5, 0\.1\]: it is a single number"),
+        ({"mark": [0.6, 0], "mark.y": 0.1}, r"'mark\.y' twice"),
+        (
+            {"mark.z": 0.1},
+            r"'mark\.z': did you mean 'mark\.[xy]'.* draws 'mark', 'mark\.x', 'mark\.y', 'side'",
+        ),
+        ({"mark": [0.6, 0, 0]}, r"it is 2 numbers"),
+        ({"mark": [[0.6, 0]]}, r"it is 2 numbers"),
+        ({"mark": ["0.6", "0"]}, r"it is 2 numbers"),
+        ({"mark": [0.6, None]}, r"it is 2 numbers"),
+        ({"mark": [0.6, float("nan")]}, r"'mark\.y' to nan: it is not finite"),
+        ({"side": 0.5}, r"'side' to 0\.5; use one of -1, 1"),
+        ({"side": True}, r"'side' to True: it is a single number"),
+        ({"crates": 2.5}, r"'crates' to 2\.5: it is a whole number from 1 to 4"),
+        ({"push": 3}, r"'push' to 3: it is drawn from -2 to 2"),
+        ({"reset.joints.cart.slider": 5}, r"'reset\.joints\.cart\.slider' to 5: it is drawn from -1 to 1"),
+    ],
+)
+def test_an_option_that_the_episode_could_not_have_drawn_is_refused(
+    env: Supervisor, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        env.reset(options=options)
+
+
+def test_options_that_are_not_a_mapping_are_refused(env: Supervisor) -> None:
+    with pytest.raises(UsageError, match="options of reset must be a mapping from names to values, not list"):
+        env.reset(options=["mark"])  # type: ignore[arg-type]
+
+
+def test_the_episode_goes_on_after_options_that_were_refused(env: Supervisor) -> None:
+    env.reset(options={"side": 1})
+    with pytest.raises(UsageError):
+        env.reset(options={"side": 2})
+    assert env.step(env.action_space.sample())[4]["reward_terms"]["side"] == 1.0
+
+
+def test_all_copies_of_a_vector_environment_take_the_options(small: Make) -> None:
+    spec = small(SECTIONS).spec
+    assert spec is not None
+    vector = gymnasium.make_vec(spec, 3, vectorization_mode="sync")
+    vector.reset(options={"mark": [0.6, 0]})
+    *_, info = vector.step(vector.action_space.sample())
+    assert info["reward_terms"]["x"].tolist() == [0.6] * 3
+    vector.close()
+
+
+TEAM = """\
+deepbots: 1
+name: Pair
+extends: cartpole.yaml
+robots: {cart: {count: 2, spacing: 0 0.5 0 m}}
+agent: {each: cart}
+world: {arena: {size: 4 4 m}}
+parameters: {mark: uniform(0 .. 1 m)}
+reward: {mark: mark / 1 m}
+remove: [train, solved]
+"""
+
+
+OF_TEAM = """\
+objects: {bar: {shape: box, size: 5 5 5 cm, mass: uniform(0.1 .. 0.2 kg)}, crate: {shape: box, size: 5 5 5 cm}}
+reset: {place: {bar: {x: 1.2 m, y: uniform(-0.2 .. 0.2 m)}, crate: {region: {x: -1.8 .. -1 m, y: -1 .. 1 m}}}}
+"""
+
+
+@pytest.fixture
+def team(make: Make, tmp_path: Path) -> Supervisor:
+    """Two carts of one policy, a bar and a crate."""
+    text = Source.open("cartpole").path.read_text(encoding="utf-8")
+    (tmp_path / "cartpole.yaml").write_text(text.replace("../robots/urdf/cartpole.urdf", "cartpole"))
+    (tmp_path / "team.yaml").write_text(TEAM + OF_TEAM)
+    return make(tmp_path / "team.yaml", engine="pybullet")
+
+
+def test_copies_record_the_draw_of_the_one_bar_that_acts_once(team: Supervisor) -> None:
+    drawn = team.reset(seed=1)[1]["drawn"]
+    assert set(drawn) == {
+        "mark",
+        "objects.bar.mass",
+        "reset.place.bar.y",
+        "reset.place.crate.x",
+        "reset.place.crate.y",
+        "cart#1.reset.joints.cart.pole_hinge",
+        "cart#2.reset.joints.cart.pole_hinge",
+    }
+    assert team.engine.pose("bar")()[0][1] == drawn["reset.place.bar.y"]
+    assert team.engine.pose("crate")()[0][:2] == (
+        drawn["reset.place.crate.x"],
+        drawn["reset.place.crate.y"],
+    )
+
+
+def test_drawn_values_of_copies_can_be_set(team: Supervisor) -> None:
+    for seed in range(5):
+        world, drawn = start(team, seed=seed)
+        assert start(team, seed=9, options=drawn) == (world, drawn)
+        assert episode(team, seed=9, options=drawn) == episode(team, seed=seed)
+
+
+def test_the_draw_of_one_copy_is_set(team: Supervisor) -> None:
+    plain = team.reset(seed=1)[1]["drawn"]
+    options = {"cart#2.reset.joints.cart.pole_hinge": 0.01}
+    assert team.reset(seed=1, options=options)[1]["drawn"] == plain | options
+    both = team.reset(seed=1, options={"reset.joints.cart.pole_hinge": 0.0, **options})[1]["drawn"]
+    assert both == plain | {"cart#1.reset.joints.cart.pole_hinge": 0.0} | options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"cart#2.reset.place.bar.y": 0.1},
+            r"'cart#2\.reset\.place\.bar\.y': all copies share this draw; write 'reset\.place\.bar\.y'",
+        ),
+        (
+            {"cart#3.reset.joints.cart.pole_hinge": 0.0},
+            r"'cart#3\.reset\.joints\.cart\.pole_hinge': did you mean 'reset",
+        ),
+        ({"cart#2.reset.joints.cart.pole_hinge": 3.0}, r"pole_hinge' to 3: it is drawn from"),
+    ],
+)
+def test_a_wrong_option_for_one_copy_is_refused(
+    team: Supervisor, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        team.reset(options=options)
+
+
+def test_a_value_of_one_copy_that_is_given_twice_is_refused(
+    team: Supervisor, make: Make, tmp_path: Path
+) -> None:
+    pushed = make(
+        tmp_path / "team.yaml",
+        "reset.place.cart={velocity: uniform(0 0 0 .. 0.1 0.1 0 m/s)}",
+        engine="pybullet",
+    )
+    velocity = "cart#1.reset.place.cart.velocity"
+    with pytest.raises(UsageError, match=rf"'reset\.place\.cart\.velocity\.x' twice: by '{velocity}\.x'"):
+        pushed.reset(options={velocity: [0.05, 0.05, 0.0], f"{velocity}.x": 0.1})
+
+
+def test_a_team_takes_a_parameter_for_all_copies(team: Supervisor) -> None:
+    team.reset(options={"mark": 0.25, "reset.joints.cart.pole_hinge": 0.01})
+    *_, info = team.step(team.action_space.sample())
+    assert info["reward_terms"]["mark"] == 0.25
+
+
+# What a reset drew, given back
+def test_every_component_of_a_vector_is_recorded(env: Supervisor) -> None:
+    values = drawn_rewards(env, seed=1)
+    info = env.reset(seed=1)[1]["drawn"]
+    assert (info["mark.x"], info["mark.y"]) == (values["x"], values["y"])
+    assert "mark" not in info
+
+
+def test_a_computed_draw_is_recorded_with_the_value_that_acts(env: Supervisor) -> None:
+    assert drawn_rewards(env, seed=1)["push"] == env.reset(seed=1)[1]["drawn"]["push"]
+
+
+def test_a_component_is_set_alone(env: Supervisor) -> None:
+    plain = env.reset(seed=3)[1]["drawn"]
+    assert env.reset(seed=3, options={"mark.x": 0.5})[1]["drawn"] == plain | {"mark.x": 0.5}
+
+
+def start(env: Supervisor, **reset: Any) -> tuple[Any, dict[str, Any]]:
+    """The world after a reset, and the values that the reset drew."""
+    observation, info = env.reset(**reset)
+    frame = FrameReader(env).read(observation)
+    return (frame.links, frame.joints, frame.variants), info["drawn"]
+
+
+def episode(env: Supervisor, **reset: Any) -> list[bytes]:
+    """A reset and some steps with the same actions."""
+    observation, info = env.reset(**reset)
+    env.action_space.seed(3)
+    transitions = [(observation, 0.0, False, False, info)]
+    while len(transitions) < 15 and not (transitions[-1][2] or transitions[-1][3]):
+        transitions.append(env.step(env.action_space.sample()))
+    return [as_bytes(transition) for transition in transitions]
+
+
+def programs(name: str) -> list[Program]:
+    """A shipped scenario, its cases and its stages."""
+    program = api.compile(name).program
+    return [
+        program,
+        *(case.program for case in program.cases),
+        *(stage.program for stage in program.curriculum),
+    ]
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "see_ball")))
+def test_setting_drawn_values_repeats_the_episode(name: str) -> None:
+    for program in programs(name):
+        with closing(api.make(program)) as env:
+            world, drawn = start(env, seed=7)
+            first = episode(env, seed=7)
+            assert drawn
+            assert episode(env, seed=7, options=drawn) == first
+            assert start(env, seed=8, options=drawn) == (world, drawn)
+            assert start(env, options=json.loads(json.dumps(drawn))) == (world, drawn)
+
+
+NO_NOISE = ("cartpole", "multi_cartpole", "panda_push", "panda_reach", "pit_escape", "see_ball")
+"""Scenarios that draw nothing within an episode."""
+
+
+@pytest.mark.parametrize("name", few(NO_NOISE, LIGHT))
+def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name: str) -> None:
+    with closing(api.make(name)) as env:
+        drawn = env.reset(seed=7)[1]["drawn"]
+        assert episode(env, seed=8, options=drawn) == episode(env, seed=7) != episode(env, seed=8)
+
+
+@pytest.mark.parametrize(
+    "name", few([path.name for path in sorted(SCENARIOS.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
+)
+def test_every_kind_of_draw_is_taken_back(name: str) -> None:
+    with closing(api.make(SCENARIOS / name)) as env:
+        for seed in range(5):
+            world, drawn = start(env, seed=seed)
+            assert start(env, seed=99, options=drawn) == (world, drawn)
+
+
+def test_a_free_position_and_a_layout_are_set() -> None:
+    with closing(api.make("find_ball_random", overrides=["obstacles=1"])) as env:
+        drawn = env.reset(
+            seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3}
+        )[1]["drawn"]
+        assert (drawn["reset.layout"], drawn["reset.layouts.scattered.ball.x"]) == ("scattered", 0.3)
+        assert env.engine.pose("ball")()[0][0] == 0.3
+        with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread'; use one of 'scattered', 'paper'"):
+            env.reset(options={"reset.layout": "spread"})
+        with pytest.raises(UsageError, match=r"'reset\.layouts\.scattered\.ball\.x' to 7: it is drawn from"):
+            env.reset(options={"reset.layouts.scattered.ball.x": 7})
+
+
+def test_a_position_that_is_not_free_is_refused_by_name() -> None:
+    with closing(api.make("see_ball")) as env:
+        drawn = env.reset(seed=0)[1]["drawn"]
+        taken = {f"reset.place.ball.{axis}": drawn[f"reset.place.epuck.{axis}"] for axis in "xy"}
+        with pytest.raises(
+            EvaluationError, match=r"'(ball|epuck)' cannot be placed at the position in the reset options"
+        ):
+            env.reset(options=drawn | taken)
+
+
+ANY = "deepbots_cli.envs:deepbots/Scenario-v1"
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """A scenario that does not come with deepbots."""
+    text = (
+        Source.open("cartpole")
+        .path.read_text(encoding="utf-8")
+        .replace("../robots/urdf/cartpole.urdf", "cartpole")
+    )
+    path = tmp_path / "mine.yaml"
+    path.write_text(text.replace("name: CartPole", "name: Mine"))
+    return path
+
+
+@pytest.fixture
+def strict() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def first(env: Any) -> list[float]:
+    """The observation that an episode of seed 1 begins with, after which the environment is closed."""
+    observation, _ = env.reset(seed=1)
+    env.close()
+    return np.ravel(observation).tolist()
+
+
+def test_a_scenario_of_ones_own_is_made_by_its_path(mine: Path, strict: None) -> None:
+    env = gymnasium.make(ANY, scenario=str(mine), overrides=["track=0.2m"], render_mode="rgb_array")
+    env.reset(seed=0)
+    assert (env.render().shape[2], env.unwrapped.scenario.name) == (3, "Mine")
+    env.close()
+
+
+def test_a_scenario_of_ones_own_begins_as_by_make(mine: Path, strict: None) -> None:
+    assert first(gymnasium.make(ANY, scenario=mine)) == first(api.make(mine))
+
+
+def test_several_environments_of_a_scenario_of_ones_own_are_made_by_its_path(
+    mine: Path, strict: None
+) -> None:
+    vector = gymnasium.make_vec(ANY, 2, vectorization_mode="sync", scenario=str(mine))
+    assert vector.reset(seed=0)[0].shape[0] == 2
+    vector.close()
+
+
+def test_a_missing_scenario_is_an_error_that_shows_how(strict: None) -> None:
+    with pytest.raises(UsageError, match=r"needs a scenario: gymnasium\.make"):
+        gymnasium.make(ANY)
+
+
+@pytest.mark.parametrize("way", ["registered", "path", "compiled", "intermediate"])
+def test_the_spec_of_an_environment_is_short_and_makes_it_again(mine: Path, way: str, strict: None) -> None:
+    compiled = api.compile(mine)
+    env: Any = {
+        "registered": lambda: gymnasium.make(ANY, scenario=str(mine)),
+        "path": lambda: api.make(mine),
+        "compiled": lambda: api.make(compiled),
+        "intermediate": lambda: api.make(compiled.program),
+    }[way]()
+    assert len(repr(env.spec)) < 600
+    again = gymnasium.make(env.spec)
+    several = gymnasium.make_vec(env.spec, 1, vectorization_mode="sync")
+    assert first(again) == first(several) == first(env)
+
+
+def test_a_copy_in_another_process_has_the_fixed_parameters(mine: Path, strict: None) -> None:
+    env = api.make(mine)
+    copy = pickle.loads(pickle.dumps(env))
+    env.close()
+    with pytest.raises(UsageError, match="'track': it is a fixed parameter"):
+        copy.reset(options={"track": 0.2})
+    copy.close()
+
+
+PINNED_SEEDS = [1726737503, 2927587060, 1207722611, 1478552595]
+PINNED_DRAWS = [0.09192528450451198, -0.2648980716967728, 2.0, 2.0]
+
+
+def test_derived_seeds_are_the_same_in_every_version() -> None:
+    """A run is repeated by its seed, so these figures may never change."""
+    assert [
+        derive_seed(0),
+        derive_seed(0, "reset"),
+        derive_seed(0, "environment", 3),
+        derive_seed(2**40, "évaluation"),
+    ] == PINNED_SEEDS
+
+
+def test_drawn_values_are_the_same_in_every_version() -> None:
+    streams = Streams(7)
+    drawn = [
+        streams.uniform("a", -1.0, 1.0),
+        streams.normal("b", 0.0, 1.0),
+        streams.integer("c", 1, 6),
+        streams.choice("d", 2.0, 3.0, 5.0),
+    ]
+    assert drawn == PINNED_DRAWS
+
+
+def test_draws_from_other_streams_do_not_change_a_stream() -> None:
+    alone, mixed = Streams(3), Streams(3)
+    expected = [alone.uniform("wanted", 0.0, 1.0) for _ in range(5)]
+    drawn = []
+    for index in range(5):
+        mixed.normal(f"other {index}", 0.0, 1.0)
+        drawn.append(mixed.uniform("wanted", 0.0, 1.0))
+        mixed.integer("another", 0, 9)
+    assert drawn == expected
+
+
+def test_without_a_seed_two_environments_differ() -> None:
+    assert Streams(None).root != Streams(None).root
+
+
+@pytest.mark.parametrize("root", [-1, 2**70])
+def test_any_whole_number_is_a_seed(root: int) -> None:
+    assert 0.0 <= Streams(root).uniform("a", 0.0, 1.0) < 1.0
+    assert 0 <= derive_seed(root, "a") < 2**32
+
+
+def test_whole_numbers_are_drawn_with_both_ends() -> None:
+    streams = Streams(1)
+    assert {streams.integer("n", 2, 4) for _ in range(100)} == {2.0, 3.0, 4.0}
+
+
+def test_draws_are_plain_floats_that_every_message_format_can_carry() -> None:
+    streams = Streams(1)
+    drawn = [
+        streams.uniform("a", 0, 1),
+        streams.normal("b", 0, 1),
+        streams.integer("c", 1, 6),
+        streams.choice("d", 2.0, 3.0),
+    ]
+    assert {type(value) for value in drawn} == {float}

@@ -1,24 +1,39 @@
-"""When a sensor is read, how it errs, and when its reading is delivered."""
+"""Sensors as devices, in scenarios, and inertial units.
+
+* When a sensor is read, how it errs, and when its reading is delivered.
+* Sensors from the text of a scenario to the observation, on a rail whose exact motion is known.
+* What an inertial unit feels, against closed forms: at rest, in free fall, on a slope, on a turning arm.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
+from math import cos, hypot, pi, sin
+from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
+from deepbots_cli.compiler import check
+from deepbots_cli.document import loads
+from deepbots_cli.frames import quaternion
 from deepbots_cli.program.robots import NoiseModel, Sensor
+from deepbots_cli.program.world import ObjectBody
+from deepbots_cli.robots.model import Box, Pose
+from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.sensing import Device, Instrument
 from deepbots_cli.runtime.streams import Streams
+from tests.sensing.conftest import DEGREE, TIMESTEP, Scene, arm, brick, on
+from tests.worlds import Make
 
-TIMESTEP = 0.01
+PERIOD = 0.01
 
 
 def device(faults: NoiseModel, read: Callable[[], list[float]], components: tuple[str, ...] = ()) -> Device:
     sensor = Device(
-        Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), TIMESTEP
+        Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), PERIOD
     )
     sensor.reset(Streams(7))
     return sensor
@@ -43,13 +58,13 @@ def test_a_reading_is_held_between_two_samples() -> None:
 
 
 def test_a_late_reading_is_delivered_at_the_first_tick_at_or_after_its_time() -> None:
-    assert run(device(NoiseModel(latency=2 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
-    assert run(device(NoiseModel(latency=1.1 * TIMESTEP), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
-    assert run(device(NoiseModel(latency=2 * TIMESTEP * (1 + 1e-12)), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=2 * PERIOD), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=1.1 * PERIOD), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
+    assert run(device(NoiseModel(latency=2 * PERIOD * (1 + 1e-12)), counting()), 6) == [0, 0, 0, 1, 2, 3, 4]
 
 
 def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() -> None:
-    sensor = device(NoiseModel(period=2, latency=3 * TIMESTEP), counting())
+    sensor = device(NoiseModel(period=2, latency=3 * PERIOD), counting())
     readings = []
     for _ in range(10):
         sensor()
@@ -58,7 +73,7 @@ def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() ->
 
 
 def test_a_reset_forgets_what_is_under_way() -> None:
-    sensor = device(NoiseModel(latency=5 * TIMESTEP), counting())
+    sensor = device(NoiseModel(latency=5 * PERIOD), counting())
     run(sensor, 4)
     sensor.reset(Streams(7))
     assert run(sensor, 5)[:5] == [5, 5, 5, 5, 5]
@@ -80,13 +95,12 @@ def test_steps_and_ends_of_the_range_are_exact() -> None:
 def test_bias_and_drift_add_to_the_value_and_a_relative_bias_scales_it() -> None:
     faults = NoiseModel(bias=(0.1,), drift=(2.0,), relative_bias=(0.5,))
     assert run(device(faults, lambda: [4.0]), 100) == pytest.approx(
-        [4.0 * 1.5 + 0.1 + 2.0 * TIMESTEP * k for k in range(101)]
+        [4.0 * 1.5 + 0.1 + 2.0 * PERIOD * k for k in range(101)]
     )
 
 
 def figures(faults: NoiseModel, value: float, number: int = 20_000) -> np.ndarray:
-    sensor = device(faults, lambda: [value])
-    return np.array(run(sensor, number))
+    return np.array(run(device(faults, lambda: [value]), number))
 
 
 def worst_gap(sample: np.ndarray, mean: float, deviation: float) -> float:
@@ -143,7 +157,7 @@ def test_two_sensors_never_share_their_noise() -> None:
             Sensor(name, "position", ("base",), (), "m", faults=NoiseModel(noise=(1.0,))),
             "r",
             Instrument(lambda: [0.0]),
-            TIMESTEP,
+            PERIOD,
         )
         for name in ("a", "b")
     )
@@ -151,3 +165,344 @@ def test_two_sensors_never_share_their_noise() -> None:
     first.reset(streams)
     second.reset(streams)
     assert run(first, 100) != run(second, 100)
+
+
+TEXT = """\
+deepbots: 1
+name: Small
+world: {timestep: 20 ms, substeps: 4}
+parameters: {off: uniform(-0.1 .. 0.1 m)}
+robots:
+  cart:
+    urdf: cartpole_rail
+    base: fixed
+    sensors:
+      place: {type: joint_position, joint: slider}
+      eye: %s
+    actuators:
+      motor: {type: velocity_motor, joint: slider, max_torque: 10 N}
+    emit: [place, eye]
+    apply: {motor: drive * 1 m/s}
+action: {drive: -1 .. 1}
+observation: {cart.place: -1 .. 1 m, cart.eye: {range: %s, clip: false}}
+reward: {a: 1}
+truncation: {max_steps: 1000}
+reset: {joints: {cart.slider: uniform(-0.2 .. 0.2 m)}}
+"""
+METER = "-1 .. 1 m"
+
+
+@pytest.fixture
+def sensed(make: Make) -> Make:
+    """The cart with a sensor, as in `sensed("{type: joint_position, joint: slider}")`, observed in a
+    range."""
+    return lambda sensor, range=METER: make(TEXT % (sensor, range), engine="exact")
+
+
+def truth_and_readings(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
+    """The true value and the reading of the sensor, after the reset and after each step."""
+    rows = [world.reset(seed=seed)[0]]
+    rows += [world.step(np.array([0.5], np.float32))[0] for _ in range(steps)]
+    return np.array(rows, np.float64)
+
+
+def test_a_perfect_sensor_costs_no_device_and_one_with_faults_is_one(sensed: Make) -> None:
+    assert sensed("{type: joint_position, joint: slider}").robot_cart.devices == {}
+    assert list(sensed("{type: joint_position, joint: slider, noise: 1 cm}").robot_cart.devices) == ["eye"]
+
+
+def test_latency_and_period_hold_the_truth_back(sensed: Make) -> None:
+    rows = truth_and_readings(
+        sensed("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12
+    )
+    assert rows[:, 1] == pytest.approx(rows[[0, 0, 0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9], 0])
+
+
+def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joint: slider, bias: uniform(-10 .. 10 cm)}")
+    biases = []
+    for seed in range(40):
+        rows = truth_and_readings(world, 5, seed)
+        error = rows[:, 1] - rows[:, 0]
+        assert np.ptp(error) < 1e-6
+        biases.append(error[0])
+    assert np.abs(biases).max() <= 0.1 + 1e-6
+    assert np.ptp(biases) > 0.15
+
+
+def test_a_parameter_is_one_draw_for_all_that_use_it(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joints: [slider], bias: off}")
+    rows = truth_and_readings(world, 1, 3)
+    assert rows[0, 1] - rows[0, 0] == pytest.approx(world.parameter_off, abs=1e-6)
+
+
+def test_each_component_has_a_bias_of_its_own(sensed: Make) -> None:
+    world = sensed("{type: position, link: pole, bias: uniform(-10 .. 10 cm)}", "-2 .. 2 m")
+    biases = set()
+    for seed in range(5):
+        world.reset(seed=seed)
+        biases |= {round(error, 9) for error in world.robot_cart.devices["eye"].reading}
+    assert len(biases) == 15
+
+
+def test_drift_grows_with_the_time_since_the_reset(sensed: Make) -> None:
+    rows = truth_and_readings(sensed("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
+    assert rows[:, 1] - rows[:, 0] == pytest.approx(0.5 * 0.02 * np.arange(51), abs=1e-6)
+
+
+def test_quantize_and_range_shape_what_the_policy_sees(sensed: Make) -> None:
+    rows = truth_and_readings(
+        sensed("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40
+    )
+    assert rows[:, 1] == pytest.approx(
+        np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6
+    )
+    assert np.ptp(rows[:, 0]) > 0.3
+
+
+def test_the_known_range_of_a_sensor_is_its_automatic_one(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joint: slider, noise: 1 cm, range: -50 .. 50 cm}", "auto")
+    rows = truth_and_readings(world, 20)
+    assert rows[:, 1] == pytest.approx(2 * rows[:, 0], abs=0.1)
+
+
+ARM = """\
+deepbots: 1
+name: Arm
+world: {timestep: 20 ms, substeps: 4}
+robots:
+  arm:
+    urdf: panda
+    base: fixed
+    joints: {panda_joint1: {range: -1 .. 2 rad}, panda_joint2: {range: -0.1 .. 0.2 rad}}
+    sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]%s}}
+    actuators: {motor: {type: position_motor, joints: [panda_joint1]}}
+    emit: [angles]
+    apply: {motor: drive * 1 rad}
+action: {drive: -1 .. 1}
+observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto, arm.angles: auto}
+reward: {a: 1}
+truncation: {max_steps: 10}
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "ranges"),
+    [
+        ("", [(-1.0, 2.0), (-0.1, 0.2), (-1.0, 2.0), (-1.0, 2.0)]),
+        (", resolution: 0.2 rad", [(-1.1, 2.1), (-0.2, 0.3), (-1.1, 2.1), (-1.1, 2.1)]),
+        (", noise: 0.1 rad, range: -1 .. 1 rad", [(-1.0, 1.0)] * 4),
+    ],
+)
+def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_others(
+    more: str, ranges: list[tuple[float, float]]
+) -> None:
+    program = check(loads(ARM % more, base=Path.cwd())).program
+    assert program is not None
+    ends = [pair for entry in program.agent.observation for pair in zip(entry.low, entry.high, strict=True)]
+    assert ends == [pytest.approx(pair) for pair in ranges]
+
+
+def test_the_same_seed_gives_the_same_readings(sensed: Make) -> None:
+    world = sensed(
+        "{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}"
+    )
+    first = truth_and_readings(world, 30)
+    truth_and_readings(world, 7, 2)
+    assert np.array_equal(truth_and_readings(world, 30), first)
+    assert not np.array_equal(
+        truth_and_readings(world, 30, 3)[:, 1] - truth_and_readings(world, 30, 3)[:, 0],
+        first[:, 1] - first[:, 0],
+    )
+
+
+G = 9.81
+Build = Callable[..., Scene]
+
+
+def test_at_rest_an_accelerometer_feels_the_ground_push_upwards(scene: Build) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 0.1)), ground=True)
+    accelerometer = world.sensor(on("accelerometer", "brick"))
+    world.begin()
+    assert accelerometer.reading == pytest.approx((0, 0, G))
+    world.tick(100)
+    assert accelerometer.reading == pytest.approx((0, 0, G), abs=1e-3)
+
+
+def test_in_free_fall_it_feels_nothing_even_while_tumbling(scene: Build) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 50)))
+    accelerometer = world.sensor(on("accelerometer", "brick"))
+    world.engine.reset()
+    world.engine.place("robot", (0, 0, 50), quaternion(0.3, 0.2, 0.1), (1, 2, 3), (3, -2, 1))
+    world.begin()
+    world.tick()
+    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-6)
+    world.tick(30)
+    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-6)
+
+
+def test_off_the_center_of_a_tumbling_body_it_feels_the_turning(scene: Build) -> None:
+    """A cube turns steadily about any axis: at r from the center the acceleration is w x (w x r)."""
+    world = scene(brick(), pose=Pose((0, 0, 50)), substeps=16)
+    accelerometer = world.sensor(on("accelerometer", "brick", mount=Pose((0.1, 0, 0))))
+    world.engine.reset()
+    world.engine.place("robot", (0, 0, 50), quaternion(0, 0, 0), (0, 0, 0), (0, 4, 0))
+    world.begin()
+    world.tick(20)
+    assert accelerometer.reading == pytest.approx((-0.1 * 16, 0, 0), abs=0.02)
+
+
+@pytest.mark.parametrize("angle", [10, 20])
+def test_on_a_slope_its_reading_leans_by_the_angle_of_the_slope(scene: Build, angle: float) -> None:
+    lean = angle * DEGREE
+    slope = ObjectBody("slope", Box((4, 4, 0.2)), Pose((0, 0, 0.5), (0, lean, 0)), fixed=True, friction=1.0)
+    middle = (0.2 * sin(lean), 0.0, 0.5 + 0.2 * cos(lean))
+    world = scene(brick(), pose=Pose(middle, (0, lean, 0)), objects=(slope,))
+    accelerometer = world.sensor(on("accelerometer", "brick"))
+    level = world.sensor(on("accelerometer", "brick", mount=Pose((0, 0, 0), (0, -lean, 0))))
+    world.begin()
+    world.tick(100)
+    assert accelerometer.reading == pytest.approx((-G * sin(lean), 0, G * cos(lean)), abs=0.05)
+    assert level.reading == pytest.approx((0, 0, G), abs=0.05)
+
+
+@pytest.mark.parametrize("rate", [2.0, -5.0])
+def test_on_a_turning_arm_it_feels_the_centripetal_acceleration(scene: Build, rate: float) -> None:
+    world = scene(arm(), fixed=True)
+    accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0))))
+    gyro = world.sensor(on("gyro", "arm", mount=Pose(rpy=(0, pi / 2, 0))))
+    drive = world.engine.velocity_motor("robot", ["hinge"], [1e6])
+    world.engine.reset()
+    world.engine.set_joint("robot", "hinge", 0.0, rate)
+    drive([rate])
+    world.begin()
+    world.tick(50)
+    assert accelerometer.reading == pytest.approx((-0.5 * rate * rate, 0, G), abs=0.01 * rate * rate)
+    assert gyro.reading == pytest.approx((-rate, 0, 0), abs=1e-3)
+
+
+def test_what_it_sums_up_is_the_change_of_velocity(scene: Build) -> None:
+    """The body is pushed along x. The integral of the readings is its gain in velocity."""
+    world = scene(brick(), gravity=(0, 0, 0))
+    accelerometer = world.sensor(on("accelerometer", "brick"))
+    push = world.engine.pusher(("robot", "brick"))
+    world.engine.before_substep(lambda: push((3.0, 0, 0), (0, 0, 0)))
+    world.begin()
+    gained = 0.0
+    for _ in range(25):
+        world.tick()
+        assert accelerometer.reading == pytest.approx((3.0, 0, 0))
+        gained += accelerometer.reading[0] * TIMESTEP
+    assert gained == pytest.approx(world.engine.velocity("robot")()[0][0])
+
+
+def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: Build) -> None:
+    """A push in one of 20 physics steps, and a reading for every 5 ticks: nothing of it is lost."""
+    world = scene(brick(), gravity=(0, 0, 0))
+    accelerometer = world.sensor(on("accelerometer", "brick", faults=NoiseModel(period=5)))
+    push = world.engine.pusher(("robot", "brick"))
+    steps = count()
+    world.engine.before_substep(lambda: push((0.0, 20.0 if next(steps) == 6 else 0.0, 0.0), (0, 0, 0)))
+    world.begin()
+    world.tick(5)
+    assert accelerometer.reading == pytest.approx((0, 20.0 / 20, 0))
+    world.tick(5)
+    assert accelerometer.reading == pytest.approx((0, 0, 0))
+
+
+def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_own_axes(scene: Build) -> None:
+    """Between two readings the arm turns by 4 rad, through which the axes are followed tick by tick."""
+    world = scene(arm(), fixed=True)
+    accelerometer = world.sensor(
+        on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=NoiseModel(period=50))
+    )
+    drive = world.engine.velocity_motor("robot", ["hinge"], [1e6])
+    world.engine.reset()
+    world.engine.set_joint("robot", "hinge", 0.0, 4.0)
+    drive([4.0])
+    world.begin()
+    world.tick(50)
+    assert accelerometer.reading == pytest.approx((-8, 0, G), abs=0.03)
+
+
+def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 50)))
+    down = world.sensor(on("projected_gravity", "brick"))
+    accelerometer = world.sensor(on("accelerometer", "brick"))
+    world.engine.reset()
+    world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
+    world.begin()
+    assert (accelerometer.reading, down.reading) == (pytest.approx((-3, 0, 4)), pytest.approx((0.6, 0, -0.8)))
+    world.tick(5)
+    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-9)
+    world.engine.reset()
+    world.begin()
+    assert down.reading == pytest.approx((0, 0, -1))
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"), [(0, 0, 0), (30, 0, 0), (0, -40, 0), (20, 30, 100), (170, 10, -60)]
+)
+def test_down_and_heading_follow_the_attitude(scene: Build, roll: float, pitch: float, yaw: float) -> None:
+    rpy = (roll * DEGREE, pitch * DEGREE, yaw * DEGREE)
+    world = scene(brick(), pose=Pose((0, 0, 1), rpy))
+    down, compass = world.sensor(on("projected_gravity", "brick")), world.sensor(on("compass", "brick", ()))
+    turned = world.sensor(on("compass", "brick", (), Pose(rpy=(0, 0, pi / 2))))
+    attitude = world.sensor(on("orientation", "brick", ("x", "y", "z", "w"), Pose(rpy=(0.1, 0.0, 0.0))))
+    world.begin()
+    expected = (sin(rpy[1]), -sin(rpy[0]) * cos(rpy[1]), -cos(rpy[0]) * cos(rpy[1]))
+    assert (down.reading, hypot(*down.reading)) == (pytest.approx(expected, abs=1e-9), pytest.approx(1.0))
+    assert compass.reading[0] == pytest.approx(rpy[2], abs=1e-9)
+    if roll == pitch == 0:
+        assert cos(turned.reading[0] - compass.reading[0] - pi / 2) == pytest.approx(1.0)
+    x, y, z, w = quaternion(rpy[0] + 0.1, rpy[1], rpy[2])
+    assert attitude.reading == pytest.approx((x, y, z, w) if w >= 0 else (-x, -y, -z, -w), abs=1e-9)
+
+
+def test_a_sensor_off_the_origin_moves_as_its_point_of_the_link(scene: Build) -> None:
+    world = scene(arm(), fixed=True)
+    there = Pose((0.5, 0, 0.1))
+    velocity = world.sensor(on("velocity", "arm", mount=there))
+    position = world.sensor(on("position", "arm", mount=there))
+    turning = world.sensor(on("angular_velocity", "arm", mount=Pose(rpy=(1, 2, 3))))
+    world.engine.reset()
+    world.engine.set_joint("robot", "hinge", 0.7, 2.0)
+    world.begin()
+    assert position.reading == pytest.approx((0.5 * cos(0.7), 0.5 * sin(0.7), 1.1))
+    assert velocity.reading == pytest.approx((-sin(0.7), cos(0.7), 0))
+    assert turning.reading == pytest.approx((0, 0, 2))
+
+
+def test_readings_after_a_reset_are_those_of_a_fresh_world(scene: Build) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 0.3), (0.2, 0.1, 0)), ground=True)
+    world.sensor(on("accelerometer", "brick"))
+    world.sensor(on("gyro", "brick"))
+
+    def episode() -> list[object]:
+        world.engine.reset()
+        world.begin()
+        readings = []
+        for _ in range(40):
+            world.tick()
+            readings.append([tuple(device.reading) for device in world.devices])
+        return readings
+
+    first = episode()
+    world.tick(7)
+    assert episode() == first
+
+
+def test_the_wrench_in_a_joint_is_about_the_origin_of_the_sensor_and_along_its_axes(scene: Build) -> None:
+    """The joint holds 1 kg at 0.25 m; a sensor there feels its weight and no torque."""
+    world = scene(arm(), fixed=True)
+    turned = Pose((0.25, 0, 0), (90 * DEGREE, 0, 0))  # its y axis points up
+    force, torque = (
+        world.sensor(on(f"reaction_{what}", "arm", mount=turned)) for what in ("force", "torque")
+    )
+    at_joint = world.sensor(on("reaction_torque", "arm"))
+    world.begin()
+    assert force.reading == (0, 0, 0)
+    world.tick()
+    assert force.reading == pytest.approx((0, G, 0), abs=1e-6)
+    assert torque.reading == pytest.approx((0, 0, 0), abs=1e-6)
+    assert at_joint.reading == pytest.approx((0, -0.25 * G, 0), abs=1e-6)

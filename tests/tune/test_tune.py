@@ -246,7 +246,7 @@ def test_trials_on_workers_give_the_same_after_a_worker_was_killed(
     file: Path, whole: Study, tmp_path: Path
 ) -> None:
     from deepbots_cli.cluster import Cluster
-    from tests.cluster.test_cluster_shards import workers as pids
+    from tests.cluster.test_cluster_workers import workers as pids
 
     killed: list[int] = []
 

@@ -1,23 +1,29 @@
-"""The page without a browser: time, drivers, and files that change."""
+"""The page without a browser, and its server.
+
+* The page without a browser: time, drivers, and files that change.
+* The server of the page: who may call it, and what rubbish does to it.
+* viser has the private members that deepbots uses, and one module names them.
+"""
 
 from __future__ import annotations
 
+import http.client
 import math
 import os
 import re
 import signal
+import socket
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("viser")
 import msgspec
 import numpy as np
+import pytest
 import viser
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import deepbots_cli.codegen
@@ -28,11 +34,15 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import Recording
+from deepbots_cli.view import access, server, viser_internals
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
 from deepbots_cli.view.players import open_player
+from tests.private_members import private_members
+
+pytest.importorskip("viser")
 
 CARTPOLE = (
     (Path(__file__).parents[2] / "scenarios" / "cartpole.yaml")
@@ -252,8 +262,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         driven = page.player.frame
     with closing(open_player(Showing("find_ball-4-0-played1.mcap").open())) as replayed:
         *_, last = replayed.episode(4, 0, 3)
-        assert last.links == driven.links
-        assert replayed.recording.metadata["driver"] == HAND
+        assert (last.links, replayed.recording.metadata["driver"]) == (driven.links, HAND)
 
 
 def _banner(page):
@@ -267,7 +276,7 @@ def _drive_to_the_end(page):
         page.step_once()
 
 
-def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, capsys):
+def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, deepbots):
     pytest.importorskip("mcap")
     path = tmp_path / "drive.mcap"
     with closing(Page(Showing("cartpole"), port=0, playing=True, seed=4, output=path)) as page:
@@ -293,8 +302,7 @@ def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, c
     recording = Recording.read(path)
     seeds = [Start.of_evaluation(seed, 0).seed for seed in (4, 5)]
     assert [(each.number, each.seed) for each in recording.episodes] == list(enumerate(seeds))
-    assert main(["replay", "--verify", str(path)]) == 0
-    assert "2 episodes" in capsys.readouterr().out
+    assert "2 episodes" in deepbots("replay", "--verify", path).out
 
 
 def test_the_world_stands_still_while_its_page_is_hidden():
@@ -396,8 +404,7 @@ def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd
             end = time.monotonic() + 30.0
             page.run(lambda: page.playback.seed == 7 or time.monotonic() > end)
         assert page.playback.seed == 7  # all of them have arrived, and the last one counts
-        assert page.playback.speed == 1.0
-        assert page.player.driver_name == "onward"
+        assert (page.playback.speed, page.player.driver_name) == (1.0, "onward")
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -507,7 +514,7 @@ def test_actions_to_repeat_drive_the_page_too():
         assert page.player.driver_name == "forward,backward"
 
 
-def test_a_source_that_cannot_be_opened_is_an_error(capsys):
+def test_a_source_that_cannot_be_opened_is_an_error(deepbots):
     with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
         Page(Showing("nothing_here"), port=0)
     with pytest.raises(UsageError, match="there is no driver 'nobody'"):
@@ -519,8 +526,7 @@ def test_a_source_that_cannot_be_opened_is_an_error(capsys):
         (["find_ball", "--worlds", "4", "--engine", "pybullet"], "the engine 'pybullet' has no batches"),
         (["see_ball", "--worlds", "4"], "it has cameras"),
     ):
-        assert main(["view", *wrong]) == 2
-        assert message in capsys.readouterr().err
+        assert message in deepbots("view", *wrong, code=2).err
 
 
 def test_a_recording_is_played_and_scrubbed(tmp_path):
@@ -611,3 +617,202 @@ def test_messages_are_shown_with_their_age():
         page.panel.update_texts()
         assert "message to cart" in page.panel.values.content
         assert re.findall(r"\d+ ms old", page.panel.values.content) == 2 * ["32 ms old"]
+
+
+@pytest.fixture
+def page():
+    """The port of a server on loopback, and what arrived by `/drive`."""
+    arrived: list[object] = []
+    running, address = server.serve(
+        access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
+    )
+    assert address == f"http://127.0.0.1:{running.get_port()}/"
+    yield running.get_port(), arrived
+    server.stop(running)
+
+
+def _get(port, path="/", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request(
+        "GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer, body
+
+
+def _open(port, path="/", origin=None, cookie=None, protocol=f"viser-v{viser.__version__}"):
+    headers = {"Cookie": cookie} if cookie else {}
+    return connect(
+        f"ws://127.0.0.1:{port}{path}",
+        origin=origin,
+        subprotocols=[protocol],
+        additional_headers=headers,
+        max_size=None,
+    )
+
+
+def test_it_serves_its_page_with_keys_and_no_other_source(page):
+    answer, body = _get(page[0])
+    assert answer.status == 200
+    assert b'WebSocket("drive")' in body
+    assert "connect-src 'self'" in answer.headers["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/etc/passwd",
+        "/../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/index.html",
+        "//etc/passwd",
+        "/x\\y",
+    ],
+)
+def test_it_serves_no_file(page, path):
+    answer, body = _get(page[0], path)
+    assert answer.status == 404
+    assert b"root:" not in body
+
+
+def test_a_foreign_host_or_origin_is_refused(page):
+    port, _ = page
+    assert _get(port, Host=f"evil.example:{port}")[0].status == 403
+    assert _get(port, Host="127.0.0.1:1")[0].status == 403
+    assert _get(port, Origin="http://evil.example")[0].status == 403
+    with pytest.raises(InvalidStatus, match="403"):
+        _open(port, origin="http://evil.example")
+    with pytest.raises(InvalidStatus, match="403"):
+        _open(port, "/drive", origin=f"http://localhost:{port + 1}")
+    _open(port, origin=f"http://127.0.0.1:{port}").close()
+
+
+def test_beyond_loopback_a_token_is_asked_for():
+    running, address = server.serve("0.0.0.0", 0, "test", lambda keys, axes: None)
+    try:
+        port = running.get_port()
+        token = address.partition("?token=")[2]
+        assert len(token) > 16
+        assert (_get(port)[0].status, _get(port, "/?token=wrong")[0].status) == (403, 403)
+        answer, _ = _get(port, f"/?token={token}")
+        cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        assert (answer.status, answer.headers["Location"]) == (302, "/")
+        assert "HttpOnly" in answer.headers["Set-Cookie"]
+        assert (_get(port, Cookie=cookie)[0].status, _get(port, Cookie=cookie + "x")[0].status) == (200, 403)
+        origin = f"http://127.0.0.1:{port}"
+        for path in ("/", "/drive"):
+            with pytest.raises(InvalidStatus, match="403"):
+                _open(port, path, origin=origin)
+            _open(port, path, origin=origin, cookie=cookie).close()
+        assert _get(port, Host=f"evil.example:{port}", Cookie=cookie)[0].status == 403
+    finally:
+        server.stop(running)
+
+
+def test_an_abbreviated_address_is_loopback():
+    running, address = server.serve("127.1", 0, "test", lambda keys, axes: None)
+    server.stop(running)
+    assert address == f"http://127.0.0.1:{running.get_port()}/"
+
+
+def test_keys_and_axes_arrive_and_rubbish_does_not(page, capfd):
+    port, arrived = page
+    origin = f"http://127.0.0.1:{port}"
+    for text in ("KeyW|a,b|", b"\x00\xff", "x" * 1000, "KeyW|" + "1," * 90 + "|", "KeyW|", "|||"):
+        with _open(port, "/drive", origin=origin) as wire:
+            wire.send(text)
+    with _open(port, "/drive", origin=origin) as wire:
+        wire.send("KeyW+KeyA|0.5,-7|")
+        wire.send("|nan,0.25|hidden")
+        held = (frozenset({"KeyW", "KeyA"}), (0.5, -1.0))
+        for sent in (held, (frozenset(), (0.0, 0.25))):
+            end = time.monotonic() + 10
+            while sent not in arrived and time.monotonic() < end:
+                time.sleep(0.01)
+            assert sent in arrived
+    assert all(-1.0 <= value <= 1.0 for _, axes in arrived for value in axes)
+    assert capfd.readouterr().err == ""
+
+
+def test_rubbish_to_viser_changes_nothing_and_prints_nothing(page, capfd):
+    port, _ = page
+    origin = f"http://127.0.0.1:{port}"
+    for message in (
+        b"",
+        b"\x00" * 100,
+        b"\xff" * 10_000,
+        "text",
+        b"\x93\x01\x02\x03",
+        b"\xdf\xff\xff\xff\xff",
+        b"x" * (server.MAX_MESSAGE_BYTES + 1),
+    ):
+        with suppress(OSError, TimeoutError, ConnectionClosed), _open(port, origin=origin) as wire:
+            wire.send(message)
+            wire.recv(timeout=0.3)
+    with socket.create_connection(("127.0.0.1", port)) as raw:
+        raw.sendall(b"\x16\x03\x01 rubbish \r\n\r\n")
+    time.sleep(0.3)
+    assert _get(port)[0].status == 200
+    printed = capfd.readouterr()
+    assert "Traceback" not in printed.out + printed.err
+
+
+def test_fifty_closed_connections_leave_nothing_behind(page):
+    port, _ = page
+    origin = f"http://127.0.0.1:{port}"
+
+    def opened() -> tuple[int, int]:
+        return len(os.listdir("/proc/self/fd")), threading.active_count()
+
+    def connect() -> None:
+        with _open(port, origin=origin) as wire:
+            wire.recv(timeout=5)
+
+    for _ in range(3):
+        connect()
+    before = opened()
+    for _ in range(50):
+        connect()
+    end = time.monotonic() + 10
+    while any(now > then for now, then in zip(opened(), before, strict=True)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert opened() <= before
+
+
+def test_another_version_of_the_page_is_refused(page):
+    with pytest.raises(InvalidStatus, match="400"):
+        _open(page[0], origin=f"http://127.0.0.1:{page[0]}", protocol="viser-v0.0.1")
+
+
+def test_a_port_in_use_and_an_unknown_host_are_errors(page):
+    with pytest.raises(UsageError, match=f"port {page[0]} of 127.0.0.1 is in use"):
+        server.serve(access.LOOPBACK, page[0], "test", lambda keys, axes: None)
+    with pytest.raises(UsageError, match="there is no host"):
+        server.serve("no-such-host.invalid", 0, "test", lambda keys, axes: None)
+
+
+MODULE = Path(viser_internals.__file__)
+USERS = [
+    path for path in sorted(MODULE.parent.glob("*.py")) if "viser" in path.read_text() and path != MODULE
+]
+
+
+def test_the_library_has_each_private_member() -> None:
+    with redirect_stdout(StringIO()):
+        page = viser.ViserServer(access.LOOPBACK, 0, verbose=False)
+    try:
+        box = page.gui.add_checkbox("Box", initial_value=True)
+        used = {name for _, name in private_members(MODULE)}
+        assert len(used) == 5
+        parts = (viser, page.gui, box)
+        assert {name for name in used if not any(hasattr(part, name) for part in parts)} == set()
+        assert page.gui._gui_input_handle_from_uuid[box._impl.uuid]._impl.value is True
+    finally:
+        server.stop(page)
+
+
+@pytest.mark.parametrize("path", USERS, ids=lambda path: path.stem)
+def test_no_other_module_names_a_private_member(path: Path) -> None:
+    assert [*private_members(path)] == []

@@ -1,4 +1,9 @@
-"""Plots of trainings, by the data of their lines."""
+"""Pictures, clips, plots and trajectories.
+
+* Plots of trainings, by the data of their lines.
+* Pictures and clips: by their pixels, and read back.
+* Trajectories of the bodies that move in an episode and matter to its task.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +12,42 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import closing
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("matplotlib")
-pytest.importorskip("tensorboard")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
+from deepbots_cli import api, frames
 from deepbots_cli.cli import main
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, TaskRecord, write_record
+from deepbots_cli.port import View
+from deepbots_cli.robots.kinematics import bounds_of_shape, robot_bounds
 from deepbots_cli.rollout import Episode
-from deepbots_cli.view import plots, training_logs
+from deepbots_cli.runtime.overview import overview
+from deepbots_cli.view import plots, training_logs, trajectories
+from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.panel_html import training_rows
+from deepbots_cli.view.pictures import (
+    PaintedPath,
+    Viewpoint,
+    projection,
+    render_picture,
+    write_clip,
+    write_gif,
+)
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("tensorboard")
 
 
 def _events(folder, **scalars):
@@ -132,8 +154,7 @@ def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
     logs = training_logs.read_logs([runs], window=2)
     assert [log.name for log in logs] == ["a0", "a0", "b0"]
     steps, values = logs[0].returns
-    assert list(steps) == [10, 20, 30, 40]
-    assert list(values) == [0, 1, 3, 5]
+    assert (list(steps), list(values)) == ([10, 20, 30, 40], [0, 1, 3, 5])
     assert [tuple(map(float, axis)) for axis in logs[0].evaluations] == [(30.0,), (2.0,)]
     figure = plots.plot(logs)
     lines = {line.get_label(): line.get_data() for line in figure.axes[0].lines}
@@ -194,8 +215,7 @@ def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
         {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections}
         for panel in (figure.axes[3], figure.axes[5])
     ]
-    assert len(set(colors[1].values())) == 3
-    assert {name: colors[1][name] for name in colors[0]} == colors[0]
+    assert (len(set(colors[1].values())), {name: colors[1][name] for name in colors[0]}) == (3, colors[0])
 
 
 def test_more_endings_than_colors_have_a_color_each(tmp_path):
@@ -425,14 +445,15 @@ def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(run
     assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
 
 
-def test_files_of_other_programs_are_plotted(tmp_path, capsys):
+def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
     folder = _events(tmp_path / "sb3", rollout__ep_rew_mean=[(0, 1.0), (100, 3.0)])
     for suffix in (".png", ".svg"):
         out = tmp_path / f"plot{suffix}"
-        assert main(["plot", str(folder), "--dark", "--output", str(out)]) == 0
+        deepbots("plot", folder, "--dark", "--output", out)
         assert out.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml")
-    assert main(["plot", str(folder), "--output", str(tmp_path / "plot.pdf")]) == 2
-    assert "must end in .png or .svg" in capsys.readouterr().err
+    assert (
+        "must end in .png or .svg" in deepbots("plot", folder, "--output", tmp_path / "plot.pdf", code=2).err
+    )
 
 
 def test_runs_that_cannot_be_plotted_are_an_error(tmp_path, runs):
@@ -571,3 +592,283 @@ def test_the_settings_of_matplotlib_in_a_strangers_folder_are_not_used(runs, tmp
     assert done.returncode == 0, done.stderr
     assert "matplotlibrc" not in done.stdout + done.stderr
     assert (tmp_path / "a.png").stat().st_size < 1_000_000
+
+
+def _yellow(image):
+    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")).astype(int), -1, 0)
+    return (
+        (red > 60) & (green > 0.7 * red) & (blue < 0.6 * red)
+    )  # also in the shade, which is darker in MuJoCo
+
+
+def test_a_point_is_projected_to_where_the_engine_draws_it():
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        player.begin(0, 0)
+        view = View((0.9, -1.2, 1.0), (0.1, 0.1, 0.0), 640, 480)
+        rows, columns = np.nonzero(
+            _yellow(render_picture(player, Viewpoint(640, 480, view.eye, view.target)))
+        )
+        assert projection(view)(player.frame.links["ball", "ball"][0]) == pytest.approx(
+            (columns.mean(), rows.mean()), abs=4
+        )
+        assert projection(view)((3.0, -6.0, 3.0)) is None
+
+
+def test_a_path_is_painted_where_the_robot_went():
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        path = list(player.episode(0, 0))
+        bare = np.asarray(render_picture(player, Viewpoint(400, 400), path=path[-1:]).convert("RGB")).astype(
+            int
+        )
+        painted = np.asarray(render_picture(player, Viewpoint(400, 400), path=path).convert("RGB")).astype(
+            int
+        )
+    changed = np.abs(painted - bare).sum(axis=2) > 60
+    assert 300 < changed[:370].sum() < 6000
+
+
+def test_the_view_of_a_path_does_not_cut_off_the_robot_at_its_end():
+    with closing(Player(Showing("balancer").open(), "lean")) as player:
+        path = list(player.episode(0, 0, 60))
+        shot = Viewpoint(300, 200)
+        project = projection(PaintedPath.of(player, path).view(player.env.world, shot))
+        (robot,) = player.env.world.robots
+    for link in robot.model.links:
+        for part in link.visuals:
+            low, high = bounds_of_shape(
+                part.shape, frames.compose(path[-1].links[robot.name, link.name], frames.frame(part.origin))
+            )
+            for corner in product(*zip(low, high, strict=True)):
+                x, y = project(corner)
+                assert 0 < x < 300
+                assert 0 < y < 200
+
+
+def test_a_path_that_climbs_is_seen_from_the_side():
+    with closing(Player(Showing("quadrotor").open(), "zero")) as player:
+        path = list(player.episode(0, 0, 40))
+        view = PaintedPath.of(player, path).view(player.env.world, Viewpoint(300, 200))
+    assert view.eye[:2] != view.target[:2]
+
+
+def test_labels_and_rays_are_painted():
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        player.begin(0, 0)
+        shots = [
+            render_picture(
+                player, Viewpoint(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)), **{what: True}
+            )
+            for what in ("labels", "rays")
+        ]
+        plain = render_picture(player, Viewpoint(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)))
+    for shot in shots:
+        assert np.abs(np.asarray(shot).astype(int) - np.asarray(plain)).max() > 60
+
+
+def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
+    shot = Viewpoint(160, 120, follow="epuck")
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        eyes = []
+        robot = player.env.world.robots[0]
+        write_clip(
+            player,
+            tmp_path / "clip.gif",
+            shot,
+            seed=0,
+            episode=0,
+            seconds=3.0,
+            on_frame=lambda frame: eyes.append(
+                (frame.links[robot.name, robot.model.root][0], shot.now(player, player.view(160, 120)))
+            ),
+        )
+        whole = player.view(160, 120)
+    (first, viewpoint), (last, last_viewpoint) = eyes[0], eyes[-1]
+    assert np.linalg.norm(np.subtract(first, last)) > 0.05
+    assert np.subtract(last_viewpoint.eye, last) == pytest.approx(np.subtract(viewpoint.eye, first), abs=1e-3)
+    assert np.linalg.norm(np.subtract(viewpoint.eye, first)) < 0.7 * np.linalg.norm(
+        np.subtract(whole.eye, whole.target)
+    )
+    with pytest.raises(UsageError, match=r"--follow: there is no robot 'dog'; there is epuck"):
+        Viewpoint(follow="dog").now(player, whole)
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
+    out = tmp_path / f"clip{suffix}"
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        last = write_clip(player, out, Viewpoint(160, 120), seed=0, episode=0, seconds=2.0)
+    assert last.time == pytest.approx(2.048, abs=0.13)
+    if suffix == ".gif":
+        with Image.open(out) as image:
+            pictures = []
+            for number in range(image.n_frames):
+                image.seek(number)
+                pictures.append(np.asarray(image.convert("RGB")))
+    else:
+        imageio = pytest.importorskip("imageio.v2")
+        pictures = [np.asarray(image) for image in imageio.get_reader(out)]
+    assert (len(pictures), pictures[0].shape) == (last.step + 1, (120, 160, 3))
+    assert np.abs(pictures[0].astype(int) - pictures[-1]).max() > 60
+    assert out.stat().st_size < 100_000
+
+
+def test_a_gif_keeps_the_color_of_a_small_robot(tmp_path):
+    shades = np.random.default_rng(0).integers(0, 256, (1, 160, 1)) * np.array(
+        [[[0.9, 0.95, 1.0]]]
+    )  # a floor of many shades
+    image = np.broadcast_to(shades, (120, 160, 3)).astype(np.uint8).copy()
+    image[50:58, 60:68] = (30, 90, 200)
+    write_gif(tmp_path / "clip.gif", iter([image, image[::-1]]), 10.0)
+    with Image.open(tmp_path / "clip.gif") as clip:
+        assert np.abs(np.asarray(clip.convert("RGB")).astype(int)[54, 64] - (30, 90, 200)).max() < 20
+
+
+def test_an_offline_page_contains_the_episode(tmp_path):
+    pytest.importorskip("viser")
+    out = tmp_path / "clip.html"
+    with closing(Player(Showing("cartpole").open(), "zero")) as player:
+        write_clip(player, out, Viewpoint(), seed=0, episode=0, seconds=1.0)
+    text = out.read_text()
+    assert "__VISER_EMBED_DATA__" in text
+    assert "<title>CartPole</title>" in text
+    assert out.stat().st_size < 1_500_000
+
+
+def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, deepbots, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    deepbots("render", "cartpole", "--size", "120x90", "--output", "a.png")
+    with Image.open("a.png") as image:
+        assert image.size == (120, 90)
+    assert (
+        "a.gif" in deepbots("render", "cartpole", "--size", "120x90", "--seconds", "0.3", "-o", "a.gif").out
+    )
+    deepbots(
+        "render", "cartpole", "--size", "120x90", "--seconds", "0.1", "--episodes", "2", "-o", "each.gif"
+    )
+    assert sorted(path.name for path in tmp_path.glob("each*")) == ["each-0.gif", "each-1.gif"]
+    for words, message in (
+        (["render", "cartpole", "--last"], "--last chooses a model of a run, but cartpole is not a run"),
+        (
+            ["render", "cartpole", "-o", "a.jpg"],
+            "a.jpg must end in .png, .mp4, .gif, .html or .mcap; the suffix says what is made",
+        ),
+        (["render", "cartpole", "-o", "none/a.gif"], "no directory"),
+        (["render", "cartpole", "--size", "9x9"], "is not a size"),
+        (["render", "cartpole", "--from", "1,2"], "is not a point"),
+        (
+            ["render", "cartpole", "--from", "1,2,1", "--follow", "cart"],
+            "--follow moves the camera; leave out --from and --at",
+        ),
+        (["render", "cartpole", "--from", "nan,0,0"], "not a number"),
+        (["render", "find_ball", "--driver", "nobody", "-o", "b.gif"], "there is no driver 'nobody'"),
+        (["render", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),
+        (
+            ["render", "cartpole", "--driver", "you", "-o", "b.gif"],
+            "you can drive in the browser only; use `deepbots play`",
+        ),
+        (
+            ["render", "cartpole", "--labels", "-o", "b.gif"],
+            "b.gif: --labels is for .png; leave it out, or name another file",
+        ),
+        (
+            ["render", "cartpole", "--rays", "--seconds", "1", "-o", "b.mcap"],
+            "b.mcap: --rays is for .png; --seconds is for .mp4, .gif, .html; leave them out, or name another"
+            " file",
+        ),
+        (
+            ["render", "cartpole", "--episodes", "failed", "-o", "b.gif"],
+            "--episodes failed repeats an evaluation of a run",
+        ),
+        (["render", "epuck", "-o", "b.gif"], "epuck is a robot file"),
+        (["render", "epuck", "--seed", "0"], "epuck is a robot file"),
+        (["render", "epuck", "--last"], "epuck is a robot file"),
+        (["render", "cartpole", "--size", "9" * 5000 + "x100"], "is not a size"),
+    ):
+        assert message in " ".join(deepbots(*words, code=2).err.split())
+
+
+@pytest.fixture(scope="module")
+def push():
+    """The arm that pushes a block, and its world."""
+    program = api.compile(api.load("panda_push")).program
+    return program, program.world
+
+
+def _positions(world, **ways):
+    """Positions of all bodies in four steps, of which those in `ways` go so far (m) along x."""
+    names = [(robot.name, link.name) for robot in world.robots for link in robot.model.links] + [
+        (o.name, o.name) for o in world.objects
+    ]
+    steps = np.arange(4.0)[:, None] / 3 * np.array([[1.0, 0.0, 0.0]])
+    return {part: ways.get(part[1], 0.0) * steps for part in names}
+
+
+def test_the_path_of_an_arm_is_not_a_dot_at_its_base(push):
+    program, world = push
+    moving = trajectories.find_moving(
+        program, world, [_positions(world, block=0.1, panda_grasptarget=0.3, panda_link7=0.4)]
+    )
+    assert moving.parts == (("block", "block"), ("panda", "panda_grasptarget"))
+    assert [trajectories.describe(world, part) for part in moving.parts] == [
+        "block",
+        "panda.panda_grasptarget",
+    ]
+
+
+def test_a_block_that_no_episode_moves_has_no_path(push):
+    program, world = push
+    moving = trajectories.find_moving(program, world, [_positions(world, panda_grasptarget=0.3)] * 2)
+    assert moving.parts == (("panda", "panda_grasptarget"),)
+
+
+def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_farthest(push):
+    program, world = push
+    silent = program.with_agent(goal=None, observation=(), reward=())
+    moving = trajectories.find_moving(
+        replace(silent, endings=()), world, [_positions(world, panda_link5=0.2, panda_hand=0.3)]
+    )
+    assert moving.parts == (("panda", "panda_hand"),)
+
+
+def test_a_target_that_moves_is_followed():
+    overrides = ("goal.desired=vector(0.5 m, 0.2 m * sin(90 deg/s * time), 0.5 m)",)
+    with closing(Player(Showing("panda_reach", overrides=overrides).open(), "zero")) as player:
+        positions = trajectories.read_positions(player.reader.layout, player.episode(0, 0, 5))
+        assert trajectories.find_moving(player.program, player.env.world, [positions]).targets == (
+            ("", "agent"),
+        )
+    assert positions["", "agent"][:, 1] == pytest.approx(
+        0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6
+    )
+    assert trajectories.has_moved(positions["", "agent"])
+
+
+def test_a_wall_that_a_failure_reads_is_not_a_target():
+    overrides = ["objects.post={shape: box, size: 5 5 5 cm, fixed: true}", "reset.place.post={x: 0.3 m, y:"
+                                                                           " 0.3 m}",
+                 "termination.failure.hit=contact(cart, post)", "reward.hit=-5 when hit"]  # fmt: skip
+    program = api.compile(api.load("cartpole", overrides=overrides)).program
+    moving = trajectories.find_moving(program, program.world, [_positions(program.world, base_link=0.2)])
+    assert moving.targets == ()
+
+
+def test_the_page_draws_the_path_of_an_arm_by_its_end_link():
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    with closing(Page(Showing("panda_reach"), port=0, driver="random")) as page:
+        for _ in range(3):
+            page.step_once()
+        trail = np.array(page.world._trail)
+    assert np.linalg.norm(trail[-1] - trail[0]) > 0.005
+    assert trail[0][2] > 0.4  # and not where the base stands
+
+
+def test_the_view_does_not_cut_off_an_arm_that_reaches_out(push):
+    model = push[1].robots[0].model
+    view = overview(api.compile(api.load("panda_reach")).program, 300, 200)
+    low, high = robot_bounds(model, {"panda_joint2": 0.4, "panda_joint4": -1.2, "panda_joint6": 1.6})
+    for corner in product(*zip(low, high, strict=True)):
+        x, y = projection(view)(corner)
+        assert 0 < x < 300
+        assert 0 < y < 200

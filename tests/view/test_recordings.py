@@ -1,5 +1,10 @@
-"""Recordings: frames are read as they were recorded, a replay is the same to the bit, and damaged files do no
-harm."""
+"""Frames of episodes, recordings, and policies in the page.
+
+* Recordings: frames are read as they were recorded, a replay is the same to the bit, and damaged files do no
+  harm.
+* Frames have the values of the engine, and reading them changes nothing.
+* Policies of runs in the page: masked and recurrent ones, and the newest one of a training that goes on.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +14,34 @@ import lzma
 import os
 import random
 import re
+import shutil
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("mcap")
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+import deepbots_cli
+from deepbots_cli import learning
+from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.cli import main
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.rollout.drivers import HAND, POLICY
 from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.frames import SensorRays, WorldFrame
+from deepbots_cli.view.frames import FrameReader, SensorRays, WorldFrame, action_fields, observation_fields
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.replay import ReplayPlayer, verify
+from tests.few import few
+
+pytest.importorskip("mcap")
 
 
 def _recorded(
@@ -115,7 +131,7 @@ def _changed(path: Path, out: Path, **change) -> Path:
     return out
 
 
-def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, capsys):
+def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, deepbots):
     """A step of the script is 0.128 s."""
 
     def edit(place, topic, content):
@@ -127,10 +143,11 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
         return content
 
     path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=edit)
-    assert main(["replay", "--verify", str(path)]) == 1
-    assert "episode 2, step 10: tf epuck/left_wheel.translation.y differs" in capsys.readouterr().out
-    assert main(["replay", "--verify", str(find_ball[0])]) == 0
-    assert "2 episodes and " in capsys.readouterr().out
+    assert (
+        "episode 2, step 10: tf epuck/left_wheel.translation.y differs"
+        in deepbots("replay", "--verify", path, code=1).out
+    )
+    assert "2 episodes and " in deepbots("replay", "--verify", find_ball[0]).out
 
 
 @pytest.mark.parametrize(
@@ -159,8 +176,7 @@ def test_a_friction_of_one_percent_more_is_noticed_and_named(tmp_path, capsys):
     path = tmp_path / "find_ball.mcap"
     path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / "find_ball.mcap.xz").read_bytes()))
     again = ["replay", "--verify", str(path), "--tolerance", "1e-6", "--scenario", "find_ball"]
-    assert main(again) == 0
-    assert main([*again, "--set", "world.arena.friction=1.01"]) == 1
+    assert (main(again), main([*again, "--set", "world.arena.friction=1.01"])) == (0, 1)
     output = capsys.readouterr()
     assert "world.arena.friction: recorded (not written), now 1.01" in output.err
     assert re.search(r"episode 0, step \d+: .* differs", output.out)
@@ -181,15 +197,11 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
 
 
 @pytest.mark.slow
-def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, capsys):
+def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, deepbots):
     for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag_scripted"):
         path = tmp_path / f"{name}.mcap"
-        assert (
-            main(["render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)])
-            == 0
-        )
-        assert main(["replay", "--verify", str(path)]) == 0
-        assert "17 episodes and " in capsys.readouterr().out
+        deepbots("render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", path)
+        assert "17 episodes and " in deepbots("replay", "--verify", path).out
 
 
 def test_foxglove_finds_its_types(find_ball):
@@ -209,8 +221,7 @@ def test_foxglove_finds_its_types(find_ball):
     frame = find_ball[1][0]
     for each in first["transforms"]:
         place, turn = frame.links[tuple(each["child_frame_id"].split("/"))]
-        assert tuple(each["translation"].values()) == place
-        assert tuple(each["rotation"].values()) == turn
+        assert (tuple(each["translation"].values()), tuple(each["rotation"].values())) == (place, turn)
 
 
 @pytest.mark.parametrize("count", [3, 90, 360])
@@ -241,8 +252,6 @@ def test_a_picture_of_a_recording_is_that_of_the_episode(find_ball, tmp_path):
 
 
 # Files of others
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -289,14 +298,16 @@ def test_a_file_that_cannot_be_read_is_refused_in_a_sentence(find_ball, tmp_path
         ("/message/epuck/to_robot", lambda content: []),
     ],
 )
-def test_an_impossible_step_is_refused_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
+def test_an_impossible_step_is_refused_in_a_sentence(find_ball, tmp_path, deepbots, topic, edit):
     path = _changed(
         find_ball[0],
         tmp_path / "changed.mcap",
         payload=lambda _, name, content: edit(content) if name == topic else content,
     )
-    assert main(["render", str(path), "--episode", "2", "--output", str(tmp_path / "x.png")]) == 2
-    assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+    assert (
+        "is damaged: a step of it cannot be read"
+        in deepbots("render", path, "--episode", "2", "--output", tmp_path / "x.png", code=2).err
+    )
 
 
 @pytest.mark.slow
@@ -304,7 +315,7 @@ def test_an_impossible_step_is_refused_in_a_sentence(find_ball, tmp_path, capsys
     "action",
     [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}],
 )
-def test_an_impossible_action_is_refused_in_a_sentence(find_ball, tmp_path, capsys, action):
+def test_an_impossible_action_is_refused_in_a_sentence(find_ball, tmp_path, deepbots, action):
     path = _changed(
         find_ball[0],
         tmp_path / "changed.mcap",
@@ -312,8 +323,7 @@ def test_an_impossible_action_is_refused_in_a_sentence(find_ball, tmp_path, caps
             content | {"action": action} if name == "/step" and content["step"] else content
         ),
     )
-    assert main(["replay", "--verify", str(path)]) == 2
-    assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+    assert "is damaged: a step of it cannot be read" in deepbots("replay", "--verify", path, code=2).err
 
 
 def test_a_pipe_is_not_a_recording(tmp_path):
@@ -370,15 +380,331 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
         Recording.read(path)
 
 
-def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ball):
+def test_options_and_files_of_the_command(tmp_path, monkeypatch, deepbots, find_ball):
     monkeypatch.chdir(tmp_path)
-    assert main(["render", "cartpole", "--episodes", "2", "--json", "-o", "two.mcap"]) == 0
-    (recording,) = json.loads(capsys.readouterr().out)["files"]
+    (recording,) = json.loads(
+        deepbots("render", "cartpole", "--episodes", "2", "--json", "-o", "two.mcap").out
+    )["files"]
     assert recording["file"] == "two.mcap"
     assert [episode["episode"] for episode in recording["episodes"]] == [0, 1]
-    assert main(["render", "cartpole", "-o", "two.mcap"]) == 2
-    assert "two.mcap already exists" in capsys.readouterr().err
-    assert main(["render", str(find_ball[0]), "--episode", "7", "--output", "x.gif"]) == 2
-    assert "contains no episode 7; it contains 2 to 3" in capsys.readouterr().err
-    assert main(["replay", "two.mcap", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["scenario"] == "CartPole"
+    assert "two.mcap already exists" in deepbots("render", "cartpole", "-o", "two.mcap", code=2).err
+    assert (
+        "contains no episode 7; it contains 2 to 3"
+        in deepbots("render", find_ball[0], "--episode", "7", "--output", "x.gif", code=2).err
+    )
+    assert json.loads(deepbots("replay", "two.mcap", "--json").out)["scenario"] == "CartPole"
+
+
+SCENARIOS = (
+    "cartpole",
+    "find_ball_random",
+    "quadruped",
+    "multi_cartpole",
+    "see_ball",
+    "panda_push",
+    "line_follower",
+)
+BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:4]))
+def test_an_episode_is_the_same_with_and_without_frames(name):
+    episodes = []
+    for read in (False, True):
+        with closing(deepbots_cli.make(name)) as env:
+            observation, _ = env.reset(seed=3)
+            reader = FrameReader(env) if read else None
+            rewards = []
+            for _ in range(15):
+                action = env.action_space.sample()
+                observation, reward, terminated, truncated, _ = env.step(action)
+                rewards.append(reward)
+                if reader is not None:
+                    reader.read(observation, action)
+                if terminated or truncated:
+                    break
+            episodes.append((rewards, str(observation)))
+    assert episodes[0] == episodes[1]
+
+
+def test_no_message_of_the_episode_before_is_in_the_first_frame():
+    with closing(Player(Showing("cartpole").open(), ZERO)) as player:
+        first = player.begin(0, 0).messages
+        assert first["cart/to_robot"].values == (None,)
+        assert player.step().messages["cart/to_robot"].values != (None,)
+        assert player.begin(0, 0).messages == first
+
+
+def test_a_frame_has_the_values_of_the_engine():
+    with closing(deepbots_cli.make("find_ball")) as env:
+        observation, _ = env.reset(seed=0)
+        reader = FrameReader(env)
+        frame = reader.read(observation)
+        assert frame.links["epuck", "base_link"] == env.engine.pose("epuck")()
+        assert frame.links["ball", "ball"][0] == pytest.approx((0.38, 0.38, 0.07))
+        assert len(frame.rays["epuck.proximity"]) == len(reader.layout.sensor_rays["epuck.proximity"].starts)
+        assert all(0 <= free <= 0.1 for free in frame.rays["epuck.proximity"])
+        assert frame.readings["epuck.proximity"] == pytest.approx(
+            env.controllers["epuck"].devices["proximity"].reading
+        )
+        fields = dict(
+            zip([f.name for f in reader.layout.observation], frame.agents["agent"].observation, strict=True)
+        )
+        (x, y, _), _ = frame.links["epuck", "base_link"]
+        assert fields["apart"] == pytest.approx(np.hypot(0.38 - x, 0.38 - y), abs=1e-6)
+        assert frame.agents["agent"].action is None
+        moved = reader.read(env.step(env.action_space.sample())[0], env.action_space.sample())
+        assert {body for body, _ in moved.forces} == {"epuck"}
+        assert sum(moved.forces.values()) > 0.5
+
+
+def test_returns_and_endings_are_those_of_the_episode():
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        frames = list(player.episode(0, 0))
+    rewards = [frame.agents["agent"].reward for frame in frames[1:]]
+    assert frames[-1].agents["agent"].episode_return == pytest.approx(sum(rewards))
+    assert frames[-1].ending == "success: found"
+    assert [frame.step for frame in frames] == list(range(len(frames)))
+    assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", few(BATCHES, BATCHES[1:3]))
+def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
+    with closing(open_player(Showing(name, engine="mujoco", worlds=3).open(), RANDOM)) as batch:
+        batch.world = 2
+        with closing(open_player(Showing(name, engine="mujoco").open(), RANDOM)) as single:
+            pairs = [(batch.begin(7, 0), single.begin(7, 2))]
+            while len(pairs) < 15 and not pairs[-1][1].ended_by:
+                pairs.append((batch.step(), single.step()))
+        for of_batch, of_single in pairs:
+            actual, expected = dict(_leaves(asdict(of_batch))), dict(_leaves(asdict(of_single)))
+            assert actual.keys() == expected.keys()
+            for path, value in expected.items():
+                assert actual[path] == (
+                    pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value
+                ), path
+
+
+def _leaves(value, path=""):
+    """The numbers and names of a frame by their paths."""
+    if not isinstance(value, (dict, tuple)):
+        yield path, value
+        return
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(part, f"{path}/{key}")
+
+
+def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
+    with closing(open_player(Showing("cartpole", engine="mujoco", worlds=4).open(), RANDOM)) as player:
+        player.begin(0, 0)
+        while player._running.resting.sum() < 2:
+            player.step()
+        world = int(player._running.resting.argmax())
+        ended = player.choose(world)
+        assert (ended.ending, ended.agents["agent"].episode_return) == ("failure: fallen", ended.step)
+        player.step()
+        assert asdict(player.choose(world)) == asdict(ended)
+        assert "fallen 2" in player.note
+        assert player.next_episode(0) == 4
+        with pytest.raises(UsageError, match="leave out --worlds"):
+            player.set_driver("balance")
+
+
+def test_bodies_that_take_no_part_in_the_episode_are_left_out():
+    with closing(Player(Showing("find_ball_random").open(), ZERO)) as player:
+        names_of_bodies = [
+            {body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")}
+            for episode in range(6)
+        ]
+        assert len({len(bodies) for bodies in names_of_bodies}) > 1
+        assert set(player.frame.variants.values()) <= {"cube", "plank"}
+
+
+def test_every_copy_of_a_robot_has_frames_of_its_own():
+    with closing(Player(Showing("multi_cartpole").open(), RANDOM)) as player:
+        player.begin(0, 0)
+        frame = player.step()
+        assert list(frame.agents) == [f"cart#{number}" for number in range(1, 10)]
+        assert len({agent.action for agent in frame.agents.values()}) == 2
+        assert len({frame.links[name, "pole"][0] for name in frame.agents}) == 9
+
+
+def test_a_push_is_in_the_frames_while_it_lasts():
+    with closing(Player(Showing("quadruped", case="pushed").open(), ZERO)) as player:
+        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 390)]
+    assert 5 <= sum(pushed) <= 18  # one to three pushes of 100 ms within 7.8 s, in steps of 20 ms
+
+
+def test_fields_have_units_ranges_and_options():
+    program = deepbots_cli.compile("find_ball").program
+    angle = observation_fields(program, ShownUnits())[-1]
+    assert (angle.name, angle.unit, round(angle.high, 3)) == ("angle", "rad", 3.142)
+    assert [field.name for field in action_fields(program, ShownUnits())] == ["gas", "wheel"]
+    (choice,) = action_fields(deepbots_cli.compile("cartpole").program, ShownUnits())
+    assert choice.text(1.0) == choice.options[1]
+
+
+def test_a_person_drives_by_the_names_of_action_fields():
+    with closing(Player(Showing("find_ball").open(), HAND)) as player:
+        player.begin(0, 0)
+        player.manual_values = {"gas": 1.0, "wheel": -0.5}
+        assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
+
+
+def test_messages_are_those_that_receivers_go_by():
+    """A message that arrives k ticks after it was sent has an age of k ticks, and the value of the tick in
+    which it was sent."""
+    with closing(Player(Showing("cartpole_wireless").open(), RANDOM)) as player:
+        frames = list(player.episode(0, 0))
+    for frame in frames[1:]:
+        message = frame.messages["cart/from_robot"]
+        sent_at = frame.step - round(message.age / player.program.period)
+        assert message.values == frames[sent_at].readings["cart.pole_angle"]
+    assert {frame.messages["cart/to_robot"].received for frame in frames} == {True, False}
+
+
+def test_what_was_drawn_makes_the_same_episode():
+    with closing(deepbots_cli.make("find_ball")) as env:
+        reader = FrameReader(env)
+        first = reader.read(env.reset(seed=5)[0])
+        assert {"reset.place.epuck.x", "reset.place.epuck.y", "reset.place.epuck.yaw"} <= set(first.drawn)
+        repeated = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
+    assert repeated.links == first.links
+
+
+def test_frames_contain_the_allowed_options():
+    with closing(Player(Showing("find_and_avoid").open(), RANDOM)) as player:
+        forbids = False
+        for frame in player.episode(0, 3, 60):
+            allowed = frame.agents["agent"].allowed
+            assert allowed == () or (
+                len(allowed) == sum(len(field.options) for field in player.reader.layout.action)
+                and any(allowed)
+            )
+            if frame.ended_by is None:
+                assert (allowed or (True,) * len(player.env.action_masks())) == tuple(
+                    player.env.action_masks()
+                )
+            forbids = forbids or False in allowed
+    assert forbids
+
+
+def test_a_start_that_is_given_begins_every_episode():
+    with closing(Player(Showing("find_ball", start={"reset.place.epuck.x": -0.4}).open(), RANDOM)) as player:
+        assert [player.begin(0, number).drawn["reset.place.epuck.x"] for number in range(2)] == [-0.4, -0.4]
+
+
+SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
+
+
+def _trained(folder, name, *overrides):
+    pytest.importorskip("sb3_contrib")
+    compiled = deepbots_cli.compile(name, overrides=[*SMALL, *overrides])
+    return learning.train(compiled, run=folder / "run", total_timesteps=64).run
+
+
+@pytest.mark.parametrize(
+    ("name", "algorithm"),
+    [pytest.param("find_and_avoid", "MaskablePPO", marks=pytest.mark.slow), ("cartpole", "RecurrentPPO")],
+)
+def test_the_policy_of_the_page_acts_as_in_an_evaluation(tmp_path, name, algorithm):
+    run = _trained(tmp_path, name, f"train.algorithm={algorithm}")
+    evaluated = learning.evaluate(run, episodes=2, seed=5)
+    with closing(open_player(Showing(str(run)).open())) as player:
+        for number, episode in enumerate(evaluated.outcomes):
+            *_, last = player.episode(5, number)
+            assert player.driver_name == POLICY
+            assert (last.step, last.ended_by) == (episode.length, episode.ended_by)
+            assert last.agents["agent"].episode_return == pytest.approx(episode.total_return)
+
+
+def test_a_training_is_followed_to_its_newest_policy(tmp_path):
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    kept = tmp_path / "kept.zip"
+    shutil.copyfile(run.model("last"), kept)
+    for name in ("best", "last"):
+        run.model(name).unlink(missing_ok=True)
+    with pytest.raises(RunError, match="has no model yet"):
+        open_player(Showing(str(run.path)).open())
+    run.update(status="running")
+    with run_lock(run.path), closing(open_player(Showing(str(run.path)).open())) as player:
+        player.begin(0, 0)
+        assert "no policy yet" in player.driver.note
+        player.step()
+        for name, time in (("last", 1_000), ("best", 2_000)):
+            shutil.copyfile(kept, run.model(name))
+            os.utime(run.model(name), (time, time))
+            before = player.driver._policy
+            player.begin(0, 0)
+            assert player.driver._policy is not before
+            assert player.driver.note == "policy after 64 steps"
+            assert np.isfinite(player.step().agents["agent"].reward)
+        before = player.driver._policy
+        player.begin(0, 1)
+        assert player.driver._policy is before
+
+
+def test_the_named_model_drives_a_batch_too(tmp_path):
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    run.model("best").write_bytes(b"")  # which would be refused
+    for worlds in (None, 2):
+        shown = Showing(str(run.path), engine="mujoco", worlds=worlds, model="last")
+        with closing(open_player(shown.open())) as player:
+            player.begin(0, 0)
+            assert player.step().step == 1
+
+
+def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    stages = "curriculum=[{name: wide, set: {fall_angle: 8 deg}, until: 24 steps}, {name: usual}]"
+    run = Run.open(_trained(tmp_path, "cartpole", stages))
+    run.update(status="running")
+    with run_lock(run.path), closing(Page(Showing(str(run.path)), port=0)) as page:
+        assert page.player.note == "policy after 64 steps, the training is in stage usual"
+        text = page.panel.training.text.content
+    (done,) = run.record.result.stages
+    assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
+
+
+def test_the_tab_training_shows_the_evaluations_of_the_run_that_is_shown_now(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    first = _trained(tmp_path, "cartpole")
+    second = shutil.copytree(first, tmp_path / "second")
+    for run, value in ((first, 8.0), (second, 9.0)):
+        line = {"steps": 64, "stage": None, "returns": [value], "lengths": [8], "successes": [False]}
+        (run / "evaluations" / "training.jsonl").write_text(json.dumps(line) + "\n")
+    with closing(Page(Showing(str(first)), port=0)) as page:
+        panel = page.panel
+        page.show_source(str(second))
+        assert page.panel is panel
+        assert panel.training.mean_returns == (9.0,)
+        assert "return 9<" in panel.training.text.content
+
+
+def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    run.monitor.write_text("#\nr,l,steps,is_success,ended_by\nx,1,1,0,fallen\n")
+    with closing(Page(Showing(str(run.path)), port=0)) as page:
+        assert "monitor.csv is not a log of episodes" in page.panel.training.text.content
+        assert page.player.driver_name == POLICY
+
+
+def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
+    run = str(_trained(tmp_path, "cartpole"))
+    assert Showing(run).open().parameters["fall_angle"] == "15 deg"
+    with closing(open_player(Showing(run, overrides=["parameters.fall_angle=1 deg"]).open())) as player:
+        *_, last = player.episode(0, 0)
+        assert (player.driver_name, last.ended_by) == (POLICY, "fallen")
+        assert last.agents["agent"].episode_return < 60
+    with pytest.raises(RunError, match="does not fit the changed scenario"):
+        open_player(Showing(run, overrides=["action.drive.choices.stop=0"]).open())
+    assert Showing(run, overrides=["parameters.fall_angle=1 kg"]).open().program is None

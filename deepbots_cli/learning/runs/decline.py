@@ -14,7 +14,7 @@ evaluations in a row. A window shows a decline if three things hold:
   `MIN_SHARE_OF_FEW`: the policy changes from update to update.
 - The very last evaluation is lower by this difference too, so that the training has not recovered.
 
-`tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is
+`tests/learning/test_confirmation.py` measures how often healthy trainings raise a false alarm. Nothing is
 compiled, and neither numpy nor torch is imported.
 """
 
