@@ -19,7 +19,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.recorder import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
 from tests.webots.copied_process import ENVIRONMENT, CopiedProcess
-from tests.webots.worlds_of_webots import HEADER, simulate
+from tests.webots.exported_projects import HEADER, simulate
 
 WORLD = """WorldInfo { basicTimeStep 32 }
 Robot { name "boss" supervisor TRUE controller "boss" children [ Emitter { } Receiver { } ] }
