@@ -6,7 +6,8 @@ fingers.
 
 Disturbances: momentum is force times time, pushes come when they are due, and come again with the seed.
 
-Rotors against closed forms: a quadrotor hovers, climbs, turns and lags as its figures say."""
+Rotors against closed forms: a quadrotor hovers, climbs, turns and lags as its figures say.
+"""
 
 from __future__ import annotations
 
@@ -77,8 +78,10 @@ def test_a_delay_counts_in_substeps_whatever_the_tick(rail: Make, substeps: int,
     motor = rail(f"world.substeps={substeps}", *ENDLESS, delay=f"{delay} s", max_torque="100 kN")
     waits = ceil(delay / TICK * substeps - 1e-9)
     speeds = cart_speeds(motor, 5)
-    assert speeds[waits] == pytest.approx(1.0, abs=1e-6)
-    assert speeds[:waits] == pytest.approx([0.0] * waits, abs=1e-6)
+    assert (speeds[waits], speeds[:waits]) == (
+        pytest.approx(1.0, abs=1e-6),
+        pytest.approx([0.0] * waits, abs=1e-6),
+    )
 
 
 def test_an_acceleration_limit_gives_a_ramp(rail: Make):
@@ -113,8 +116,7 @@ def test_strength_multiplies_what_a_motor_exerts_whatever_the_substeps(rail: Mak
             max_torque="7 N",
         )
     assert cart_speeds(weak, 5) == pytest.approx(cart_speeds(full, 5), rel=1e-12)
-    torques = weak.engine.joint_torques("cart", ("slider",))
-    assert torques()[0] == pytest.approx(7.0)
+    assert weak.engine.joint_torques("cart", ("slider",))()[0] == pytest.approx(7.0)
 
 
 def test_strength_multiplies_the_spring_its_damper_and_its_limit(rail: Make):
@@ -135,8 +137,7 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
         max_velocity="0.5 m/s",
         max_torque="100 kN",
     )
-    speeds = cart_speeds(arm, 100)
-    assert max(speeds) < 0.5 * 1.01
+    assert max(cart_speeds(arm, 100)) < 0.5 * 1.01
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
 
 
@@ -181,8 +182,7 @@ def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
 def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
     late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
     once = cart_speeds(late, 8, FORWARD)
-    again = cart_speeds(late, 8, BACKWARD)
-    assert np.allclose(once, np.negative(again), atol=1e-6)
+    assert np.allclose(once, np.negative(cart_speeds(late, 8, BACKWARD)), atol=1e-6)
 
 
 def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device():
@@ -287,8 +287,7 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
         "robots.cart.actuators={place: {type: velocity_motor, joint: slider, time_constant: 20 ms}}",
         "robots.cart.apply={place: drive * 1 m/s - 0.1 * place / s}",
     )
-    speeds = cart_speeds(twins, 20)
-    assert 0.8 < speeds[-1] < 1.0
+    assert 0.8 < cart_speeds(twins, 20)[-1] < 1.0
 
 
 @pytest.mark.parametrize("limit", ["20 N", "uniform(20 .. 30 N)"])
@@ -378,8 +377,7 @@ def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():
     response.send([0.15, 5.0])
     for k in range(1, 5):
         first, second = response.advance() or ()
-        assert first == pytest.approx(0.1 + k * 2.0 * SUBSTEP)
-        assert second == 5.0
+        assert (first, second) == (pytest.approx(0.1 + k * 2.0 * SUBSTEP), 5.0)
     assert (response.advance() or (0.0,))[0] == pytest.approx(0.15)
 
 
@@ -807,8 +805,10 @@ def test_a_thrust_that_balances_gravity_keeps_the_height_whatever_the_substeps(d
     hovering = drone(BALANCED, EXACT_HOVER, f"world.substeps={substeps}")
     fly(hovering, 100)
     (x, y, z), orientation = hovering.engine.pose("drone")()
-    assert (x, y, z) == pytest.approx((0, 0, 1), abs=1e-6)
-    assert orientation == pytest.approx((0, 0, 0, 1), abs=1e-6)
+    assert ((x, y, z), orientation) == (
+        pytest.approx((0, 0, 1), abs=1e-6),
+        pytest.approx((0, 0, 0, 1), abs=1e-6),
+    )
 
 
 @pytest.mark.parametrize("substeps", [1, 4])

@@ -4,7 +4,8 @@ commands at once.
 An action that is held for several ticks, and values that are drawn again within an episode.
 
 Copies of a robot in one world under one policy: each copy behaves as if it were alone, and all copies are
-one environment."""
+one environment.
+"""
 
 from __future__ import annotations
 
@@ -113,14 +114,18 @@ def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(cart: Make) -> None
     lost = [value == 0.0 for value in zeroed["sent"]]
     assert 10 < sum(lost) < 50
     first = lost.index(False)
-    assert held["sent"][:first] == [0.0] * first
-    assert held["sent"][first:] == pytest.approx([1.0] * (60 - first), abs=NEARLY)
+    assert (held["sent"][:first], held["sent"][first:]) == (
+        [0.0] * first,
+        pytest.approx([1.0] * (60 - first), abs=NEARLY),
+    )
 
 
 def test_beyond_its_range_a_robot_hears_nothing(cart: Make) -> None:
     near, far = (cart("messages.to_robot={range: 1 m}", f"robots.cart.pose={{y: {y} m}}") for y in (0.5, 1.5))
-    assert terms(near)["truth"] == pytest.approx(DRIVES, abs=NEARLY)
-    assert terms(far)["truth"] == pytest.approx([0.0] * 6, abs=NEARLY)
+    assert (terms(near)["truth"], terms(far)["truth"]) == (
+        pytest.approx(DRIVES, abs=NEARLY),
+        pytest.approx([0.0] * 6, abs=NEARLY),
+    )
 
 
 # What the supervisor knows of it
@@ -144,8 +149,7 @@ def test_age_counts_from_measurement_and_fresh_says_that_one_came(
     cart: Make, route: str, ages: list[int], fresh: list[int]
 ) -> None:
     values = terms(cart(route, SEEN, more=TOLD))
-    assert values["age"] == pytest.approx(ages)
-    assert values["came"] == fresh
+    assert (values["age"], values["came"]) == (pytest.approx(ages), fresh)
 
 
 def test_the_first_message_of_an_episode_is_there_at_once(cart: Make) -> None:
@@ -163,8 +167,7 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(cart: Make) -> None:
     environment = cart(
         "messages.from_robot={latency: uniform(0 .. 60 ms) each step, order: newest}", SEEN, more=TOLD
     )
-    ages = {round(age) for age in terms(environment, [0.0] * 200)["age"]}
-    assert ages == {1, 2, 3}
+    assert {round(age) for age in terms(environment, [0.0] * 200)["age"]} == {1, 2, 3}
 
 
 @pytest.mark.parametrize(
@@ -188,8 +191,7 @@ def test_a_new_episode_starts_without_messages_of_the_last(cart: Make) -> None:
     environment = cart(f"messages={route}")
     first = terms(environment)
     terms(environment, [0.3] * 11, seed=5)
-    assert terms(environment) == first
-    assert terms(cart(f"messages={route}")) == first
+    assert (terms(environment), terms(cart(f"messages={route}"))) == (first, first)
 
 
 def test_what_happens_on_one_channel_leaves_the_other_alone(cart: Make) -> None:
@@ -254,10 +256,8 @@ def test_a_scripted_robot_acts_on_its_own_sensors_and_on_received_values(cart: M
     """No action variable reaches the robot. It drives forth and back around 3 mm by its own sensors, and
     drifts with the place of the other robot."""
     environment = cart(f"messages.format={format}", REWARD, rival=SCRIPTED)
-    values = terms(environment, [0.0] * 4)
-    assert values["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
-    drifting = terms(environment, [1.0, 0.0])["rival"]
-    assert drifting == pytest.approx([1.0, 1.0 + 0.02], abs=1e-3)
+    assert terms(environment, [0.0] * 4)["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
+    assert terms(environment, [1.0, 0.0])["rival"] == pytest.approx([1.0, 1.0 + 0.02], abs=1e-3)
     assert [field.name for field in environment.scenario.robots[1].to_robot.fields] == ["seen"]
 
 
@@ -316,12 +316,12 @@ def test_an_ending_stops_the_step_in_its_tick(cart: Make) -> None:
 
 def test_max_steps_counts_steps_and_max_time_simulated_time(cart: Make) -> None:
     by_steps = episode(cart(THREE, "truncation={max_steps: 4}"), 99)
-    assert len(by_steps) == 4
-    assert by_steps[-1][1:3] == (False, True)
+    assert (len(by_steps), by_steps[-1][1:3]) == (4, (False, True))
     environment = cart(THREE, "reward={one: 1}", "truncation={max_time: 160 ms}")
-    by_time = episode(environment, 99)
-    assert [row[0] for row in by_time] == [3.0, 3.0, 2.0]
-    assert environment.get_info()["ended_by"] == "max_time"
+    assert ([row[0] for row in episode(environment, 99)], environment.get_info()["ended_by"]) == (
+        [3.0, 3.0, 2.0],
+        "max_time",
+    )
 
 
 def test_rewards_of_the_last_tick_see_the_limit_of_steps(cart: Make) -> None:
@@ -337,8 +337,7 @@ def test_rewards_of_the_last_tick_see_the_limit_of_steps(cart: Make) -> None:
 )
 def test_of_two_limits_the_one_that_is_met_first_cuts_short(cart: Make, limits: str, first: str) -> None:
     environment = cart(THREE, f"truncation={{{limits}}}")
-    assert len(episode(environment, 9)) == 2
-    assert environment.get_info()["ended_by"] == first
+    assert (len(episode(environment, 9)), environment.get_info()["ended_by"]) == (2, first)
 
 
 def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(cart: Make) -> None:
@@ -375,8 +374,7 @@ def test_one_message_goes_to_a_robot_per_step_and_one_comes_back_per_tick(cart: 
     sent = []
     environment.robot_cart.use_message_data = sent.append
     rows = episode(environment, 2)
-    assert len(sent) == 2
-    assert [row[3]["ticks"] for row in rows] == pytest.approx([1 + 2 + 3, 4 + 5 + 6])
+    assert (len(sent), [row[3]["ticks"] for row in rows]) == (2, pytest.approx([1 + 2 + 3, 4 + 5 + 6]))
 
 
 def test_what_a_robot_applies_advances_per_message_and_not_per_tick(cart: Make) -> None:
@@ -451,8 +449,7 @@ def test_with_repeats_a_draw_stands_for_a_whole_step(cart: Make) -> None:
     environment = cart(
         THREE, "reward={w: abs(delta(w))}", more="parameters: {w: uniform(0 .. 1) each step}\n"
     )
-    values = [row[3]["w"] for row in episode(environment, 50)]
-    assert all(0 < value < 1 for value in values)
+    assert all(0 < value < 1 for value in [row[3]["w"] for row in episode(environment, 50)])
     assert ticks_of_changes(drawn_values(cart, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
         3,
         5,
@@ -484,8 +481,7 @@ def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(cart: M
     first = [row[3]["w"] for row in episode(environment, 33)]
     second = [row[3]["w"] for row in episode(environment, 33)]
     environment.reset()
-    assert first == second
-    assert ticks_of_changes(first) == [6, 11, 16, 21, 26, 31]
+    assert (first, ticks_of_changes(first)) == (second, [6, 11, 16, 21, 26, 31])
 
 
 def test_a_new_draw_changes_no_other(cart: Make) -> None:
@@ -621,9 +617,11 @@ def test_the_episode_ends_for_all_when_it_ends_for_one(copies: Make) -> None:
     _, reward, terminated, truncated, info = last
     assert terminated is True
     assert truncated is False
-    assert info["ended_by"] == "fallen"
-    assert info["each"]["terminated"].count(True) == 1
-    assert info["each"]["reward"] == (1.0, 1.0, 1.0)
+    assert (info["ended_by"], info["each"]["terminated"].count(True), info["each"]["reward"]) == (
+        "fallen",
+        1,
+        (1.0, 1.0, 1.0),
+    )
     assert reward == info["reward_terms"]["alive"] == 1.0
 
 
@@ -631,8 +629,7 @@ def test_the_reward_is_the_mean_and_each_has_its_own(copies: Make) -> None:
     environment = copies(CALM, "reward={still: 1, pushed: drive}")
     environment.reset(seed=0)
     _, reward, _, _, info = environment.step(np.array([0, 1, 0]))
-    assert info["each"]["reward"] == (2.0, 0.0, 2.0)
-    assert reward == pytest.approx(4 / 3)
+    assert (info["each"]["reward"], reward) == ((2.0, 0.0, 2.0), pytest.approx(4 / 3))
     assert info["reward_terms"] == pytest.approx({"still": 1.0, "pushed": 1 / 3})
 
 
@@ -658,8 +655,7 @@ def test_limits_cut_all_short(copies: Make) -> None:
 def test_draws_are_each_copys_own_and_parameters_are_shared(copies: Make) -> None:
     drawn = "parameters={cart_speed: 1 m/s, gust: uniform(0 .. 1), wind: uniform(0 .. 1) every 60 ms}"
     environment = copies(drawn, "reward={wind: wind, gust: gust}")
-    first = environment.reset(seed=0)[0]
-    assert len({float(row[2]) for row in first}) == 3
+    assert len({float(row[2]) for row in environment.reset(seed=0)[0]}) == 3
     rewards = []
     for _ in range(12):
         info = environment.step(np.zeros(3, int))[4]
@@ -773,8 +769,7 @@ def test_copies_can_be_filmed(base: str) -> None:
 
 
 def test_a_single_copy_has_a_row_of_its_own(copies: Make) -> None:
-    environment = copies("robots.cart.count=1")
-    assert environment.reset(seed=0)[0].shape == (1, 4)
+    assert copies("robots.cart.count=1").reset(seed=0)[0].shape == (1, 4)
 
 
 @pytest.mark.parametrize(

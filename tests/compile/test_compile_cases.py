@@ -4,7 +4,8 @@ The changes that a scenario may make to a robot, an object or the world, and the
 
 Findings about a curriculum of levels: at their place, with what to write instead.
 
-What users of other tools write is refused with what to write here instead."""
+What users of other tools write is refused with what to write here instead.
+"""
 
 from __future__ import annotations
 
@@ -46,8 +47,7 @@ def test_a_case_is_what_the_same_assignments_on_the_command_line_compile_to(work
             ("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: delayed")
         )
     ).program
-    assert case.name == "steep"
-    assert case.episodes == 7
+    assert (case.name, case.episodes) == ("steep", 7)
     assert to_json(case.program) == to_json(replace(plain, evaluation=case.program.evaluation))
 
 
@@ -273,8 +273,7 @@ def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) ->
     limit = model(workshop.compile(cartpole(with_cart(change)))).joint("pole_hinge").limit
     assert limit.lower == pytest.approx(math.radians(-60))
     assert limit.upper == pytest.approx(math.radians(45))
-    assert limit.effort == 2.0
-    assert limit.velocity == 25.0
+    assert (limit.effort, limit.velocity) == (2.0, 25.0)
 
 
 def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
@@ -295,8 +294,10 @@ def test_a_pattern_changes_all_that_it_matches_from_the_figure_of_each(workshop,
     plain = model(workshop.compile(cartpole()))
     heavier = model(workshop.compile(cartpole(with_cart('links: {"*": {mass: urdf * 2}}'))))
     for old, new in zip(plain.links, heavier.links, strict=True):
-        assert new.inertial.mass == 2 * old.inertial.mass
-        assert new.inertial.ixx == pytest.approx(2 * old.inertial.ixx)
+        assert (new.inertial.mass, new.inertial.ixx) == (
+            2 * old.inertial.mass,
+            pytest.approx(2 * old.inertial.ixx),
+        )
 
 
 def test_a_group_may_stand_for_the_joints_that_change(workshop, cartpole) -> None:
@@ -401,8 +402,7 @@ def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartp
         " 5 cm, mass: 0.3 kg}\nrobots:\n"
     )
     a, b = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
-    assert a.mass == pytest.approx(1.0)
-    assert b.mass == 0.3
+    assert (a.mass, b.mass) == (pytest.approx(1.0), 0.3)
 
 
 def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
@@ -435,8 +435,10 @@ def test_a_center_of_mass_is_moved_and_an_inertia_scaled(workshop, cartpole) -> 
     change = "links: {body: {com: 1 0 -2 cm, inertia: 1.5}}"
     after = model(workshop.compile(cartpole(with_cart(change)))).link("body").inertial
     x, y, z = before.origin.xyz
-    assert after.origin.xyz == pytest.approx((x + 0.01, y, z - 0.02))
-    assert after.izz == pytest.approx(1.5 * before.izz)
+    assert (after.origin.xyz, after.izz) == (
+        pytest.approx((x + 0.01, y, z - 0.02)),
+        pytest.approx(1.5 * before.izz),
+    )
     assert after.mass == before.mass
 
 
@@ -681,8 +683,7 @@ def test_a_british_colour_is_corrected(workshop, head, line):
         for finding in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour"))
         if finding.code == "DB101"
     )
-    assert finding.help == "write `color: red`"
-    assert [edit.text for edit in finding.fix.edits] == ["color"]
+    assert (finding.help, [edit.text for edit in finding.fix.edits]) == ("write `color: red`", ["color"])
     assert finding.fix.safe is True
     assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOR", "color"))
 

@@ -7,7 +7,8 @@ only follow from others.
 The files that a scenario was made from, and the scenario made again from their copies.
 
 The names of a scenario, as editors offer them: complete, by kind, and each leading to where it is
-defined."""
+defined.
+"""
 
 from __future__ import annotations
 
@@ -98,8 +99,7 @@ def test_each_draw_as_written_has_a_stream_of_its_own(workshop, rail) -> None:
         ),
     )
     streams = draws(workshop.compile(text))
-    assert len(streams) == 3
-    assert len(set(streams)) == 3
+    assert (len(streams), len(set(streams))) == (3, 3)
 
 
 def test_a_draw_for_a_group_is_drawn_for_each_of_its_joints(workshop, cartpole) -> None:
@@ -256,8 +256,10 @@ def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_
     listed = workshop.compile(rail())
     first = ("      place:", "      spin: {type: joint_velocity, joint: hinge}\n      place:")
     plain = workshop.compile(rail((EMIT, "")))
-    assert plain.code == listed.code
-    assert plain.program.robots[0].from_robot == listed.program.robots[0].from_robot
+    assert (plain.code, plain.program.robots[0].from_robot) == (
+        listed.code,
+        listed.program.robots[0].from_robot,
+    )
     assert sent_names(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
     for use in (
         "signals: {spun: delta(cart.spin)}",
@@ -323,15 +325,16 @@ def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
         ("  x:         position(cart).x", "  half: x / 2\n  x:         position(cart).x"),
         (REWARD, "  alive: half / m"),
     )
-    assert workshop.codes(text) == []
-    assert [signal.name for signal in workshop.compile(text).program.signals].index("half") == 1
+    assert (
+        workshop.codes(text),
+        [signal.name for signal in workshop.compile(text).program.signals].index("half"),
+    ) == ([], 1)
 
 
 def test_a_circle_is_reported_once_and_in_full(workshop, cartpole) -> None:
     text = cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x"))
     (finding,) = workshop.lint(text)
-    assert finding.code == "DB207"
-    assert finding.notes == ("the cycle is x -> y -> z -> x",)
+    assert (finding.code, finding.notes) == ("DB207", ("the cycle is x -> y -> z -> x",))
 
 
 def test_previous_does_not_break_a_circle_of_parameters(workshop, cartpole) -> None:
@@ -417,8 +420,10 @@ def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
         ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"),
         ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:"),
     )
-    assert workshop.codes(rail(*edits)) == ["DB609"]
-    assert workshop.codes(rail(*edits, ("reward:", "augment: [lean]\nreward:"))) == []
+    assert (
+        workshop.codes(rail(*edits)),
+        workshop.codes(rail(*edits, ("reward:", "augment: [lean]\nreward:"))),
+    ) == (["DB609"], [])
 
 
 def test_groups_of_links_are_not_joints(workshop, cartpole) -> None:
@@ -437,8 +442,10 @@ def test_a_group_is_made_of_groups_in_the_order_written(workshop, cartpole) -> N
 
 def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop, cartpole) -> None:
     (finding,) = workshop.lint(cartpole(("100_000", "100_00")))
-    assert finding.code == "DB103"
-    assert finding.notes == ("`100_00` is read as text, because its digits are not grouped in threes",)
+    assert (finding.code, finding.notes) == (
+        "DB103",
+        ("`100_00` is read as text, because its digits are not grouped in threes",),
+    )
 
 
 @pytest.mark.parametrize(
@@ -447,8 +454,7 @@ def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop
 )
 def test_so_does_one_about_a_part_of_the_value(workshop, cartpole, old, new):
     (finding,) = workshop.lint(cartpole((old, new)))
-    assert finding.severity == "error"
-    assert len(finding.notes) == 1
+    assert (finding.severity, len(finding.notes)) == ("error", 1)
 
 
 @pytest.mark.parametrize("joints", ["[*wheel]", "[wheel_front_left, *wheel]", "\n          - *wheel"])
@@ -480,8 +486,7 @@ def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_
     assert finding.help.startswith("`wheel_speed` is 5, without a unit")
     assert finding.span.text == "5"
     (label,) = finding.labels
-    assert label.text == "used here"
-    assert label.span.text == "drive * wheel_speed"
+    assert (label.text, label.span.text) == ("used here", "drive * wheel_speed")
 
 
 @pytest.mark.parametrize("value", ["15 kg", "15 m", "15"])
@@ -533,8 +538,10 @@ def meshed(workshop, cartpole):
 
 def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
     inputs = api.compile(meshed).inputs
-    assert list(inputs) == ["scenarios/scenario.yaml", "robots/mine.urdf", "meshes/part.obj"]
-    assert inputs["meshes/part.obj"] == MESH
+    assert (list(inputs), inputs["meshes/part.obj"]) == (
+        ["scenarios/scenario.yaml", "robots/mine.urdf", "meshes/part.obj"],
+        MESH,
+    )
 
 
 @pytest.mark.parametrize("overrides", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
@@ -690,8 +697,10 @@ def searching():
 
 def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_elsewhere(rocking):
     inside = names_at(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
-    assert [entry.name for entry in inside] == ["pitch", "yaw"]
-    assert {entry.description for entry in inside} == {"a continuous joint"}
+    assert ([entry.name for entry in inside], {entry.description for entry in inside}) == (
+        ["pitch", "yaw"],
+        {"a continuous joint"},
+    )
     assert [entry.name for entry in names_at(rocking, "joints", ("reset", "joints"))] == [
         "roller.pitch",
         "roller.yaw",

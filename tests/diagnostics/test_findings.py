@@ -4,7 +4,8 @@ Findings as text: what people and programs read.
 
 Which findings are asked for.
 
-The exceptions: one tree, drawn in the docstring of its module."""
+The exceptions: one tree, drawn in the docstring of its module.
+"""
 
 from __future__ import annotations
 
@@ -107,8 +108,7 @@ def test_sarif_has_a_result_for_each_finding_and_describes_the_rules() -> None:
     place = results[1]["locations"][0]["physicalLocation"]
     assert place["artifactLocation"]["uri"] == "a.yaml"
     assert place["region"] == {"startLine": 2, "startColumn": 3, "endLine": 2, "endColumn": 11}
-    assert rules[1]["defaultConfiguration"]["level"] == "error"
-    assert rules[1]["properties"]["tags"] == ["shape"]
+    assert (rules[1]["defaultConfiguration"]["level"], rules[1]["properties"]["tags"]) == ("error", ["shape"])
     assert "timestep: 50 ms" in rules[1]["help"]["markdown"]
     assert "```yaml" in rules[1]["help"]["markdown"]
 
@@ -167,16 +167,14 @@ def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(
     assert "file=my worlds/a.yaml," in github(findings)
     assert "my%20worlds/a.yaml" in sarif(findings, page)
     assert 'file="my worlds/a.yaml"' in junit(findings, [], ("error",))
-    elsewhere = finding(name="/elsewhere/a.yaml")
-    assert '"file:///elsewhere/a.yaml"' in sarif([elsewhere], page)
+    assert '"file:///elsewhere/a.yaml"' in sarif([finding(name="/elsewhere/a.yaml")], page)
 
 
 def test_a_report_of_tests_has_a_suite_for_each_file_and_a_case_for_each_finding() -> None:
     root = ElementTree.fromstring(
         junit([warning(), finding(), finding(name="b.yaml")], ["c.yaml", "a.yaml"], ("error",))
     )
-    assert root.attrib["tests"] == "4"
-    assert root.attrib["failures"] == "2"
+    assert (root.attrib["tests"], root.attrib["failures"]) == ("4", "2")
     suites = {suite.attrib["name"]: suite for suite in root}
     assert list(suites) == ["a.yaml", "b.yaml", "c.yaml"]
     assert [case.attrib["name"] for case in suites["a.yaml"]] == [
@@ -197,8 +195,7 @@ def test_two_findings_of_one_code_at_one_place_are_two_cases_of_a_report() -> No
 
 def test_a_warning_is_a_failure_of_a_report_where_warnings_fail() -> None:
     root = ElementTree.fromstring(junit([warning()], ["a.yaml"], ("error", "warning")))
-    assert root.attrib["failures"] == "1"
-    assert root[0][0][0].tag == "failure"
+    assert (root.attrib["failures"], root[0][0][0].tag) == ("1", "failure")
 
 
 @settings(max_examples=30)
@@ -319,8 +316,7 @@ def test_a_place_over_several_lines_is_underlined_to_the_end_of_its_first() -> N
 
 
 def test_an_empty_place_gets_one_mark_also_behind_the_last_character() -> None:
-    source = Source("a.yaml", "a:")
-    assert "1 | a:\n  |   ^\n" in render([Finding("DB101", Span(source, 2, 2), "x")])
+    assert "1 | a:\n  |   ^\n" in render([Finding("DB101", Span(Source("a.yaml", "a:"), 2, 2), "x")])
     assert "1 |\n  | ^\n" in render([Finding("DB101", Span(Source("a.yaml", ""), 0, 0), "x")])
 
 
@@ -407,8 +403,10 @@ def test_no_findings_are_not_text_but_still_json() -> None:
 def test_the_summary_counts_by_severity() -> None:
     error = finding_at("a", "a")
     warning = Finding("DB003", error.span, "x")
-    assert summary([error, error, warning]) == "2 errors, 1 warning"
-    assert summary([warning, warning]) == "2 warnings"
+    assert (summary([error, error, warning]), summary([warning, warning])) == (
+        "2 errors, 1 warning",
+        "2 warnings",
+    )
     assert summary([]) == "no findings"
 
 
@@ -515,9 +513,11 @@ def test_a_selection_of_nothing_is_refused() -> None:
 
 def test_a_rule_in_preview_that_is_selected_by_itself_is_noted() -> None:
     (doubt,) = Selection(selectors("DB5", "hidden-state-reward")).inactive_rules()
-    assert doubt.code == "DB902"
-    assert doubt.span.location == "--select:1:5"
-    assert doubt.span.text == "hidden-state-reward"
+    assert (doubt.code, doubt.span.location, doubt.span.text) == (
+        "DB902",
+        "--select:1:5",
+        "hidden-state-reward",
+    )
     assert "--preview" in (doubt.help or "")
 
 
@@ -596,16 +596,17 @@ def test_a_comment_that_suppresses_nothing_is_reported(text: str, marked: str, h
     source = Source("a.yaml", text)
     findings = [warning_at(source, "on")]
     kept, unused = suppress(findings, [source])
-    assert kept == findings
-    assert [(f.code, f.span.text, f.headline) for f in unused] == [("DB901", marked, headline)]
+    assert (kept, [(f.code, f.span.text, f.headline) for f in unused]) == (
+        findings,
+        [("DB901", marked, headline)],
+    )
 
 
 def test_an_error_is_never_suppressed() -> None:
     source = Source("a.yaml", "a: on # deepbots: ignore[DB101]\n")
     findings = [warning_at(source, "on", "DB101")]
     kept, unused = suppress(findings, [source])
-    assert kept == findings
-    assert len(unused) == 1
+    assert (kept, len(unused)) == (findings, 1)
 
 
 def test_one_comment_serves_all_warnings_of_its_line() -> None:
@@ -614,8 +615,7 @@ def test_one_comment_serves_all_warnings_of_its_line() -> None:
 
 
 def test_text_that_only_mentions_the_words_is_not_a_comment() -> None:
-    source = Source("a.yaml", "a: x#deepbots: ignore[DB003]\n")
-    assert suppress([], [source]) == ([], [])
+    assert suppress([], [Source("a.yaml", "a: x#deepbots: ignore[DB003]\n")]) == ([], [])
 
 
 def tree(kind: type[BaseException], depth: int = 0) -> Iterator[tuple[str, int]]:

@@ -7,7 +7,8 @@ has a place for it.
 Every function of the language has an example in the reference that runs as it is printed.
 
 What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables
-and maps are current."""
+and maps are current.
+"""
 
 from __future__ import annotations
 
@@ -304,8 +305,7 @@ def test_the_loop_in_the_vector_api_runs() -> None:
 def test_the_scenario_of_the_stair_has_no_findings_and_runs_as_a_batch() -> None:
     pytest.importorskip("pybullet_data")
     path = FOLDER / "climb.yaml"
-    assert api.lint(path) == []
-    assert batch_obstacles(api.compile(path).program) == []
+    assert (api.lint(path), batch_obstacles(api.compile(path).program)) == ([], [])
 
 
 def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors(

@@ -1,7 +1,8 @@
 """The site: every page is two clicks from the first one, its links lead somewhere, and Sphinx builds it
 without a warning.
 
-The loop of docs/agents.md runs, prints what the page shows, and fits the schema of outputs."""
+The loop of docs/agents.md runs, prints what the page shows, and fits the schema of outputs.
+"""
 
 from __future__ import annotations
 
@@ -418,8 +419,7 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
                 scenario.read_text(encoding="utf-8").replace("abs(cart.pole_angle)", "abs(cart.pole_angel)"),
                 encoding="utf-8",
             )
-    assert wrong == []
-    assert len(steps()) == 7
+    assert (wrong, len(steps())) == ([], 7)
     assert not jsonschema.Draft202012Validator(_schema("train")).is_valid(printed)
 
 

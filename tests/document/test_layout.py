@@ -1,6 +1,7 @@
 """A line whose key lacks its colon has the finding itself, and a fix.
 
-A missing comma, `=` in place of a colon, and a wrong indentation each have a finding with a fix."""
+A missing comma, `=` in place of a colon, and a wrong indentation each have a finding with a fix.
+"""
 
 from __future__ import annotations
 
@@ -112,8 +113,7 @@ def _corrected(text: str) -> str:
 )
 def test_a_missing_comma_between_keys_in_braces_is_added(written: str) -> None:
     (right,) = (line for line in TEXT.splitlines() if line.replace(",", "").endswith(written))
-    text = TEXT.replace(right, right.replace(", ", " "))
-    assert _corrected(text) == TEXT
+    assert _corrected(TEXT.replace(right, right.replace(", ", " "))) == TEXT
 
 
 def test_a_missing_comma_is_added_behind_braces_and_at_the_end_of_a_line() -> None:
@@ -190,8 +190,7 @@ def test_a_value_above_the_block_of_a_section_is_removed() -> None:
     assert text != TEXT
     wrong = text.replace("\nworld:", "\nworld: +")
     (finding,) = findings_of(wrong)
-    assert finding.headline == "`world` has a value, and a block below it"
-    assert _corrected(wrong) == text
+    assert (finding.headline, _corrected(wrong)) == ("`world` has a value, and a block below it", text)
 
 
 def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved() -> None:
@@ -200,8 +199,10 @@ def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved
     assert text != TEXT
     wrong = text.replace("  timestep:", "timestep:")
     (finding,) = findings_of(wrong)
-    assert finding.headline == "`timestep` is not indented below `world`, but the next line is"
-    assert _corrected(wrong) == text
+    assert (finding.headline, _corrected(wrong)) == (
+        "`timestep` is not indented below `world`, but the next line is",
+        text,
+    )
 
 
 @pytest.mark.parametrize(

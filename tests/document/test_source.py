@@ -6,7 +6,8 @@ Edits that keep the other text of a file: moved and set entries, their comments 
 
 Any text at all: no exception, no hang, every place inside the text, and the values that YAML gives.
 
-The canonical layout changes white space only and keeps comments and columns. Shipped files have it."""
+The canonical layout changes white space only and keeps comments and columns. Shipped files have it.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +51,7 @@ from tests.golden.cases import mistakes
 
 def read(text: str) -> tuple[Node | None, list[Finding]]:
     findings = Findings()
-    node = parse(Source("test.yaml", text), findings)
-    return node, list(findings)
+    return parse(Source("test.yaml", text), findings), list(findings)
 
 
 def value(text: str) -> object:
@@ -109,10 +109,14 @@ def test_keys_and_values_know_where_they_begin_and_end() -> None:
     node, findings = read(text)
     assert not findings
     assert isinstance(node, MappingNode)
-    assert node.entries["größe"].key.span.text == "größe"
-    assert node.entries["list"].value.span.text == "[a, {b: 'c d'}]"
-    assert node.entries["end"].value.span.text == "deep: x"
-    assert scalar(text, "list", 1, "b").span.text == "'c d'"
+    assert (node.entries["größe"].key.span.text, node.entries["list"].value.span.text) == (
+        "größe",
+        "[a, {b: 'c d'}]",
+    )
+    assert (node.entries["end"].value.span.text, scalar(text, "list", 1, "b").span.text) == (
+        "deep: x",
+        "'c d'",
+    )
     assert scalar(text, "end", "deep").span.start_position == (4, 9)
     assert node.span.text == text[: text.index("  #")]
 
@@ -122,10 +126,8 @@ def test_the_span_of_a_value_leaves_out_its_anchor() -> None:
     node, findings = read(text)
     assert not findings
     assert isinstance(node, MappingNode)
-    assert node.entries["a"].value.span.text == "b: &two 1"
-    assert scalar(text, "a", "b").span.text == "1"
-    assert node.entries["c"].value.span.text == "[x]"
-    assert to_data(node.entries["d"].value) == {"b": 1}
+    assert (node.entries["a"].value.span.text, scalar(text, "a", "b").span.text) == ("b: &two 1", "1")
+    assert (node.entries["c"].value.span.text, to_data(node.entries["d"].value)) == ("[x]", {"b": 1})
 
 
 @pytest.mark.parametrize(
@@ -158,9 +160,11 @@ def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_b
 
 def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
     finding = only_finding("a: 1\nb: 2\na: 3\n")
-    assert finding.code == "DB002"
-    assert finding.span.start_position == (3, 1)
-    assert finding.labels[0].span.start_position == (1, 1)
+    assert (finding.code, finding.span.start_position, finding.labels[0].span.start_position) == (
+        "DB002",
+        (3, 1),
+        (1, 1),
+    )
     node, _ = read("a: 1\na: 3\n")
     assert node is not None
     assert to_data(node) == {"a": 1}
@@ -177,8 +181,7 @@ def test_a_trap_gets_one_finding_at_its_place_that_says_what_to_write(
     text: str, code: str, marked: str, hint: str
 ) -> None:
     finding = only_finding(text)
-    assert finding.code == code
-    assert finding.span.text == marked
+    assert (finding.code, finding.span.text) == (code, marked)
     assert hint in (finding.help or "")
     assert finding.headline[0] != finding.headline[0].upper() or not finding.headline[0].isalpha()
     assert not finding.headline.endswith(".")
@@ -204,8 +207,7 @@ def test_a_key_that_had_to_be_left_out_marks_its_mapping_as_partial() -> None:
 def test_a_list_with_an_item_that_cannot_be_read_is_left_out_as_a_whole() -> None:
     node, findings = read("a: [b, *c]\nd: 1\n")
     assert node is not None
-    assert to_data(node) == {"d": 1}
-    assert len(findings) == 1
+    assert (to_data(node), len(findings)) == ({"d": 1}, 1)
 
 
 @pytest.mark.parametrize("unit", ["[", "{", "- ", "? ", "[a: ", "{a: ", "{? ", "[\n", "- - ", "? - "])
@@ -237,8 +239,7 @@ def test_a_number_with_a_comma_in_braces_is_not_a_key_to_be_quoted() -> None:
 
 
 def test_64_levels_are_allowed_and_65_are_not() -> None:
-    assert read("[" * 64 + "]" * 64)[1] == []
-    assert only_finding("[" * 65 + "]" * 65).code == "DB005"
+    assert (read("[" * 64 + "]" * 64)[1], only_finding("[" * 65 + "]" * 65).code) == ([], "DB005")
 
 
 def test_more_than_8_000_values_are_refused() -> None:
@@ -299,9 +300,7 @@ def contents(node: Node) -> object:
 def test_a_decimal_comma_in_braces_is_not_reported_as_a_key() -> None:
     for text, value in [("-1,5 cm", "-1.5 cm"), ("-0,5 .. 0,5 m", "-0.5 .. 0.5 m"), ("0,99", "0.99")]:
         node, (finding,) = read(f"{{x: 5 cm, y: {text}}}")
-        assert finding.code == "DB001"
-        assert finding.span.text == text
-        assert to_data(node) == {"x": "5 cm"}
+        assert (finding.code, finding.span.text, to_data(node)) == ("DB001", text, {"x": "5 cm"})
         assert finding.help == f"write a decimal point: `{value}`"
     (finding,) = read("{x: 5 cm, y: a1,5 cm}")[1]
     assert (finding.code, finding.span.text) == ("DB107", "5 cm")
@@ -463,17 +462,21 @@ def test_a_file_that_leads_back_to_itself_is_reported(tmp_path: Path, word: str)
     path = write(tmp_path, a=f"{word}b.yaml\n", b=f"{word}a.yaml\n")
     document = load(path)
     (finding,) = document.findings
-    assert (finding.code, finding.span.text) == ("DB204", "a.yaml")
-    assert finding.notes == ("a.yaml -> b.yaml -> a.yaml",)
+    assert ((finding.code, finding.span.text), finding.notes) == (
+        ("DB204", "a.yaml"),
+        ("a.yaml -> b.yaml -> a.yaml",),
+    )
 
 
 def test_a_missing_file_is_reported_once_and_the_nearest_name_is_suggested(tmp_path: Path) -> None:
     path = write(tmp_path, main="r: {include: epuk.yaml}\ns: 1\n", epuck="a: 1\n")
     document = load(path)
     (finding,) = document.findings
-    assert finding.code == "DB204"
-    assert finding.span.text == "epuk.yaml"
-    assert finding.help == "did you mean epuck.yaml?"
+    assert (finding.code, finding.span.text, finding.help) == (
+        "DB204",
+        "epuk.yaml",
+        "did you mean epuck.yaml?",
+    )
     assert document.root is not None
     assert to_data(document.root) == {"r": {}, "s": 1}
 
@@ -508,8 +511,10 @@ def test_a_symbolic_link_that_leads_outside_is_called_one(tmp_path: Path) -> Non
 def test_an_allowed_path_may_be_read(tmp_path: Path) -> None:
     path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
     write(tmp_path / "shared", base="a: 1\n")
-    assert codes(load(path)) == ["DB204"]
-    assert data(load(path, permissions=Permissions([tmp_path / "shared"]))) == {"a": 1}
+    assert (codes(load(path)), data(load(path, permissions=Permissions([tmp_path / "shared"])))) == (
+        ["DB204"],
+        {"a": 1},
+    )
 
 
 def test_allowed_paths_may_be_text_and_a_single_one(tmp_path: Path) -> None:
@@ -523,8 +528,7 @@ def test_the_project_is_the_nearest_folder_with_a_marker(tmp_path: Path) -> None
     (tmp_path / "deepbots.toml").touch()
     path = write(tmp_path / "deep" / "down", main="extends: ../../base.yaml\n")
     write(tmp_path, base="a: 1\n")
-    assert project_root(path.parent) == tmp_path
-    assert data(load(path)) == {"a": 1}
+    assert (project_root(path.parent), data(load(path))) == (tmp_path, {"a": 1})
 
 
 def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
@@ -545,8 +549,7 @@ def test_an_unknown_name_is_not_a_shipped_file(name: str) -> None:
 
 def test_many_files_cannot_expand_beyond_the_limit(tmp_path: Path) -> None:
     files = {f"f{i}": "\n".join(f"k{j}: {{include: f{i + 1}.yaml}}" for j in range(10)) for i in range(10)}
-    path = write(tmp_path, **files, f10="a: 1\n")
-    assert "DB005" in codes(load(path))
+    assert "DB005" in codes(load(write(tmp_path, **files, f10="a: 1\n")))
 
 
 def test_a_long_chain_of_files_is_refused(tmp_path: Path) -> None:
@@ -567,9 +570,11 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
     document = load(file)
     (finding,) = document.findings
-    assert finding.code == "DB205"
-    assert finding.span.location == f"{file}:2:5"
-    assert finding.labels[0].span.text == "a.b"
+    assert (finding.code, finding.span.location, finding.labels[0].span.text) == (
+        "DB205",
+        f"{file}:2:5",
+        "a.b",
+    )
     assert document.root is not None
     assert to_data(document.root) == {"a": {"b": 2, "c": 3}}
 
@@ -705,8 +710,10 @@ def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_co
 
 def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scenario() -> None:
     (finding,) = loads("deepbots: 1\nextends: cartpoel\n").findings
-    assert finding.code == "DB204"
-    assert finding.help == "did you mean `cartpole`, which is shipped with deepbots?"
+    assert (finding.code, finding.help) == (
+        "DB204",
+        "did you mean `cartpole`, which is shipped with deepbots?",
+    )
     assert finding.notes[0].startswith("shipped scenarios are balancer, biped, carry, cartpole, ")
 
 
@@ -732,8 +739,10 @@ def test_a_file_is_read_to_its_end_or_to_the_limit(tmp_path, size, most):
 def test_a_file_that_says_that_it_is_empty_is_read_all_the_same():
     whole = Path("/proc/version").read_bytes()
     assert Path("/proc/version").stat().st_size == 0 < len(whole)
-    assert read_at_most(Path("/proc/version"), 1000) == whole
-    assert read_at_most(Path("/proc/version"), 3) == whole[:3]
+    assert (read_at_most(Path("/proc/version"), 1000), read_at_most(Path("/proc/version"), 3)) == (
+        whole,
+        whole[:3],
+    )
 
 
 def test_a_small_file_takes_no_memory_for_the_largest_that_might_be(tmp_path):
@@ -808,8 +817,7 @@ TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), m
 
 @given(st.dictionaries(st.sampled_from(["a", "on", "b c"]), TEXT))
 def test_a_tree_that_is_written_is_read_as_the_same_data(data: dict[str, str]) -> None:
-    written = to_yaml(root_of(json.dumps(data)))
-    assert to_data(root_of(written)) == data
+    assert to_data(root_of(to_yaml(root_of(json.dumps(data))))) == data
 
 
 # Pieces that YAML gives a meaning, and words; strings of them reach far into the parser.
@@ -1013,8 +1021,7 @@ def meaning(text):
 
 
 def test_blanks_blank_lines_and_indentation_are_put_in_order():
-    assert canonical_text(UNTIDY) == TIDY
-    assert canonical_text(TIDY) == TIDY
+    assert (canonical_text(UNTIDY), canonical_text(TIDY)) == (TIDY, TIDY)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -1056,8 +1063,7 @@ def test_any_layout_of_a_scenario_is_changed_without_its_meaning_and_once_for_al
         before = meaning(text)
         done = canonical_text(text) if before is not None else None
         if done is not None:
-            assert meaning(done) == before
-            assert canonical_text(done) == done
+            assert (meaning(done), canonical_text(done)) == (before, done)
 
 
 @pytest.mark.parametrize("name", few(SHIPPED, LIGHT))

@@ -7,7 +7,8 @@ Random expressions: the printed Python has the values of a direct evaluation, in
 
 A vector for each link of a group: positions of feet, their components, reductions and combinations.
 
-Stateful functions, computed by their memories."""
+Stateful functions, computed by their memories.
+"""
 
 from __future__ import annotations
 
@@ -330,8 +331,7 @@ def test_a_robot_is_read_at_its_base_link_and_a_joint_by_its_name(bench):
 def test_states_of_one_text_have_slots_of_their_own(bench):
     (outer,) = lower(bench.clean("hold(x, x > previous(x))"), "signals.best")
     assert isinstance(outer, State)
-    assert outer.slot == "signals.best#0"
-    assert outer.args[1].args[1].slot == "signals.best#1"
+    assert (outer.slot, outer.args[1].args[1].slot) == ("signals.best#0", "signals.best#1")
 
 
 def quaternion(roll, pitch, yaw):
@@ -687,8 +687,10 @@ def test_rows_are_combined_as_by_hand(bench, text, value):
 def test_work_and_power_are_not_measured_in_radians(bench):
     """A torque times an angular velocity over a watt was "an angle (rad)"."""
     power = "sum(abs(joint_torque(cart.legs) * joint_velocity(cart.legs)))"
-    assert str(bench.clean(power).type.dimension) == "W"
-    assert str(bench.clean(f"{power} / (N*m*rad/s)").type.dimension) == "1"
+    assert (
+        str(bench.clean(power).type.dimension),
+        str(bench.clean(f"{power} / (N*m*rad/s)").type.dimension),
+    ) == ("W", "1")
     assert str(bench.clean("joint_torque(cart.legs) * joint_position(cart.legs)").type.dimension) == "N*m"
     assert str(bench.clean("2 kg*m^2 * 3 rad/s^2").type.dimension) == "N*m"
     assert str(bench.clean("4 N*m/rad * angle").type.dimension) == "N*m"
@@ -706,8 +708,7 @@ def test_a_group_of_feet_is_the_same_as_foot_by_foot():
             observation, reward, terminated, _, info = group.step(action)
             foot_by_foot, other_reward, _, _, other_info = by_link.step(action)
             np.testing.assert_array_equal(observation, foot_by_foot)
-            assert reward == other_reward
-            assert info["reward_terms"] == other_info["reward_terms"]
+            assert (reward, info["reward_terms"]) == (other_reward, other_info["reward_terms"])
             terms |= {name for name, value in info["reward_terms"].items() if value != 0.0}
             if terminated:
                 break

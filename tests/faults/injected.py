@@ -14,7 +14,8 @@ Every mistake of `places` in every way of writing of `styles`, and moreover in f
 behind text of other scripts, in files that others extend, and in parts that others include. Cases are drawn
 evenly, and always the same.
 
-Lint of injected faults: whether the findings are those of the faults."""
+Lint of injected faults: whether the findings are those of the faults.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 other for.
 
 What fixes leave behind: the text that was meant, every comment, no new mistake, and nothing more to
-fix."""
+fix.
+"""
 
 from __future__ import annotations
 
@@ -168,8 +169,7 @@ def test_the_fix_of_a_slip_gives_back_the_right_text(
     path.write_text(text.replace(right, wrong, 1), encoding="utf-8")
     fixer = Fixer([str(path)], api.load, unsafe=True)
     (rewrite,) = fixer.fix()
-    assert rewrite.after.decode() == text
-    assert [finding.code for finding in fixer.fixed] == [code]
+    assert (rewrite.after.decode(), [finding.code for finding in fixer.fixed]) == (text, [code])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ the scenario does not have.
 
 The command that trains the scenario of a run again.
 
-The changes of a scenario that a phrase asks for."""
+The changes of a scenario that a phrase asks for.
+"""
 
 from __future__ import annotations
 
@@ -102,9 +103,11 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(held):
     logged = with_logs(training.run.path, np.linspace(0, 5 * script, 400), FLAT, success=good, **curves)
     cheating = replace(logged, scripts=training.scripts, policy=training.policy, random=training.random)
     first = diagnose(cheating)[0]
-    assert first.cause == "reward_exploited"
-    assert first.evidence["term"] == "parked"
-    assert first.evidence["example"] == "the script 'by_hand'"
+    assert (first.cause, first.evidence["term"], first.evidence["example"]) == (
+        "reward_exploited",
+        "parked",
+        "the script 'by_hand'",
+    )
     assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
     assert "Let 'parked' pay once" in first.advice
     poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
@@ -289,9 +292,11 @@ def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_
     assert {trace.outcome for trace in failed} == {"time limit"}
     missed = common_miss(failed)
     assert missed is not None
-    assert missed.condition.text == "abs(joint_velocity(shuttle.slide)) < 2 mm/s"
-    assert missed.episodes == 4
-    assert missed.of == 4
+    assert (missed.condition.text, missed.episodes, missed.of) == (
+        "abs(joint_velocity(shuttle.slide)) < 2 mm/s",
+        4,
+        4,
+    )
     good = outcomes(400, 0.5, 0.5)
     training = with_logs(run.path, returns_of(good, 0), FLAT, success=good)
     statement = statement_of(replace(training, failed=failed), "missed_condition")
@@ -418,11 +423,15 @@ def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
     )
     facts = ScenarioFacts(compiled.program, compiled.units)
     numbers = {number.full_name: number for number in compiled.program.agent.numbers}
-    assert facts.range_text(numbers["x"], 0.25) == "25 cm"
-    assert facts.range_text(numbers["cart.pole_angle"], np.pi / 6) == "30 deg"
+    assert (
+        facts.range_text(numbers["x"], 0.25),
+        facts.range_text(numbers["cart.pole_angle"], np.pi / 6),
+    ) == ("25 cm", "30 deg")
     assert facts.units.of("rad", "abs(cart.pole_angle)", "fall_angle") == UNITS["rad"]
-    assert quantity_text(0.003, facts.units.of("m/s", "3 mm/s")) == "3 mm/s"
-    assert facts.units.of("m", "no unit").text == "m"
+    assert (quantity_text(0.003, facts.units.of("m/s", "3 mm/s")), facts.units.of("m", "no unit").text) == (
+        "3 mm/s",
+        "m",
+    )
 
 
 # One verdict
@@ -591,9 +600,11 @@ def test_the_setting_that_is_far_from_usual_comes_first(short, settings, path, a
         short, *settings, train__approx_kl=[0.01, 0.2] * 10, train__entropy_loss=[-0.6, -0.4, -0.5, -0.65]
     )
     first = diagnose(training)[0]
-    assert first.cause == "fell_apart"
-    assert first.evidence["suspects"][0]["path"] == path
-    assert first.settings == {path: advised}
+    assert (first.cause, first.evidence["suspects"][0]["path"], first.settings) == (
+        "fell_apart",
+        path,
+        {path: advised},
+    )
     assert f"`{path}: {advised}`" in first.advice
     assert first.text.startswith(
         "The training got worse: the mean return of its evaluations fell from 200 at 36,000 steps"
@@ -603,8 +614,7 @@ def test_the_setting_that_is_far_from_usual_comes_first(short, settings, path, a
 def test_large_rewards_are_named(short):
     means = [100 * mean for mean in MEANS]
     training = _fallen(short, "reward.alive=100", means=means, train__explained_variance=[0.1] * 20)
-    first = diagnose(training)[0]
-    assert first.settings == {"train.normalize": "reward"}
+    assert diagnose(training)[0].settings == {"train.normalize": "reward"}
     normalized = _fallen(
         short, "reward.alive=100", "train.normalize=reward", means=means, train__explained_variance=[0.1] * 20
     )
@@ -628,9 +638,11 @@ def test_defaults_are_not_suspected_and_values_far_from_them_are(short, settings
 
 def test_with_usual_settings_the_advice_is_smaller_updates(short):
     first = diagnose(_fallen(short))[0]
-    assert first.cause == "fell_apart"
-    assert first.evidence["suspects"] == []
-    assert first.settings == {"train.learning_rate": "0.005 -> 0.0005"}
+    assert (first.cause, first.evidence["suspects"], first.settings) == (
+        "fell_apart",
+        [],
+        {"train.learning_rate": "0.005 -> 0.0005"},
+    )
 
 
 def test_a_success_that_is_given_up_for_more_reward_is_not_a_matter_of_settings(short):
@@ -691,8 +703,7 @@ def test_every_command_prints_the_same_sentence(fallen, tmp_path, capsys):
     assert main(["runs", str(fallen.parent), "--json"]) == 0
     (listed,) = json.loads(capsys.readouterr().out)
     assert listed["decline"]["text"].startswith(sentence)
-    assert listed["decline"]["measure"] == "mean_return"
-    assert listed["decline"]["best_steps"] == 36_000
+    assert (listed["decline"]["measure"], listed["decline"]["best_steps"]) == ("mean_return", 36_000)
     assert main(["diagnose", str(fallen), "--only-logs"]) == 0
     assert sentence[1:] in capsys.readouterr().out
     assert main(["eval", str(fallen), "--episodes", "2"]) == 0
@@ -737,8 +748,7 @@ def command_of(folder: Path, *words: str) -> list[str]:
 
 def test_it_has_the_seed_the_settings_and_further_values(short_copy):
     words = command_of(short_copy, "--set", "train.gamma=0.5", "--set=train.n_steps=64")
-    assert words[:3] == ["deepbots", "train", "cartpole"]
-    assert words[words.index("--seed") + 1] == "2"
+    assert (words[:3], words[words.index("--seed") + 1]) == (["deepbots", "train", "cartpole"], "2")
     settings = [words[index + 1] for index, word in enumerate(words) if word == "--set"]
     assert settings == ["train.n_steps=64", "train.gamma=0.9"]
 

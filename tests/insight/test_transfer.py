@@ -1,6 +1,7 @@
 """Two worlds of a policy: what differs, the changes that explain it, and the gate.
 
-The log of a robot beside the simulation."""
+The log of a robot beside the simulation.
+"""
 
 from __future__ import annotations
 
@@ -519,8 +520,7 @@ def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
 ) -> None:
     log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + (0.5 if time > 3.2 else 0.0))
     first = compare_log(run, log)[0]
-    assert first.name == "cart.pole_angle"
-    assert first.since == pytest.approx(3.2, abs=2 * PERIOD)
+    assert (first.name, first.since) == ("cart.pole_angle", pytest.approx(3.2, abs=2 * PERIOD))
     assert first.robot[0] - first.simulated[0] == pytest.approx(0.5 * 199 / 300, abs=0.02)
     assert main(["transfer", str(run.path), "--log", str(log)]) == 0
     assert re.search(
@@ -534,13 +534,14 @@ def test_noise_is_measured(run: Run, tmp_path: Path) -> None:
     generator = np.random.default_rng(0)
     log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + generator.normal(0.0, 0.3))
     (advice,) = {each.advice for each in compare_log(run, log) if each.advice}
-    noise = float(advice.partition("noise: ")[2].split()[0])
-    assert noise == pytest.approx(0.3, rel=0.15)
+    assert float(advice.partition("noise: ")[2].split()[0]) == pytest.approx(0.3, rel=0.15)
 
 
 def test_the_distance_is_that_of_the_distribution_functions() -> None:
-    assert distance(np.arange(10.0), np.arange(10.0)) == 0.0
-    assert distance(np.arange(10.0), np.arange(10.0) + 5.0) == pytest.approx(0.5)
+    assert (distance(np.arange(10.0), np.arange(10.0)), distance(np.arange(10.0), np.arange(10.0) + 5.0)) == (
+        0.0,
+        pytest.approx(0.5),
+    )
     assert distance(np.zeros(3), np.ones(7)) == 1.0
 
 

@@ -11,7 +11,8 @@ Where a place is: positions of the protocol, and the path of a place in a text t
 The examples of docs/editors.md about the language server are true, and its settings can be read.
 
 Findings as one types: the same as of `deepbots lint`, at places of the protocol, of the newest text
-only."""
+only.
+"""
 
 from __future__ import annotations
 
@@ -459,8 +460,7 @@ def test_an_edit_never_begins_or_ends_within_a_line_end(text):
 def test_the_outline_shows_sections_and_the_names_in_them(client, pit):
     symbols = client.request("textDocument/documentSymbol", {"textDocument": {"uri": pit}})
     names = {symbol["name"]: [inner["name"] for inner in symbol.get("children", [])] for symbol in symbols}
-    assert names["signals"] == ["reach", "metric"]
-    assert names["parameters"] == ["radius", "time_limit", "speed"]
+    assert (names["signals"], names["parameters"]) == (["reach", "metric"], ["radius", "time_limit", "speed"])
     assert list(names)[:3] == ["deepbots", "name", "summary"]
 
 
@@ -558,8 +558,10 @@ def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_sett
 
 def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client, ball, project):
     piece = client.open(project / "robots" / "epuck.yaml")
-    assert client.findings(piece) == []
-    assert client.definition(piece, "link: base_l¦ink") == [("epuck.urdf", 14, 14)]
+    assert (client.findings(piece), client.definition(piece, "link: base_l¦ink")) == (
+        [],
+        [("epuck.urdf", 14, 14)],
+    )
     assert "`infrared`" in client.hover(piece, "ty¦pe: infrared")
     client.close(piece)
 
@@ -679,8 +681,7 @@ def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
 
 @given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
 def test_any_text_whatever_has_a_path(text, offset):
-    cursor = cursor_at(text, min(offset, len(text)))
-    assert cursor.start <= max(len(text), 0)
+    assert cursor_at(text, min(offset, len(text))).start <= max(len(text), 0)
 
 
 @pytest.mark.parametrize(
@@ -826,8 +827,7 @@ def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, wo
         )
     )
     (only,) = client.findings(uri)
-    assert underlined_text(client, uri, only) == "ü😀"
-    assert only["range"]["end"] == {"line": 4, "character": 5}
+    assert (underlined_text(client, uri, only), only["range"]["end"]) == ("ü😀", {"line": 4, "character": 5})
     client.close(uri)
     assert position(summary, summary.index("parameters"))["character"] == summary.index("parameters") + 1
 
@@ -908,8 +908,10 @@ def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
     uri = client.open(world("pit_escape", ("signals:\n", "signals:\n  radius: time\n")))
     (only,) = [finding for finding in client.findings(uri) if finding["code"] == "DB202"]
     (first,) = only["relatedInformation"]
-    assert first["message"] == "first defined here"
-    assert first["location"]["range"]["start"] == {"line": 3, "character": 13}
+    assert (first["message"], first["location"]["range"]["start"]) == (
+        "first defined here",
+        {"line": 3, "character": 13},
+    )
     client.close(uri)
 
 
@@ -919,9 +921,7 @@ def test_a_comment_suppresses_a_finding_and_without_it_the_finding_is_reported(c
     assert client.findings(uri) == []
     client.change(uri, client.texts[uri].replace("spare: time  # deepbots: ignore[DB205]", "spare: time"))
     (only,) = client.findings(uri)
-    assert only["code"] == "DB205"
-    assert only["severity"] == WARNING
-    assert only["tags"] == [1]
+    assert (only["code"], only["severity"], only["tags"]) == ("DB205", WARNING, [1])
     client.close(uri)
 
 

@@ -1,7 +1,8 @@
 """The server as a process that runs all day: its end, its memory, and the order of its answers.
 
 Whatever a document holds and a client asks: there is an answer, without a word in the log, and nothing
-heavy is imported."""
+heavy is imported.
+"""
 
 from __future__ import annotations
 
@@ -312,8 +313,10 @@ def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, projec
     assert all(
         "lies outside the project" in finding["message"] for finding in findings if finding["code"] == "DB204"
     )
-    assert [finding["code"] for finding in findings][:1] == ["DB204"]
-    assert client.definition(uri, "extends: /etc/pas¦swd") == []
+    assert (
+        [finding["code"] for finding in findings][:1],
+        client.definition(uri, "extends: /etc/pas¦swd"),
+    ) == (["DB204"], [])
     client.close(uri)
 
 
@@ -386,8 +389,7 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
     with connected(port) as line:
         line.sendall(f"Content-Length: {len(body)}\r\n\r\n{body}".encode())
         assert b"hoverProvider" in line.recv(100_000)
-    assert server.wait(20) == 0
-    assert server.stderr.read() == b""
+    assert (server.wait(20), server.stderr.read()) == (0, b"")
 
 
 @pytest.mark.slow
@@ -404,8 +406,7 @@ def test_a_port_in_use_and_a_missing_folder_are_errors_of_one_line(tmp_path):
         ran = subprocess.run(
             command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False
         )
-    assert ran.returncode == 0
-    assert ran.stdout == ""
+    assert (ran.returncode, ran.stdout) == (0, "")
     busy, missing = ran.stderr.splitlines()
     assert busy == f"error: cannot listen on port {port}: address already in use"
     assert missing.startswith("error: missing is not a folder; --allow-path needs an existing folder")
@@ -429,7 +430,6 @@ def test_without_the_extra_one_line_says_what_to_install():
     ran = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
     )
-    assert ran.returncode == 2
-    assert ran.stdout == ""
+    assert (ran.returncode, ran.stdout) == (2, "")
     assert f"the language server needs the 'editor' extra; {install_hint('editor')}" in ran.stderr
     assert "Traceback" not in ran.stderr

@@ -9,7 +9,8 @@ Experiments on what robots feel and measure: inertial sensors and rays.
 
 Experiments on what flies, swings, turns and is driven, without contacts.
 
-All experiments whose outcome is known in closed form, by name."""
+All experiments whose outcome is known in closed form, by name.
+"""
 
 from __future__ import annotations
 

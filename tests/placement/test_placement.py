@@ -7,7 +7,8 @@ seed.
 
 Bodies that stand on the top of an object: `on: table`.
 
-Ways around obstacles: their lengths against closed forms, and what happens where there is none."""
+Ways around obstacles: their lengths against closed forms, and what happens where there is none.
+"""
 
 from __future__ import annotations
 
@@ -86,8 +87,10 @@ def test_contact_terms_name_what_touches_what(environment: Supervisor) -> None:
         steps.append(terms)
         assert terms["bumped"] == terms["touches"], "the block is all that the cart can bump into"
     landed = next(index for index, terms in enumerate(steps) if terms["landed"])
-    assert landed == pytest.approx((2 * (0.2 - 0.07) / 9.81) ** 0.5 / 0.02, abs=1.5)
-    assert steps[0]["wheels"] == 1.0
+    assert (landed, steps[0]["wheels"]) == (
+        pytest.approx((2 * (0.2 - 0.07) / 9.81) ** 0.5 / 0.02, abs=1.5),
+        1.0,
+    )
     assert not steps[0]["touches"]
     reached = next(index for index, terms in enumerate(steps) if terms["touches"])
     assert reached == pytest.approx((0.3 - 0.05 - 0.037) / (6 * 0.02) / 0.02, rel=0.15)
@@ -122,8 +125,7 @@ def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
         away = [math.dist(cart, place(environment, f"crate#{index + 1}")) for index in range(number)]
         assert there["nearest"] == pytest.approx(min(away, default=9.0), abs=1e-5)
         assert there["some"] == bool(number)
-        assert there["every"] == (not number)
-        assert round(there["things"]) == 2
+        assert (there["every"], round(there["things"])) == (not number, 2)
         counts[number] += 1
     assert set(counts) == {0, 1, 2, 3, 4}
 

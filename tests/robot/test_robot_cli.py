@@ -1,6 +1,7 @@
 """`deepbots-robot check` and the keys of `deepbots export`, as a user runs them.
 
-The section `ros`: what `inspect --ros` prints is a section that fits, and a bundle has it."""
+The section `ros`: what `inspect --ros` prints is a section that fits, and a bundle has it.
+"""
 
 from __future__ import annotations
 
@@ -66,8 +67,7 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
     if not script.exists():
         pytest.skip("the package is not installed")
     done = subprocess.run([script, "check", "."], cwd=place, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
@@ -79,9 +79,7 @@ def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-P", "-c", code, "check", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.returncode == 0
-    assert done.stdout.splitlines()[-1] == "\\u03bb"
-    assert done.stderr == ""
+    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "\\u03bb", "")
 
 
 @pytest.mark.slow

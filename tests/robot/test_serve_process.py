@@ -3,7 +3,8 @@ a kill.
 
 A bundle at one end of a link and the simulation at the other act as the policy in the environment does.
 
-`deepbots try --robot`: the measurements of a robot are scored as the simulation would score them."""
+`deepbots try --robot`: the measurements of a robot are scored as the simulation would score them.
+"""
 
 from __future__ import annotations
 
@@ -409,8 +410,10 @@ def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(
         (here,), report = try_robot(
             program, transport, lambda world: named_driver(world, driver), lockstep=True, seconds=10
         )
-    assert there[0].length == pytest.approx(alone.length, abs=1)
-    assert here.length == pytest.approx(alone.length, abs=2)
+    assert (there[0].length, here.length) == (
+        pytest.approx(alone.length, abs=1),
+        pytest.approx(alone.length, abs=2),
+    )
     assert here.terms.keys() == {term.name for term in kept.agent.reward}
     for name, total in here.terms.items():
         assert total == pytest.approx(
@@ -423,8 +426,10 @@ def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(
 def test_a_value_that_nothing_measures_is_named_and_left_out() -> None:
     bare = robot_program(api.compile("find_ball").program)
     kept, notes = scored(bare, sent_readings(bare))
-    assert [term.name for term in kept.agent.reward] == ["time", "found"]
-    assert [ending.name for ending in kept.endings] == ["found"]
+    assert ([term.name for term in kept.agent.reward], [ending.name for ending in kept.endings]) == (
+        ["time", "found"],
+        ["found"],
+    )
     assert notes == [
         "reward.closer is left out: nothing measures path_distance(epuck, ball)",
         "reward.crash is left out: nothing measures collided(epuck)",
@@ -457,8 +462,10 @@ def test_the_command_plays_further_episodes_when_the_robot_begins_them(
         )
     report = json.loads(capsys.readouterr().out)
     assert [episode["length"] for episode in report["episodes"]] == [episode.length for episode in there]
-    assert {episode["ended_by"] for episode in report["episodes"]} == {"fallen"}
-    assert report["link"]["refused"] == {}
+    assert ({episode["ended_by"] for episode in report["episodes"]}, report["link"]["refused"]) == (
+        {"fallen"},
+        {},
+    )
 
 
 @pytest.mark.slow

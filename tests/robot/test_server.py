@@ -5,7 +5,8 @@ Floods at a server: other connections neither get commands nor take memory; `pyt
 measures them.
 
 Other ends that mean harm or are of something else: they neither end the server, nor take memory, nor keep
-a robot out."""
+a robot out.
+"""
 
 from __future__ import annotations
 
@@ -201,8 +202,10 @@ def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_
     assert len(safe) == pytest.approx((1.0 - AGE) * RATE, abs=15)  # again and again
     world.line.coming.append((101.05, Arrival("e", stamp=101.05, kind="reset", number=1)))
     world.line.put(101.1, 0.2)
-    assert world.run(101.11)[-1] == (101.1, [2.0, 2.0])
-    assert [kind for kind, _ in world.events] == ["safe", "episode", "resumed"]
+    assert (world.run(101.11)[-1], [kind for kind, _ in world.events]) == (
+        (101.1, [2.0, 2.0]),
+        ["safe", "episode", "resumed"],
+    )
     assert world.server.report()["safe_because"] == {"silence": 1}
 
 
@@ -238,8 +241,7 @@ def test_what_a_network_does_to_messages_is_ignored(stamp: float, kind: str) -> 
     world.line.put(100.03, 0.9, stamp)
     world.line.put(100.04, 0.3)
     world.run(100.045)
-    assert world.policy.seen == [0.1, 0.2, 0.3]
-    assert world.server.report()["refused"][kind]["count"] == 2
+    assert (world.policy.seen, world.server.report()["refused"][kind]["count"]) == ([0.1, 0.2, 0.3], 2)
     assert not world.server.safe_steps
 
 
@@ -259,8 +261,7 @@ def test_messages_that_were_long_under_way_are_ignored() -> None:
     for step in range(10):
         world.line.put(100.0 + step / RATE, 0.1, 500.0 + step / RATE)  # the clock of the robot is another one
     world.line.put(100.5, 0.9, 500.2)
-    answers = world.run(100.51)
-    assert answers[-1][1] == SAFE
+    assert world.run(100.51)[-1][1] == SAFE
     assert 0.9 not in world.policy.seen
     assert world.server.report()["refused"]["late"]["count"] == 2
     for late in range(20):  # a network that was held up delivers all at once
@@ -434,8 +435,7 @@ def test_the_log_has_the_answer_times_of_the_report() -> None:
     report = world.server.report()
     assert report["held_steps"] > 1
     answer_times = [answer for posture, answer in world.logged if posture == "policy"]
-    assert len(answer_times) == report["steps"]
-    assert answer_times.count(0.0) == report["held_steps"]
+    assert (len(answer_times), answer_times.count(0.0)) == (report["steps"], report["held_steps"])
     assert max(answer_times) == report["answer_max"]
 
 
@@ -448,8 +448,10 @@ def test_in_lockstep_a_robot_that_is_quiet_is_remarked_on_once_each_time() -> No
         world.run(begun + 4.9)
         assert len(world.events) == (begun == 140.0)
         world.run(begun + 19.0)
-    assert world.events == [("quiet", "no values for 5 s: does the robot still run?")] * 2
-    assert len(world.line.sent) == 2
+    assert (world.events, len(world.line.sent)) == (
+        [("quiet", "no values for 5 s: does the robot still run?")] * 2,
+        2,
+    )
 
 
 # The log

@@ -2,7 +2,8 @@
 
 Closed forms, and overrides against them.
 
-Masses of links from their density: closed forms at once, meshes when they are simulated."""
+Masses of links from their density: closed forms at once, meshes when they are simulated.
+"""
 
 from __future__ import annotations
 
@@ -71,8 +72,7 @@ def robot_with(folder: Path, filename: str) -> tuple[RobotFile | None, list[str]
     findings = Findings()
     robot = read(folder / "robot.urdf", "robot.urdf", findings)
     for finding in findings:
-        assert finding.code == "DB301"
-        assert finding.span.text == filename
+        assert (finding.code, finding.span.text) == ("DB301", filename)
     return robot, [finding.headline for finding in findings]
 
 
@@ -98,8 +98,7 @@ def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkey
     for content in (sound, sound, broken, broken):
         (tmp_path / "m.obj").write_bytes(content)
         problems.append(robot_with(tmp_path, "m.obj")[1])
-    assert checked == [sound, broken]
-    assert problems[:2] == [[], []]
+    assert (checked, problems[:2]) == ([sound, broken], [[], []])
     assert problems[2] == problems[3] != []
 
 
@@ -242,8 +241,7 @@ def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
         robot, headlines = robot_with(tmp_path, name)
-        assert headlines == []
-        assert mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:] == (3, 3)
+        assert (headlines, mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:]) == ([], (3, 3))
 
 
 def test_a_collada_file_of_polygons_is_sound(tmp_path: Path):
@@ -474,8 +472,7 @@ def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
         .visuals[0]
         .shape
     )
-    assert shape.radius == pytest.approx(0.2)
-    assert shape.length == pytest.approx(3.0)
+    assert (shape.radius, shape.length) == (pytest.approx(0.2), pytest.approx(3.0))
 
 
 def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
@@ -528,9 +525,11 @@ def test_joint_and_friction_overrides_change_only_what_is_named():
     model = with_joint(
         with_joint(robot(Sphere(1.0)), "j", damping=0.5), "j", friction=0.1, limit=Limit(effort=2.0)
     )
-    assert model.joint("j").damping == 0.5
-    assert model.joint("j").friction == 0.1
-    assert model.joint("j").limit.effort == 2.0
+    assert (model.joint("j").damping, model.joint("j").friction, model.joint("j").limit.effort) == (
+        0.5,
+        0.1,
+        2.0,
+    )
     model = with_friction(with_friction(model, "a", lateral=0.3), "a", rolling=0.0)
     assert model.link("a").friction == Friction(lateral=0.3, rolling=0.0)
     assert model.link("b") == robot(Sphere(1.0)).link("b")

@@ -4,7 +4,8 @@ Whatever the file holds: findings, and never an exception, a hang or an expanded
 
 The robots that are shipped, and published ones as they are.
 
-A written robot file is read again as the same robot."""
+A written robot file is read again as the same robot.
+"""
 
 from __future__ import annotations
 
@@ -87,8 +88,7 @@ def test_a_sound_robot_is_read_without_a_word(read_text):
     assert model.link("hand").collisions[0].origin == Pose((0.0, 0.0, 0.5), (0.1, 0.0, 0.0))
     assert model.link("hand").friction == Friction(lateral=0.7)
     elbow = model.joint("elbow")
-    assert elbow.axis == pytest.approx((0, 0.6, 0.8))
-    assert (elbow.damping, elbow.friction) == (0.1, 0.2)
+    assert (elbow.axis, (elbow.damping, elbow.friction)) == (pytest.approx((0, 0.6, 0.8)), (0.1, 0.2))
 
 
 def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
@@ -98,8 +98,7 @@ def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
 
 def test_links_and_joints_know_where_they_are_named(read_text):
     robot, _ = read_text(ARM)
-    assert robot.link_spans["hand"].text == "hand"
-    assert robot.link_spans["hand"].start_position == (8, 15)
+    assert (robot.link_spans["hand"].text, robot.link_spans["hand"].start_position) == ("hand", (8, 15))
     assert robot.joint_spans["elbow"].location == "robot.urdf:13:16"
 
 
@@ -127,8 +126,7 @@ def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
     _, findings = read_text(
         ARM.replace('<axis xyz="0 3 4"/>', "<axis note='a xyz=\"1\" >' \n xyz = '1 2 bad'/>")
     )
-    finding = single(findings)
-    assert finding.span.text == "1 2 bad"
+    assert single(findings).span.text == "1 2 bad"
 
 
 def broken(old: str, new: str, text: str = ARM) -> str:
@@ -215,8 +213,7 @@ def test_a_duplicate_shows_the_first_place(read_text):
         )
     )
     label = findings[0].labels[0]
-    assert label.text == "first defined here"
-    assert label.span.start_position == (13, 16)
+    assert (label.text, label.span.start_position) == ("first defined here", (13, 16))
 
 
 def test_two_parents_and_a_circle_are_named(read_text):
@@ -306,8 +303,7 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
         for i in range(3)
     )
     finding = warning(read_text, broken("</robot>", frames + "</robot>"))
-    assert finding.code == "DB305"
-    assert finding.notes == ("they are: f0, f1, f2",)
+    assert (finding.code, finding.notes) == ("DB305", ("they are: f0, f1, f2",))
 
 
 @pytest.mark.parametrize(
@@ -321,8 +317,7 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
 )
 def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
     finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
-    assert finding.code == "DB306"
-    assert finding.span.start_position.line == 5
+    assert (finding.code, finding.span.start_position.line) == ("DB306", 5)
 
 
 def test_a_mass_of_zero_is_warned_about(read_text):
@@ -341,8 +336,7 @@ def test_a_joint_without_usable_limits_is_unlimited_and_warned_about(read_text, 
 
 def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
     robot, findings = read_text(broken('lower="-1" ', ""))
-    assert findings == []
-    assert robot.model.joint("elbow").limit.lower == 0.0
+    assert (findings, robot.model.joint("elbow").limit.lower) == ([], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -566,8 +560,7 @@ def check(data: bytes) -> None:
     findings = Findings()
     robot = read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: UnusableMesh("no meshes here"))
     for finding in findings:
-        text = finding.span.source.text
-        assert 0 <= finding.span.start <= finding.span.end <= len(text)
+        assert 0 <= finding.span.start <= finding.span.end <= len(finding.span.source.text)
         assert finding.span.location
         assert (
             finding.headline[0].islower()
@@ -710,13 +703,14 @@ def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
     wheels = matching_names((joint.name for joint in model.moving_joints), "wheel_*")
     assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
     hinge = model.joint("pole_hinge")
-    assert hinge.limit.lower == -1.3
-    assert hinge.limit.upper == 1.3
+    assert (hinge.limit.lower, hinge.limit.upper) == (-1.3, 1.3)
     assert hinge.limit.effort is None
-    assert hinge.axis == (0.0, 1.0, 0.0)
-    assert hinge.origin.xyz == (0.0, 0.0, 0.03)
-    assert hinge.damping == 0.0
-    assert hinge.friction == 0.0
+    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == (
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 0.03),
+        0.0,
+        0.0,
+    )
 
 
 def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
@@ -725,8 +719,7 @@ def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
     for name in ("body", "pole", "tip"):
         link = model.link(name)
         actual, expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
-        assert actual == expected
-        assert link.inertial.origin == link.visuals[0].origin
+        assert (actual, link.inertial.origin) == (expected, link.visuals[0].origin)
     for name in matching_names((link.name for link in model.links), "wheel_*"):
         link = model.link(name)
         (across, along, third), expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
@@ -742,20 +735,19 @@ def test_the_cart_stands_on_its_wheels_and_on_nothing_else():
     for joint in model.joints[:4]:
         wheel = model.link(joint.child).collisions[0].shape
         assert isinstance(wheel, Cylinder)
-        assert wheel.radius == 0.04
-        assert joint.origin.xyz[2] == 0.0
-        assert joint.axis == (0.0, 1.0, 0.0)
+        assert (wheel.radius, joint.origin.xyz[2], joint.axis) == (0.04, 0.0, (0.0, 1.0, 0.0))
 
 
 def test_the_cart_on_a_rail_is_that_of_the_textbooks():
     model = shipped_robot("cartpole_rail.urdf").model
-    assert model.root == "rail"
-    assert [joint.name for joint in model.moving_joints] == ["slider", "hinge"]
+    assert (model.root, [joint.name for joint in model.moving_joints]) == ("rail", ["slider", "hinge"])
     cart, pole = model.link("cart").inertial, model.link("pole").inertial
-    assert cart.mass == 1.0
-    assert pole.mass == 0.1
-    assert pole.origin.xyz == (0.0, 0.0, 0.5)
-    assert pole.iyy == pytest.approx(0.1 * 1.0**2 / 12)
+    assert (cart.mass, pole.mass, pole.origin.xyz, pole.iyy) == (
+        1.0,
+        0.1,
+        (0.0, 0.0, 0.5),
+        pytest.approx(0.1 * 1.0**2 / 12),
+    )
     assert model.joint("slider").limit.effort == 10.0
     assert not any(link.collisions for link in model.links)
 
@@ -810,10 +802,8 @@ def test_of_the_robots_of_pybullet_data_only_these_are_refused(library):
 
 def test_patterns_keep_the_order_of_the_file_and_mind_case():
     names = ("b_1", "a_1", "B_1", "c")
-    assert matching_names(names, "*_1") == ("b_1", "a_1", "B_1")
-    assert matching_names(names, "b_?") == ("b_1",)
-    assert matching_names(names, "[ab]_1") == ("b_1", "a_1")
-    assert matching_names(names, "x*") == ()
+    assert (matching_names(names, "*_1"), matching_names(names, "b_?")) == (("b_1", "a_1", "B_1"), ("b_1",))
+    assert (matching_names(names, "[ab]_1"), matching_names(names, "x*")) == (("b_1", "a_1"), ())
     assert matching_names(["a" * 5000], "*a" * 30 + "b") == ()
 
 
@@ -902,8 +892,7 @@ def test_one_material_name_means_one_color():
     red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
     visuals = tuple(Geometry(Sphere(1.0), Pose(), color) for color in (red, blue, red))
     text = to_urdf(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
-    assert text.count('"color_0"') == 2
-    assert text.count('"color_1"') == 1
+    assert (text.count('"color_0"'), text.count('"color_1"')) == (2, 1)
 
 
 @pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])

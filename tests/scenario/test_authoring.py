@@ -5,7 +5,8 @@ The JSON Schema for editors agrees with the models.
 
 The shipped scenarios, and what the compiler may rely on in the models.
 
-A mistake in a scenario has one finding, in plain words, at its place."""
+A mistake in a scenario has one finding, in plain words, at its place.
+"""
 
 from __future__ import annotations
 
@@ -515,8 +516,7 @@ def test_a_literal_is_numbers_with_one_unit(text: str, count: int | None) -> Non
 
 
 def test_a_schedule_is_read_into_its_ends() -> None:
-    assert read_schedule("3e-4 -> 0") == (3e-4, 0.0)
-    assert read_schedule(0.5) == (0.5, 0.5)
+    assert (read_schedule("3e-4 -> 0"), read_schedule(0.5)) == ((3e-4, 0.0), (0.5, 0.5))
     assert [
         read_schedule(text) for text in ("high -> low", "3 ->", "1 -> 2 -> 3", "", "0x10", True, 10**400)
     ] == [None] * 7
@@ -585,9 +585,7 @@ def test_what_is_sound_survives_the_faults_beside_it(check: Check, cartpole: str
     )
     assert scenario is not None
     cart = scenario.robots["cart"]
-    assert list(cart.sensors) == ["pole_angle"]
-    assert cart.actuators == {}
-    assert scenario.reward == {"pay": 2}
+    assert (list(cart.sensors), cart.actuators, scenario.reward) == (["pole_angle"], {}, {"pay": 2})
     assert {("robots", "cart", "actuators", "wheels"), ("reward", "alive")} <= scenario.pruned
 
 
@@ -703,8 +701,7 @@ def test_every_section_has_its_path_and_that_of_its_defaults(check: Check, cartp
     scenario, _ = check(cartpole)
     assert scenario is not None
     robot = next(iter(scenario.robots))
-    assert scenario.path == ()
-    assert scenario.world.ground.path == ("world", "ground")
+    assert (scenario.path, scenario.world.ground.path) == ((), ("world", "ground"))
     assert scenario.messages.to_robot.path == ("messages", "to_robot")
     assert {sensor.path for sensor in scenario.robots[robot].sensors.values()} == {
         ("robots", robot, "sensors", name) for name in scenario.robots[robot].sensors

@@ -2,7 +2,8 @@
 
 Whatever is written, the schema answers with findings that have a place.
 
-The search spaces of `tune`: how they are written, and which values are refused."""
+The search spaces of `tune`: how they are written, and which values are refused.
+"""
 
 from __future__ import annotations
 
@@ -96,8 +97,10 @@ def test_every_right_scenario_fits_its_own_schema_and_the_general_one(path: Path
     checked = api.load(path)
     assert checked.document.root is not None
     for schema in (json_schema(scenario_names(checked)), json_schema()):
-        assert faults(schema, data(path.read_text(encoding="utf-8"))) == []
-        assert faults(schema, to_data(checked.document.root)) == []
+        assert (
+            faults(schema, data(path.read_text(encoding="utf-8"))),
+            faults(schema, to_data(checked.document.root)),
+        ) == ([], [])
 
 
 def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
@@ -108,8 +111,7 @@ def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
 
 def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
     joints = listed(own(CARTPOLE), "JointSensor.cart", "joint")
-    assert list(joints) == JOINTS
-    assert joints["wheel_rear_left"] == "continuous"
+    assert (list(joints), joints["wheel_rear_left"]) == (JOINTS, "continuous")
     assert joints["pole_hinge"].startswith("revolute, -1.")
 
 
@@ -139,8 +141,7 @@ def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
     schema = own(CARTPOLE)
     reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["anyOf"][0]
     descriptions = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
-    assert descriptions["fall_angle"] == "a parameter: 15 deg"
-    assert descriptions["fallen"] == "an ending"
+    assert (descriptions["fall_angle"], descriptions["fallen"]) == ("a parameter: 15 deg", "an ending")
     assert {"x", "cart.pole_angle", "time"} <= set(descriptions)
 
 

@@ -1,7 +1,10 @@
 """Who may use a studio: what other pages, other users of the machine and files from elsewhere try.
 
 The open files of the studio: text from the editor, from the studio and from other programs is merged,
-saved and kept."""
+saved and kept.
+
+Test the axes of the learning curves on the page.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -39,11 +43,13 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
+from deepbots_cli.studio.charts import comparison_chart, training_chart
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
 from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.language import Language
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
+from deepbots_cli.studio.trainings import Curves
 from deepbots_cli.view import access
 
 TOKEN = "a-token-of-22-letters-"
@@ -227,15 +233,15 @@ def test_nothing_passes_without_the_token(port):
 
 def test_the_token_opens_the_page_and_leaves_its_address(port):
     status, answer, body = _ask(port, f"GET /?token={TOKEN}&x=1 HTTP/1.1")
-    assert status == 302
-    assert answer["location"] == "/"
-    assert body == ""
+    assert (status, answer["location"], body) == (302, "/", "")
     assert answer["set-cookie"] == f"deepbots-{port}={TOKEN}; Path=/; HttpOnly; SameSite=Strict"
     status, answer, body = _ask(port, **COOKIE, Sec_Fetch_Site="cross-site", Sec_Fetch_Mode="navigate")
-    assert status == 200
-    assert body == "secret"
-    assert answer["x-content-type-options"] == "nosniff"
-    assert answer["referrer-policy"] == "no-referrer"
+    assert (status, body, answer["x-content-type-options"], answer["referrer-policy"]) == (
+        200,
+        "secret",
+        "nosniff",
+        "no-referrer",
+    )
     assert "frame-ancestors 'none'" in answer["content-security-policy"]
     assert _ask(port, **OPENS_SOCKET, **COOKIE, **OWN)[0] == 101
 
@@ -565,9 +571,7 @@ def test_changes_of_different_lines_are_both_kept(head, middle, tail, one, other
 
 @given(TEXTS, TEXTS, TEXTS)
 def test_a_change_of_one_side_is_taken_as_it_is(base, one, other):
-    assert merged(base, one, base) == one
-    assert merged(base, base, other) == other
-    assert merged(base, one, one) == one
+    assert (merged(base, one, base), merged(base, base, other), merged(base, one, one)) == (one, other, one)
 
 
 @given(TEXTS, TEXTS, TEXTS)
@@ -594,8 +598,7 @@ def test_a_browser_that_was_away_merges_with_what_it_has_missed(tmp_path):
     first = file.revision
     for letter in "a long note by another browser, of more than fifty letters in one line":
         file.change(file.revision, file.text + letter)
-    is_same = file.change(first, CART.replace("name: Mine", "name: Yours"))
-    assert not is_same
+    assert not file.change(first, CART.replace("name: Mine", "name: Yours"))
     assert "name: Yours  # the title\n" in file.text
     assert file.text.endswith("in one line")
 
@@ -760,8 +763,7 @@ def test_a_draft_survives_until_it_is_saved(tmp_path):
     again = OpenFile.open(path)
     drafts = Drafts(tmp_path / "drafts")
     drafts.restore(again)
-    assert again.text == file.text
-    assert again.saved == "a: 1\n"
+    assert (again.text, again.saved) == (file.text, "a: 1\n")
     assert again.is_restored is True
     assert again.outside is None
     again.save()
@@ -867,3 +869,48 @@ def test_a_file_of_another_project_is_not_written(tmp_path):
     with pytest.raises(UsageError, match="belongs to deepbots or another project"):
         file.save()
     assert path.read_text("utf-8") == "a: 1\n"
+
+
+def _axis(curves: Curves) -> dict[str, Any]:
+    return training_chart(curves, has_successes=False, dark=False)["yAxis"][0]
+
+
+def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before():
+    below = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
+    above = Curves(returns=below.returns, evaluations=((100.0, 70.0),), solved_return=50.0)
+    # The page merges the second options into the first ones.
+    merged = _axis(below) | _axis(above)
+    assert merged.get("max") is None
+    assert merged.get("min") is None
+    assert merged["boundaryGap"][1] != 0
+
+
+def test_the_axis_reaches_up_to_the_goal():
+    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
+    options = training_chart(curves, has_successes=False, dark=False)
+    assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
+    assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
+
+
+def test_the_axis_of_a_running_training_reaches_to_its_last_step():
+    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), planned=1000.0)
+    assert training_chart(curves, has_successes=False, dark=False)["xAxis"]["max"] == 1000.0
+    ended = replace(curves, planned=0.0)
+    assert training_chart(ended, has_successes=False, dark=False)["xAxis"]["max"] == 100.0
+
+
+def test_a_comparison_has_the_goal_of_both_runs_once():
+    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
+    options = comparison_chart({"a": curves, "b": curves}, dark=True)
+    assert [entry["name"] for entry in options["legend"]["data"]] == [
+        "a",
+        "b",
+        "solved: 50",
+    ]
+
+
+@pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])
+def test_the_axis_begins_at_zero_without_negative_values(lowest, begins_at_zero):
+    axis = _axis(Curves(returns=((0.0, lowest), (100.0, 200.0))))
+    assert axis["scale"] is not begins_at_zero
+    assert (axis["boundaryGap"][0] == 0) is begins_at_zero

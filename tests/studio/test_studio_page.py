@@ -2,7 +2,8 @@
 
 The areas of the page: what is in view, what moves, and what has the focus.
 
-The page of the studio without a mouse."""
+The page of the studio without a mouse.
+"""
 
 from __future__ import annotations
 
@@ -450,8 +451,7 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
             page.wait(f"{keys}.innerText.includes('You drive')")
         page.wait(f"/last return \\d+, best \\d+/.test({keys}.innerText)", 60)
         box = _rectangle(page, keys)
-        scene_box = _rectangle(page, "document.querySelector('.studio-scene')")
-        assert box["top"] >= scene_box["bottom"]
+        assert box["top"] >= _rectangle(page, "document.querySelector('.studio-scene')")["bottom"]
         page.tab.run(f"{button.format('pause')}.click()")
         page.wait(f"{keys}.innerText.includes('Paused: press continue')")
         page.wait(f"{button.format('continue')} != null")

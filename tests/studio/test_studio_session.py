@@ -4,7 +4,8 @@ Random walks over what a person does in the studio: after each step, all that is
 
 The session is that of a page, without the page: its robot, its commands and its trainings are real processes.
 
-What the studio says about the word at the cursor."""
+What the studio says about the word at the cursor.
+"""
 
 from __future__ import annotations
 
@@ -332,8 +333,10 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
             robot.show(folder / "other.yaml", "zero")
             assert (robot.state, robot.address) == (None, address)
             await running.runs()
-            assert (robot.state.driver, robot.state.changed) == ("zero", {})
-            assert robot.state.parameters == {"fall_angle": "20 deg"}
+            assert ((robot.state.driver, robot.state.changed), robot.state.parameters) == (
+                ("zero", {}),
+                {"fall_angle": "20 deg"},
+            )
 
             session.shown.show_robot(folder / "broken.yaml")
             await running.until(lambda: robot.state is not None)
@@ -341,8 +344,7 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
 
             session.shown.show_robot(folder / "other.yaml")
             await running.runs()
-            assert (running.robot_pid, robot.address) == (pid, address)
-            assert robot.state.driver == "random"
+            assert ((running.robot_pid, robot.address), robot.state.driver) == ((pid, address), "random")
 
             session.shown.show_robot(folder / "runs" / "gone")
             await running.until(lambda: robot.problem)
@@ -392,8 +394,7 @@ def test_a_robot_that_takes_long_to_load_is_shown_as_soon_as_it_is_loaded(folder
             os.kill(running.robot_pid, signal.SIGCONT)
             await running.runs()
             assert not session.shown.robot_starts
-            assert session.robot.state.parameters == {"fall_angle": "20 deg"}
-            assert running.notices == []
+            assert (session.robot.state.parameters, running.notices) == ({"fall_angle": "20 deg"}, [])
 
     asyncio.run(run())
 
@@ -492,8 +493,7 @@ def test_a_run_directory_is_named_after_the_file(folder):
     name = "a [b]+.yaml"
     (folder / name).write_text(SCENARIO, encoding="utf-8")
     (folder / "runs" / "a_b_-1").mkdir(parents=True)
-    session = Session(folder)
-    assert session.commands.new_run(Path(name).stem) == Path("runs", "a_b_-2")
+    assert Session(folder).commands.new_run(Path(name).stem) == Path("runs", "a_b_-2")
 
 
 # Servers
@@ -514,8 +514,7 @@ def test_a_busy_port_is_passed_over(folder, monkeypatch):
         first = busy.getsockname()[1]
         monkeypatch.setattr(server, "FIRST_PORT", first)
         address = studio(folder).address
-    port = int(address.removeprefix("http://127.0.0.1:").partition("/")[0])
-    assert first < port < first + 20
+    assert first < int(address.removeprefix("http://127.0.0.1:").partition("/")[0]) < first + 20
 
 
 def test_a_chosen_port_that_is_busy_is_one_sentence(folder):
@@ -550,8 +549,7 @@ def test_studios_that_start_together_take_different_ports(tmp_path):
         for name in ("one", "two", "three")
     ]
     try:
-        addresses = [process.stdout.readline().partition("?")[0] for process in begun]
-        assert len(set(addresses)) == 3
+        assert len({process.stdout.readline().partition("?")[0] for process in begun}) == 3
     finally:
         for process in begun:
             process.send_signal(signal.SIGINT)
@@ -566,8 +564,7 @@ def test_a_killed_studio_leaves_its_folder_to_the_next(folder):
         with served(folder, "mine.yaml") as second:
             assert second.address.startswith("http://127.0.0.1:")
             third = Served(folder, "mine.yaml")
-            assert third.address == ""
-            assert third.process.wait(60) == 2
+            assert (third.address, third.process.wait(60)) == ("", 2)
 
 
 TINY = SCENARIO.replace("max_steps: 100", "max_steps: 8").replace("128", "64\n  n_epochs: 1")
@@ -889,8 +886,7 @@ def test_a_parameter_says_where_it_is_used_and_a_use_where_it_is_defined(tmp_pat
     assert at_its_definition.definitions == ()
     assert at_its_definition.uses == ("[line 22](#line:22): `fallen: abs(cart.pole_angle) > fall_angle`",)
     at_its_use = _meaning(tmp_path, "    fallen:", "fall_angle")
-    assert at_its_use.definitions == ("[line 4](#line:4)",)
-    assert at_its_use.uses == ()
+    assert (at_its_use.definitions, at_its_use.uses) == (("[line 4](#line:4)",), ())
 
 
 def test_a_sensor_and_a_key_of_the_language(tmp_path):
@@ -908,8 +904,7 @@ def test_a_phrase_finds_names_of_the_text(tmp_path, phrase):
 
     async def run() -> list[tuple[str, int]]:
         async with Running(tmp_path) as running:
-            file = running.session.open(Path("mine.yaml"))
-            return running.session.language.names_like(file, phrase)
+            return running.session.language.names_like(running.session.open(Path("mine.yaml")), phrase)
 
     assert asyncio.run(run())[0] == ("pole_angle", 9)
 

@@ -3,7 +3,8 @@
 The scenario runs in its own environment, without controllers and without the package `deepbots`, over the
 physics of the exported world. So a difference is one of the export, and not of physics.
 
-Worlds of Webots as texts, and what tests do with them."""
+Worlds of Webots as texts, and what tests do with them.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +18,8 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from deepbots_cli import api
+from deepbots_cli import api, diagnostics
 from deepbots_cli.cli.new_files import write_new
-from deepbots_cli import diagnostics
 from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name

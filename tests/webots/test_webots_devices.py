@@ -1,6 +1,7 @@
 """Devices of worlds against closed forms.
 
-Radars, light sensors, rotating lidars and ball joints of worlds against closed forms."""
+Radars, light sensors, rotating lidars and ball joints of worlds against closed forms.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +38,10 @@ def test_a_sensor_measures_first_after_its_period_and_then_once_in_each():
     for _ in range(7):
         simulation.run_step()
         readings.append(gps.getValues()[0])
-    assert [math.isnan(value) for value in readings[:2]] == [True, True]
-    assert readings[2:] == pytest.approx([0.024] * 3 + [0.048] * 2)
+    assert ([math.isnan(value) for value in readings[:2]], readings[2:]) == (
+        [True, True],
+        pytest.approx([0.024] * 3 + [0.048] * 2),
+    )
     assert gps.getSamplingPeriod() == 24
 
 
@@ -47,8 +50,7 @@ def test_a_sensor_that_is_off_keeps_its_last_value():
     gps = reading(simulation, "gps")
     gps.disable()
     run(simulation, 1)
-    assert gps.getValues()[0] == pytest.approx(0.008)
-    assert gps.getSamplingPeriod() == 0
+    assert (gps.getValues()[0], gps.getSamplingPeriod()) == (pytest.approx(0.008), 0)
 
 
 def test_a_sampling_period_is_whole_basic_steps():
@@ -106,8 +108,10 @@ def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
     sensor.enable(8)
     run(simulation, 1)
     x, y, z = sensor.getValues()
-    assert math.hypot(x, y, z) == pytest.approx(4**2 * 0.5, rel=0.01)
-    assert x == pytest.approx(-(4**2) * 0.5, rel=0.01)
+    assert (math.hypot(x, y, z), x) == (
+        pytest.approx(4**2 * 0.5, rel=0.01),
+        pytest.approx(-(4**2) * 0.5, rel=0.01),
+    )
 
 
 def test_an_axis_that_is_off_reads_nan():
@@ -150,8 +154,7 @@ def test_noise_has_its_deviation():
     for _ in range(500):
         simulation.run_step()
         values.append(gps.getValues()[0])
-    deviation = math.sqrt(sum(value**2 for value in values) / len(values))
-    assert deviation == pytest.approx(0.5, rel=0.15)
+    assert math.sqrt(sum(value**2 for value in values) / len(values)) == pytest.approx(0.5, rel=0.15)
 
 
 def test_a_position_sensor_reads_its_joint():
@@ -213,8 +216,7 @@ def test_less_available_torque_is_less_acceleration():
     first = node(simulation, "ROD").getVelocity()[4]
     motor.setAvailableTorque(10)
     run(simulation, 0.08)
-    second = node(simulation, "ROD").getVelocity()[4]
-    assert (second - first) / first == pytest.approx(10, rel=0.01)
+    assert (node(simulation, "ROD").getVelocity()[4] - first) / first == pytest.approx(10, rel=0.01)
 
 
 @pytest.mark.parametrize("value", [math.nan])
@@ -305,8 +307,7 @@ def test_a_display_and_a_speaker_have_no_effect():
     display.setColor(0xFF0000)
     display.drawPixel(0, 0)
     speaker.speak("hello", 1.0)
-    assert display.getWidth() == 3
-    assert display.getHeight() == 2
+    assert (display.getWidth(), display.getHeight()) == (3, 2)
     assert speaker.isSpeaking() is False
 
 
@@ -370,10 +371,8 @@ def exchange(emitter: str = "", receiver: str = "", message: object = b"hello"):
 
 def test_a_message_needs_one_basic_step():
     inbox, sent = exchange()
-    assert (sent, inbox.getQueueLength(), inbox.getDataSize()) == (1, 1, 5)
-    assert inbox.getString() == "hello"
-    assert inbox.getBytes() == b"hello"
-    assert inbox.getData() == b"hello"
+    assert ((sent, inbox.getQueueLength(), inbox.getDataSize()), inbox.getString()) == ((1, 1, 5), "hello")
+    assert (inbox.getBytes(), inbox.getData()) == (b"hello", b"hello")
     inbox.nextPacket()
     assert inbox.getQueueLength() == 0
     with pytest.raises(RuntimeError, match=r"Receiver.getString: the queue of 'receiver' is empty"):
@@ -381,8 +380,10 @@ def test_a_message_needs_one_basic_step():
 
 
 def test_texts_and_numbers_are_messages_too():
-    assert exchange(message="a,ä")[0].getString() == "a,ä"
-    assert exchange(message=[0.5, -1.0])[0].getFloats() == [0.5, -1.0]
+    assert (exchange(message="a,ä")[0].getString(), exchange(message=[0.5, -1.0])[0].getFloats()) == (
+        "a,ä",
+        [0.5, -1.0],
+    )
 
 
 def test_strength_and_direction_are_those_of_the_emitter():
@@ -581,8 +582,10 @@ def test_targets_in_one_cell_are_one():
 
 def test_a_wall_hides_a_target_if_occlusion_counts():
     wall = 'Solid { name "wall" translation 5 0 0 boundingObject Box { size 0.1 2 2 } }'
-    assert len(radar_targets(wall + target("10 0 0"))) == 1
-    assert radar_targets(wall + target("10 0 0"), "occlusion TRUE") == []
+    assert (
+        len(radar_targets(wall + target("10 0 0"))),
+        radar_targets(wall + target("10 0 0"), "occlusion TRUE"),
+    ) == (1, [])
     assert len(radar_targets(target("10 0 0"), "occlusion TRUE")) == 1
 
 
@@ -627,15 +630,19 @@ def test_a_light_with_an_attenuation_has_no_ambient_part():
 
 def test_colors_pass_a_filter():
     light = "DirectionalLight { direction -1 0 0 intensity 30 color 1 0.5 0 }"
-    assert irradiance(light) == pytest.approx(30 * 1.5 / 3)
-    assert irradiance(light, "colorFilter 0 1 0") == pytest.approx(30 * 0.5 / 3)
+    assert (irradiance(light), irradiance(light, "colorFilter 0 1 0")) == (
+        pytest.approx(30 * 1.5 / 3),
+        pytest.approx(30 * 0.5 / 3),
+    )
 
 
 def test_a_wall_shades_direct_light_if_occlusion_counts():
     scene = """DirectionalLight { direction -1 0 0 intensity 30 ambientIntensity 0.5 }
       Solid { translation 1 0 0 boundingObject Box { size 0.1 1 1 } }"""
-    assert irradiance(scene) == pytest.approx(30.5)
-    assert irradiance(scene, "occlusion TRUE") == pytest.approx(0.5)
+    assert (irradiance(scene), irradiance(scene, "occlusion TRUE")) == (
+        pytest.approx(30.5),
+        pytest.approx(0.5),
+    )
 
 
 # Rotating lidars
@@ -663,8 +670,7 @@ def test_a_rotating_lidar_measures_what_it_passes():
     run(simulation, 0.12)
     image = lidar.getRangeImage()
     assert image[15] == pytest.approx(1 / math.cos(11 * angle), rel=1e-3)
-    assert image[20:30] == [math.inf] * 10
-    assert image[39] == pytest.approx(image[0])
+    assert (image[20:30], image[39]) == ([math.inf] * 10, pytest.approx(image[0]))
 
 
 def test_the_frequency_of_a_lidar_is_limited(capsys):

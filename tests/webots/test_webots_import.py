@@ -6,7 +6,8 @@ Worlds that mean harm: small texts that stand for much, and texts at the limits 
 
 PROTOs that are templates of JavaScript.
 
-The tables of docs/webots.md name every node and every class with missing functions."""
+The tables of docs/webots.md name every node and every class with missing functions.
+"""
 
 from __future__ import annotations
 
@@ -293,9 +294,7 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
     arm = model.joint("rod_joint")
     assert (arm.limit.lower, arm.limit.upper, arm.damping) == (-1.0, 1.0, 0.01)
     wheel = model.joint("left_motor_joint")
-    assert wheel.type == "continuous"
-    assert wheel.limit.velocity == 20.0
-    assert wheel.limit.effort == 2.0
+    assert (wheel.type, wheel.limit.velocity, wheel.limit.effort) == ("continuous", 20.0, 2.0)
     assert model.link("rod").inertial.origin.xyz[2] == pytest.approx((0.2 * 0.25 + 0.05 * 0.5) / 0.25)
 
 
@@ -756,9 +755,11 @@ def test_a_world_is_a_tree_of_nodes_with_places():
     assert [entry.type for entry in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
     assert [entry.name for entry in document.externs] == ["RectangleArena"]
     robot = document.nodes[-1]
-    assert robot.name == "ROBOT"
-    assert robot.span.start_position == (8, 11)
-    assert vector(robot, "translation") == (0, 0, 0.1)
+    assert (robot.name, robot.span.start_position, vector(robot, "translation")) == (
+        "ROBOT",
+        (8, 11),
+        (0, 0, 0.1),
+    )
     shape = child(robot, "boundingObject")
     assert shape is not None
     assert shape.name == "SHAPE"
@@ -767,13 +768,17 @@ def test_a_world_is_a_tree_of_nodes_with_places():
 def test_a_definition_is_used_by_reference_and_defaults_are_those_of_webots():
     world = read(EXAMPLE)
     info, _, _, robot = world.nodes
-    assert number(info, "basicTimeStep") == 16
-    assert number(info, "ERP") == 0.2
-    assert text(robot, "window") == "<generic>"
+    assert (number(info, "basicTimeStep"), number(info, "ERP"), text(robot, "window")) == (
+        16,
+        0.2,
+        "<generic>",
+    )
     motor = next(motor_node for motor_node in walk(world.nodes) if motor_node.type == "RotationalMotor")
-    assert number(motor, "maxVelocity") == 10
-    assert number(motor, "maxTorque") == 10
-    assert numbers(motor, "controlPID") == [10, 0, 0]
+    assert (number(motor, "maxVelocity"), number(motor, "maxTorque"), numbers(motor, "controlPID")) == (
+        10,
+        10,
+        [10, 0, 0],
+    )
 
 
 def test_a_proto_keeps_its_fields_and_becomes_its_body():
@@ -782,8 +787,7 @@ def test_a_proto_keeps_its_fields_and_becomes_its_body():
     assert wheel.body is not None
     cylinder = child(wheel.body, "boundingObject")
     assert cylinder is not None
-    assert number(cylinder, "radius") == 0.05
-    assert text(wheel.body, "name") == "wheel"
+    assert (number(cylinder, "radius"), text(wheel.body, "name")) == (0.05, "wheel")
 
 
 def test_nodes_in_a_field_of_a_proto_take_their_place_in_its_body():
@@ -805,8 +809,7 @@ def test_a_proto_of_the_project_is_read_from_its_file(tmp_path: Path):
     )
     path = tmp_path / "worlds" / "w.wbt"
     path.write_text(HEADER + 'EXTERNPROTO "../protos/Ball.proto"\nBall { radius 0.5 }')
-    scene = build_scene(read_world(path))
-    assert scene.bodies[0].geometries[0].shape.size == (0.5,)
+    assert build_scene(read_world(path)).bodies[0].geometries[0].shape.size == (0.5,)
 
 
 def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -1048,8 +1051,7 @@ def test_any_text_ends_in_findings(text: str):
 
 
 def test_the_example_runs():
-    simulation = simulate(FLOOR_LESS)
-    assert [robot.name for robot in simulation.scene.robots] == ["robot"]
+    assert [robot.name for robot in simulate(FLOOR_LESS).scene.robots] == ["robot"]
 
 
 FLOOR_LESS = 'Robot { children [ GPS { } ] controller "<none>" }'
@@ -1261,8 +1263,10 @@ def test_the_count_of_nodes_is_the_size_of_the_expanded_tree(tree: tuple[str, in
         with pytest.raises(Exception, match="more than"):
             expander.expand(document.nodes, Scope.of_document(document))
         return
-    assert expander.expand(document.nodes, Scope.of_document(document)) == size
-    assert sum(map(expanded_size, document.nodes)) == size
+    assert (
+        expander.expand(document.nodes, Scope.of_document(document)),
+        sum(map(expanded_size, document.nodes)),
+    ) == (size, size)
     assert not findings.errors
 
 
@@ -1308,8 +1312,7 @@ def test_a_template_makes_nodes_of_the_values_of_its_fields(tmp_path: Path):
     )
     assert not made.findings.errors
     solid = real(made.nodes[0])
-    assert numbers(solid, "translation") == [10, 0, 3]
-    assert text(solid, "name") == "107 linux"
+    assert (numbers(solid, "translation"), text(solid, "name")) == ([10, 0, 3], "107 linux")
     assert [numbers(pose, "translation")[0] for pose in children(solid)] == [0, 1, 2]
 
 
@@ -1323,8 +1326,7 @@ def test_a_template_reads_nodes_in_its_fields_and_keeps_is(tmp_path: Path):
         "Thing { size 7 8 9 part Sphere { radius 0.25 } }",
     )
     solid = real(made.nodes[0])
-    assert numbers(solid, "translation") == [7, 8, 9]
-    assert text(solid, "name") == "Sphere"
+    assert (numbers(solid, "translation"), text(solid, "name")) == ([7, 8, 9], "Sphere")
     sphere = child(solid, "boundingObject")
     assert sphere is not None
     assert number(sphere, "radius") == 0.5

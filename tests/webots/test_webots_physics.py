@@ -1,6 +1,7 @@
 """Physics of worlds against closed forms, within 1 % at steps of 8 ms.
 
-Nodes and fields, as a supervisor reads and sets them."""
+Nodes and fields, as a supervisor reads and sets them.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +40,10 @@ def test_a_supervisor_sets_gravity():
     info = Node(simulation, next(entry for entry in simulation.scene.nodes if entry.type == "WorldInfo"))
     info.getField("gravity").setSFFloat(2)
     run(simulation, 1)
-    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-2, rel=0.01)
-    assert info.getField("gravity").getSFFloat() == 2
+    assert (node(simulation, "BODY").getVelocity()[2], info.getField("gravity").getSFFloat()) == (
+        pytest.approx(-2, rel=0.01),
+        2,
+    )
 
 
 def test_gravity_is_not_a_vector_in_webots():
@@ -443,8 +446,7 @@ def test_fields_of_a_pose_are_those_of_now_in_the_node_above():
 
 def test_other_fields_are_as_the_world_says():
     it = supervisor()
-    physics = it.getFromDef("BALL").getField("physics").getSFNode()
-    assert physics.getField("mass").getSFFloat() == 2
+    assert it.getFromDef("BALL").getField("physics").getSFNode().getField("mass").getSFFloat() == 2
     assert it.getFromDef("PART").getField("name").getSFString() == "part"
     assert it.getSelf().getField("supervisor").getSFBool() is True
     assert it.getSelf().getField("nothing") is None
@@ -453,11 +455,12 @@ def test_other_fields_are_as_the_world_says():
 def test_a_proto_has_the_fields_of_its_interface():
     it = supervisor("DEF PIT Pit { pitRadius 2.5 translation 0 0 1 } Robot { supervisor TRUE }")
     pit = it.getFromDef("PIT")
-    assert pit.getField("pitRadius").getSFFloat() == 2.5
-    assert pit.getField("translation").getSFVec3f() == pytest.approx([0, 0, 1])
+    assert (pit.getField("pitRadius").getSFFloat(), pit.getField("translation").getSFVec3f()) == (
+        2.5,
+        pytest.approx([0, 0, 1]),
+    )
     assert pit.isProto() is True
-    assert pit.getTypeName() == "Pit"
-    assert pit.getBaseTypeName() == "Solid"
+    assert (pit.getTypeName(), pit.getBaseTypeName()) == ("Pit", "Solid")
 
 
 def test_bodies_are_moved_and_keep_their_velocity():
@@ -505,8 +508,10 @@ def test_the_position_of_a_joint_is_read_and_set():
     simulation = simulate(hinge(), gravity=0)
     joint = node(simulation, "JOINT")
     joint.setJointPosition(0.4)
-    assert joint.getField("position").getSFFloat() == 0.4
-    assert node(simulation, "PARAMETERS").getField("position").getSFFloat() == 0.4
+    assert (
+        joint.getField("position").getSFFloat(),
+        node(simulation, "PARAMETERS").getField("position").getSFFloat(),
+    ) == (0.4, 0.4)
     node(simulation, "PARAMETERS").getField("position").setSFFloat(0.1)
     x, _, z = node(simulation, "ROD").getOrientation()[0::3]
     assert math.atan2(-z, x) == pytest.approx(0.1)
@@ -542,8 +547,7 @@ def test_a_reset_restores_what_a_supervisor_moved():
     it.setCustomData("y")
     it.simulationReset()
     it.step()
-    assert it.getFromDef("MARK").getPosition() == pytest.approx([4, 0, 0])
-    assert it.getCustomData() == "x"
+    assert (it.getFromDef("MARK").getPosition(), it.getCustomData()) == (pytest.approx([4, 0, 0]), "x")
 
 
 def test_a_saved_state_is_loaded_again():
@@ -638,11 +642,12 @@ def test_a_sensor_answers_by_the_fields_that_a_supervisor_sets():
     eye.getField("type").setSFString("sonar")
     eye.getField("numberOfRays").setSFInt32(2)
     it.step()
-    assert sensor.getValue() == 390
-    assert sensor.getType() == 2
+    assert (sensor.getValue(), sensor.getType()) == (390, 2)
     assert sensor.getMaxValue() == 400  # both rays are slanted
-    assert eye.getField("lookupTable").getMFVec3f(1) == [4, 400, 0]
-    assert eye.getField("lookupTable").getCount() == 2
+    assert (eye.getField("lookupTable").getMFVec3f(1), eye.getField("lookupTable").getCount()) == (
+        [4, 400, 0],
+        2,
+    )
     with pytest.raises(IndexError, match="lookupTable has 2 items, and no item 2"):
         eye.getField("lookupTable").setMFVec3f(2, [1, 1, 1])
 

@@ -1,6 +1,7 @@
 """`deepbots webots --view`: the page of a run, its pace, and keys for a Keyboard.
 
-Cameras and range finders of worlds, drawn with OpenGL."""
+Cameras and range finders of worlds, drawn with OpenGL.
+"""
 
 from __future__ import annotations
 
@@ -127,8 +128,7 @@ def _wait(holds: Callable[[], bool], seconds: float = 20.0) -> None:
 def test_the_page_and_its_sockets_need_the_token():
     with viewed(simulate(BALL)) as (_, page):
         assert len(page.token) > 16
-        assert page.get().status == 403
-        assert page.get("/?token=wrong").status == 403
+        assert (page.get().status, page.get("/?token=wrong").status) == (403, 403)
         for path in ("/", "/drive"):
             with pytest.raises(InvalidStatus, match="403"):
                 page.open(path)
@@ -301,8 +301,7 @@ def test_a_run_leaves_the_environment_of_the_process_as_it_was(tmp_path, monkeyp
     path.write_text("import os\nassert os.environ['OMP_NUM_THREADS'] == '1'\n", encoding="utf-8")
     simulation = simulate('Robot { name "box" controller "program" }')
     runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))])
-    assert runner.run().exit_code == 0
-    assert dict(os.environ) == before
+    assert (runner.run().exit_code, dict(os.environ)) == (0, before)
 
 
 def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
@@ -535,8 +534,7 @@ def colors(picture) -> set[str]:
 def test_a_wall_has_the_texture_of_the_project(red_and_green):
     picture = textured(red_and_green, "textures/tiles.png")
     top, bottom = picture[2:18], picture[22:]
-    assert colors(bottom) == {"blue"}
-    assert {*colors(top[:, :18]), *colors(top[:, 22:])} == {"red", "green"}
+    assert (colors(bottom), {*colors(top[:, :18]), *colors(top[:, 22:])}) == ({"blue"}, {"red", "green"})
     assert colors(top[:, :18]) != colors(top[:, 22:])
 
 
@@ -544,8 +542,7 @@ def test_a_wall_has_the_texture_of_the_project(red_and_green):
 def test_a_texture_repeats_as_its_transform_says(red_and_green):
     transform = "textureTransform TextureTransform { scale 1 2 }"
     column = textured(red_and_green, "textures/tiles.png", transform=transform)[:, 5]
-    is_blue = (column[:, 2] > 90).astype(int)
-    assert abs(np.diff(is_blue)).sum() == 3
+    assert abs(np.diff((column[:, 2] > 90).astype(int))).sum() == 3
 
 
 @needs_opengl
@@ -634,8 +631,10 @@ def test_a_range_finder_measures_along_its_axis():
         "range-finder",
     )
     assert finder.getRangeImage() == pytest.approx([2.0] * 24, abs=1e-3)
-    assert [len(row) for row in finder.getRangeImageArray()] == [6] * 4
-    assert len(finder.getRangeImage("buffer")) == 24 * 4
+    assert ([len(row) for row in finder.getRangeImageArray()], len(finder.getRangeImage("buffer"))) == (
+        [6] * 4,
+        24 * 4,
+    )
     assert finder.rangeImageGetDepth(finder.getRangeImage(), 6, 5, 3) == pytest.approx(2.0, abs=1e-3)
 
 

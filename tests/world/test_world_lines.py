@@ -1,6 +1,7 @@
 """Painted lines: places beside and along them, their reflected light, and their use in a scenario.
 
-`height(x, y)` in expressions: the surface that both engines collide with, alone and in a batch."""
+`height(x, y)` in expressions: the surface that both engines collide with, alone and in a batch.
+"""
 
 from __future__ import annotations
 
@@ -38,20 +39,23 @@ def circle(corners: int, radius: float = 1.0) -> Line:
 
 def test_left_of_a_line_is_positive() -> None:
     follow = Follower(ROAD)
-    assert follow((0.5, 0.1, 0.0)) == pytest.approx((0.1, 0.0))
-    assert follow((0.5, -0.2, 0.0)) == pytest.approx((-0.2, 0.0))
+    assert (follow((0.5, 0.1, 0.0)), follow((0.5, -0.2, 0.0))) == (
+        pytest.approx((0.1, 0.0)),
+        pytest.approx((-0.2, 0.0)),
+    )
 
 
 def test_inside_a_loop_that_turns_left_is_left_of_it_and_outside_right() -> None:
-    assert Follower(SQUARE)((0.5, 0.2))[0] == pytest.approx(0.2)
-    assert Follower(SQUARE)((-0.3, -0.4))[0] == pytest.approx(-0.5)
+    assert (Follower(SQUARE)((0.5, 0.2))[0], Follower(SQUARE)((-0.3, -0.4))[0]) == (
+        pytest.approx(0.2),
+        pytest.approx(-0.5),
+    )
 
 
 def test_the_way_along_a_line_counts_from_where_the_episode_begins() -> None:
     follow = Follower(ROAD)
     follow((0.3, 0.0))
-    assert follow((0.8, 0.0))[1] == pytest.approx(0.5)
-    assert follow((0.2, 0.0))[1] == pytest.approx(-0.1)
+    assert (follow((0.8, 0.0))[1], follow((0.2, 0.0))[1]) == (pytest.approx(0.5), pytest.approx(-0.1))
     follow.reset()
     assert follow((0.9, 0.0))[1] == 0.0
 
@@ -94,9 +98,7 @@ def test_lanes_beside_each_other_are_distinguished() -> None:
 
 def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
     light = PaintedGround([SQUARE], spot=0.002)
-    assert light(0.5, 0.5) == 1.0
-    assert light(40.0, 40.0) == 1.0
-    assert light(0.5, 0.0) == pytest.approx(0.1)
+    assert (light(0.5, 0.5), light(40.0, 40.0), light(0.5, 0.0)) == (1.0, 1.0, pytest.approx(0.1))
 
 
 @pytest.mark.parametrize(
@@ -249,8 +251,10 @@ def test_only_a_place_that_is_not_a_number_has_no_height_in_a_column(ramp: Terra
 
 
 def test_a_plane_has_the_height_0() -> None:
-    assert ground_height(None)(3.0, 4.0) == 0.0
-    assert ground_heights(None)(np.ones(3), np.ones(1)).tolist() == [0.0, 0.0, 0.0]
+    assert (ground_height(None)(3.0, 4.0), ground_heights(None)(np.ones(3), np.ones(1)).tolist()) == (
+        0.0,
+        [0.0, 0.0, 0.0],
+    )
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])

@@ -1,6 +1,7 @@
 """Pictures show what matters: all of it is in the frame, and the frame is filled.
 
-Every shipped scenario lints clean and runs, however it is driven."""
+Every shipped scenario lints clean and runs, however it is driven.
+"""
 
 from __future__ import annotations
 
@@ -64,8 +65,7 @@ def test_a_view_contains_a_box_and_hardly_more(box) -> None:
 def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
     boxes = [((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1))]
     view = view_around(boxes)
-    shift = shift_beside(boxes, boxes)
-    assert place_in_picture(view, add(view.target, shift))[0] > 1.0
+    assert place_in_picture(view, add(view.target, shift_beside(boxes, boxes)))[0] > 1.0
     row = view_around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
     ends = [place_in_picture(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
     assert abs(ends[1][0] - ends[0][0]) > 1.5

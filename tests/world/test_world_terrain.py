@@ -5,7 +5,8 @@ Terrain of tiles, against closed forms of each kind.
 
 Walls and the arena as bodies with names: what expressions, sensors and cameras know of them.
 
-Rotations as roll, pitch and yaw."""
+Rotations as roll, pitch and yaw.
+"""
 
 from __future__ import annotations
 
@@ -249,8 +250,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
         tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m"
     )
     at = ground_height(scenario.program.world.terrain)
-    assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
-    assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
+    assert (at(1.0, 2.0), at(-1.0, 0.0)) == (pytest.approx(0.4, abs=1e-3), pytest.approx(-0.2, abs=1e-3))
     assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
@@ -258,9 +258,7 @@ def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(t
     (tmp_path / "hills.png").write_bytes(gray_png([[255] * 5, *[[0] * 5] * 4]))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
     at = ground_height(scenario.program.world.terrain)
-    assert at(0.0, 4.0) == 2.0
-    assert at(0.0, 3.0) == 1.0
-    assert at(0.0, -1.0) == 0.0
+    assert (at(0.0, 4.0), at(0.0, 3.0), at(0.0, -1.0)) == (2.0, 1.0, 0.0)
     assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
     assert "hills.png" in scenario.inputs
     assert "file: inputs/hills.png" in scenario.resolved
@@ -284,9 +282,11 @@ def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
     for file in ("ramp.stl", "ramp.obj"):
         scenario = compiled(tmp_path, f"type: mesh, file: {file}, scale: 1 1 0.5")
         at = ground_height(scenario.program.world.terrain)
-        assert at(3.0, 0.0) == pytest.approx(0.5)
-        assert at(3.0, -5.0) == pytest.approx(0.25)
-        assert at(30.0, 0.0) == pytest.approx(0.5)
+        assert (at(3.0, 0.0), at(3.0, -5.0), at(30.0, 0.0)) == (
+            pytest.approx(0.5),
+            pytest.approx(0.25),
+            pytest.approx(0.5),
+        )
         assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
@@ -412,8 +412,7 @@ def test_kinds_stand_along_x_and_levels_along_y() -> None:
     kinds = tuple(Tile(kind, tuple((name, *ends) for name, ends in KINDS[kind].items())) for kind in KINDS)
     terrain = Tiles(kinds, LEVELS, SIDE, 2.0, PLATFORM, CELL, 3)
     whole = heights(terrain)
-    assert whole.shape == (5 * 80 + 41, 7 * 80 + 41)
-    assert terrain.size == (60.0, 44.0)
+    assert (whole.shape, terrain.size) == ((5 * 80 + 41, 7 * 80 + 41), (60.0, 44.0))
     assert np.array_equal(whole[20 + 160 : 20 + 241, 20 + 80 : 20 + 161], tile_heights(terrain, 1, 2))
 
 
