@@ -1,15 +1,25 @@
 """Mistakes put into scenarios, each of which lint finds where it was put, calls by its name, and takes no
-other for."""
+other for.
+
+What fixes leave behind: the text that was meant, every comment, no new mistake, and nothing more to
+fix.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
+from zlib import crc32
 
 import pytest
 
-from tests.faults.injected import Injected, everything
-from tests.faults.trying import Project
-from tests.golden.cases import mistakes
+from deepbots_cli import api
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.lint.fixes import Fixer
+from tests.faults.injected import ROOT, Injected, Project, everything, sources
+from tests.few import few
+from tests.golden.cases import mistakes, write
 
 SAMPLED = 75
 """Of all, which take two minutes."""
@@ -89,3 +99,165 @@ def test_the_last_kind_of_a_group_that_has_a_finding_leaves_a_group_of_nothing(p
         )
     )
     assert "DB101" in {finding.code for finding in findings}
+
+
+TOP_LEVEL = re.compile(r"^(?=[a-z]\w*:)", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def folder(project: Project) -> Path:
+    """A copy of the scenarios with mistakes, in which every section has a comment above it."""
+    copy = write(project.scenarios.parent / "golden") / "lint"
+    for path in copy.glob("err/*.yaml"):
+        text = path.read_bytes().decode()
+        if "deepbots: ignore" not in text:
+            numbers = iter(range(1000))
+            path.write_bytes(
+                TOP_LEVEL.sub(lambda _, count=numbers: f"# remark {next(count)}\n", text).encode()
+            )
+    return copy
+
+
+@pytest.fixture(scope="module")
+def offers(folder: Path) -> dict[Path, list[Finding]]:
+    """The findings, also in preview, of a third of the scenarios with a fix. A new scenario does not change
+    which others are chosen."""
+    chosen = [path for path in sorted(folder.glob("err/*.yaml")) if crc32(path.name.encode()) % 3 == 0]
+    linted = {path: api.lint(path, preview=True) for path in chosen}
+    return {path: findings for path, findings in linted.items() if any(finding.fix for finding in findings)}
+
+
+@pytest.mark.slow
+def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
+    whole = {path.name: path.read_text(encoding="utf-8") for path in sources()}
+    typos = [case for case in everything() if case.kind.startswith("typo") and case.style == "plain"]
+    unfixed = []
+    for case in typos[::6]:
+        (finding,) = project.errors(case)
+        if finding.fix is None:
+            unfixed.append(case)
+        else:
+            assert applied(finding, case.text) == whole[case.source], (case.source, finding.headline)
+    assert len(unfixed) < len(typos) / 120, [(case.source, case.kind, case.at) for case in unfixed]
+
+
+def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project) -> None:
+    typos = [
+        case
+        for case in everything()
+        if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")
+    ]
+    for case in typos[::3]:
+        (finding,) = project.errors(case)
+        assert finding.fix is not None
+        mended = applied(finding, case.text)
+        assert mended[: case.at] == case.text[: case.at]
+        assert mended.endswith(case.text[case.until :])
+
+
+@pytest.mark.parametrize(
+    ("slip", "right", "wrong", "code"), [pytest.param(*row, id=row[0]) for row in mistakes("restored")]
+)
+def test_the_fix_of_a_slip_gives_back_the_right_text(
+    tmp_path: Path, slip: str, right: str, wrong: str, code: str
+) -> None:
+    robots = ROOT / "robots" / "urdf"
+    text = (ROOT / "tests/scenario/cartpole.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots/urdf", robots.as_posix())
+    assert right in text
+    path = tmp_path / "slip.yaml"
+    path.write_text(text.replace(right, wrong, 1), encoding="utf-8")
+    fixer = Fixer([str(path)], api.load, unsafe=True)
+    (rewrite,) = fixer.fix()
+    assert (rewrite.after.decode(), [finding.code for finding in fixer.fixed]) == (text, [code])
+
+
+@pytest.mark.parametrize(
+    ("written", "fixed"),
+    [
+        ("1 - abs(x)", "1 - abs(x) / m"),
+        ("-abs(cart.pole_angle)", "-abs(cart.pole_angle) / rad"),
+        ('"x + 2 cm"', '"(x + 2 cm) / m"'),
+        ("0.1 * speed^2", "0.1 * speed^2 / (m^2/s^2)"),
+    ],
+)
+def test_the_fix_of_a_reward_with_a_unit_divides_by_it(tmp_path: Path, written: str, fixed: str) -> None:
+    path = tmp_path / "paid.yaml"
+    path.write_text(
+        f"deepbots: 1\nextends: cartpole\nname: Paid\nreward: {{near: {written}}}\n", encoding="utf-8"
+    )
+    assert Fixer([str(path)], api.load).fix() == []
+    (rewrite,) = Fixer([str(path)], api.load, unsafe=True).fix()
+    assert rewrite.after.decode().endswith(f"reward: {{near: {fixed}}}\n")
+
+
+def test_a_reward_of_a_number_and_a_quantity_underlines_the_quantity(tmp_path: Path) -> None:
+    path = tmp_path / "paid.yaml"
+    path.write_text(
+        "deepbots: 1\nextends: cartpole\nname: Paid\nreward: {near: 1 - abs(x)}\n", encoding="utf-8"
+    )
+    (finding,) = (finding for finding in api.lint(path) if finding.code == "DB502")
+    assert finding.span.source.text[finding.span.start : finding.span.end] == "abs(x)"
+
+
+@pytest.mark.slow
+def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, list[Finding]]) -> None:
+    mended = 0
+    for path in offers:
+        before = api.lint(path)
+        text = path.read_text(encoding="utf-8")
+        rewrites = Fixer([str(path)], api.load, unsafe=True).fix()
+        for rewrite in rewrites:
+            rewrite.path.write_bytes(rewrite.after)
+        mended += bool(rewrites)
+        again = Fixer([str(path)], api.load, unsafe=True)
+        assert again.fix() == [], path.name
+        assert len(errors(again.remaining_findings)) <= len(errors(before)), path.name
+        left = path.read_text(encoding="utf-8")
+        assert re.findall("# remark.*", left) == re.findall("# remark.*", text), path.name
+        for rewrite in rewrites:
+            rewrite.path.write_bytes(rewrite.before)
+    assert mended > 15
+
+
+def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(offers: dict[Path, list[Finding]]) -> None:
+    offered = 0
+    for path, findings in offers.items():
+        fixable = {code_and_headline(finding) for finding in findings if finding.fix}
+        together = Fixer([str(path)], api.load, unsafe=True, preview=True)
+        together.fix()
+        assert fixable <= set(map(code_and_headline, together.fixed)), path.name
+        assert not [finding for finding in together.remaining_findings if finding.fix], path.name
+        for entry in fixable if len(fixable) > 1 else ():
+            alone = Fixer(
+                [str(path)],
+                api.load,
+                unsafe=True,
+                preview=True,
+                selects=lambda finding, entry=entry: code_and_headline(finding) == entry,
+            )
+            alone.fix()
+            assert set(map(code_and_headline, alone.fixed)) == {entry}, path.name
+        offered += len(fixable)
+    assert offered > 25
+
+
+@pytest.mark.parametrize("name", few(sorted(path.stem for path in (ROOT / "scenarios").glob("*.yaml"))))
+def test_a_shipped_scenario_has_nothing_to_fix(project: Project, name: str) -> None:
+    assert Fixer([str(project.scenarios / f"{name}.yaml")], api.load, unsafe=True).fix() == []
+
+
+def code_and_headline(finding: Finding) -> tuple[str, str]:
+    return finding.code, finding.headline
+
+
+def errors(findings: list[Finding] | tuple[Finding, ...]) -> list[Finding]:
+    return [finding for finding in findings if finding.severity == "error"]
+
+
+def applied(finding: Finding, text: str) -> str:
+    """`text` after the edits of a finding's fix."""
+    assert finding.fix is not None
+    for edit in sorted(finding.fix.edits, key=lambda edit: edit.span.start, reverse=True):
+        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
+    return text

@@ -121,5 +121,4 @@ def test_random_edits_and_questions_at_places_that_are_not_there_leave_the_langu
     with Client(bench.folder) as client:
         answered = session(client, bench.folder / SEEDS.relative_to(SEEDS.parents[2]), random.Random(0))
     assert answered > 5
-    assert client.code == 0
-    assert client.errors == ""
+    assert (client.code, client.errors) == (0, "")

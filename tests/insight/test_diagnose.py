@@ -84,9 +84,11 @@ def aiming(tmp_path_factory) -> Path:
 def test_the_term_that_pays_a_local_optimum_is_named(aiming):
     returns = 100 - 70 * np.exp(-np.arange(200) / 20) + np.random.default_rng(0).normal(0, 3, 200)
     first = diagnose(with_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
-    assert first.cause == "success_never_seen"
-    assert first.evidence["term"] == "alive"
-    assert first.evidence["term_share"] == 1.0
+    assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == (
+        "success_never_seen",
+        "alive",
+        1.0,
+    )
     assert "'alive' gives 100% of the positive reward of late episodes" in first.text
     assert "a reward term for progress" not in first.advice
     assert "path_distance" in first.advice
@@ -113,8 +115,10 @@ def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_advised_to_continue
 
 def test_an_evaluation_of_a_run_is_read(aiming, tmp_path):
     run = shutil.copytree(aiming, tmp_path / "run")
-    assert main(["eval", str(run), "--episodes", "9"]) == 0
-    assert len(read_training(Run.open(run)).final_episodes) == 9
+    assert (
+        main(["eval", str(run), "--episodes", "9"]),
+        len(read_training(Run.open(run)).final_episodes),
+    ) == (0, 9)
 
 
 def test_steps_beyond_the_plan_read_sensibly(short):
@@ -232,8 +236,7 @@ def test_the_starts_that_fail_are_named_with_the_value_that_they_draw(carriage):
     good = ((places > -0.5) & (generator.random(400) < 0.8)).astype(float)
     drawn = [json.dumps({"other": b, "reset.place.bar.y": a}) for a, b in zip(places, unrelated, strict=True)]
     first = diagnose(with_logs(carriage, returns_of(good, 0), np.full(400, 60), success=good, drawn=drawn))[0]
-    assert first.cause == "some_starts_fail"
-    assert first.evidence["drawn"] == "reset.place.bar.y"
+    assert (first.cause, first.evidence["drawn"]) == ("some_starts_fail", "reset.place.bar.y")
     worst = first.evidence["bins"][0]
     assert (worst["rate"], worst["interval"][0]) == (0.0, 0.0)
     assert worst["low"] < -0.9
@@ -303,8 +306,7 @@ def test_a_learning_rate_that_is_far_too_low_is_not_advised_to_continue(tmp_path
     run = train_shuttle(tmp_path, "train.learning_rate=1e-5")
     flat = returns_of(np.zeros(400), 0)
     first = diagnose(with_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
-    assert first.cause == "learning_rate_too_low"
-    assert first.settings == {"train.learning_rate": "0.003"}
+    assert (first.cause, first.settings) == ("learning_rate_too_low", {"train.learning_rate": "0.003"})
     assert "300 times lower than the usual 0.003" in first.text
     assert "learning_rate_too_low" not in causes_of(
         with_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20)
@@ -332,8 +334,7 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
         episodes, model="best", seed=0, success_defined=True, solved=False
     )
     (statement,) = diagnose(replace(training, verdict=RunVerdict(False, evaluation)))
-    assert statement.cause == "stopped_early"
-    assert statement.settings == {"train.total_timesteps": "48_000"}
+    assert (statement.cause, statement.settings) == ("stopped_early", {"train.total_timesteps": "48_000"})
     assert statement.command == f"deepbots resume {carriage} --timesteps 48_000"
     assert "success rate 87.0% (95 % interval 79.0% .. 92.2%)" in statement.text
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
@@ -394,10 +395,11 @@ def test_a_success_that_needs_exploration_is_named(carriage):
         evaluations=evaluations_with(*[0.3] * 20),
     )
     first = diagnose(replace(training, final_episodes=poor))[0]
-    assert first.cause == "success_needs_exploration"
-    assert first.evidence["with"].rate == pytest.approx(1.0, abs=0.03)
-    assert first.evidence["without"].rate == 0.3
-    assert first.settings == {"train.total_timesteps": "50_000"}
+    assert (first.cause, first.evidence["with"].rate) == (
+        "success_needs_exploration",
+        pytest.approx(1.0, abs=0.03),
+    )
+    assert (first.evidence["without"].rate, first.settings) == (0.3, {"train.total_timesteps": "50_000"})
     high = evaluations_with(*[0.9] * 20)
     assert "success_needs_exploration" not in causes_of(
         replace(training, all_evaluations=high, final_episodes=poor)
@@ -564,8 +566,10 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     )
     assert "action_without_effect" not in causes_of(training)
     run_probes(training)
-    assert causes_of(training)[0] == "action_without_effect"
-    assert {trace.ended_by for trace in training.policy} == {"fallen"}
+    assert (causes_of(training)[0], {trace.ended_by for trace in training.policy}) == (
+        "action_without_effect",
+        {"fallen"},
+    )
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
     assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
     assert "the highest possible return is -1 (DB810)" in warned.text
@@ -612,9 +616,11 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert kept.failed(opened.program) == list(range(10))
     for trace, number in zip(trace_episodes(opened, (9, 3), **kept.replay_options), (9, 3), strict=True):
         outcome = outcomes[number]
-        assert trace.steps == outcome["length"]
-        assert trace.returns == outcome["total_return"]
-        assert trace.ended_by == outcome["ended_by"]
+        assert (trace.steps, trace.returns, trace.ended_by) == (
+            outcome["length"],
+            outcome["total_return"],
+            outcome["ended_by"],
+        )
 
 
 def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(short, tmp_path, capsys):

@@ -93,8 +93,7 @@ def test_pictures_are_seen_as_stable_baselines3_sees_them():
 
 def test_older_values_stand_where_the_environment_puts_them():
     program, learner = _untrained("cartpole", "PPO", frame_stack=3)
-    graph = network.policy_graph(learner, program)
-    assert _session(graph).get_inputs()[0].shape == ["batch", 12]
+    assert _session(network.policy_graph(learner, program)).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
 
 
@@ -138,19 +137,25 @@ def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
     description = json.loads((bundle / "bundle.json").read_text())
     inputs = {entry["name"]: entry for entry in description["inputs"]}
     angle, place = inputs["cart.pole_angle"], inputs["position(cart)"]
-    assert angle["source"] == "sensor"
-    assert angle["sensor"] == "joint_position"
-    assert angle["joints"] == ["pole_hinge"]
-    assert angle["unit"] == "rad"
-    assert place["source"] == "supervisor"
-    assert place["components"] == ["x", "y", "z"]
-    assert place["unit"] == "m"
-    assert place["frame"] == "world"
+    assert (angle["source"], angle["sensor"], angle["joints"], angle["unit"]) == (
+        "sensor",
+        "joint_position",
+        ["pole_hinge"],
+        "rad",
+    )
+    assert (place["source"], place["components"], place["unit"], place["frame"]) == (
+        "supervisor",
+        ["x", "y", "z"],
+        "m",
+        "world",
+    )
     (wheels,) = description["outputs"]
-    assert wheels["name"] == "cart.wheels"
-    assert wheels["kind"] == "velocity"
-    assert wheels["unit"] == "rad/s"
-    assert wheels["safe"] == [0.0] * 4
+    assert (wheels["name"], wheels["kind"], wheels["unit"], wheels["safe"]) == (
+        "cart.wheels",
+        "velocity",
+        "rad/s",
+        [0.0] * 4,
+    )
     assert wheels["range"] == [[-10.0] * 4, [10.0] * 4]  # of the URDF
     assert description["action"] == [
         {
@@ -162,8 +167,7 @@ def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
         }
     ]
     assert description["action"][0]["options"] == {"forward": {"drive": 1.0}, "backward": {"drive": -1.0}}
-    assert description["rate_hz"] == 31.25
-    assert description["evaluation"]["episodes"] == 12
+    assert (description["rate_hz"], description["evaluation"]["episodes"]) == (31.25, 12)
     urdf = (bundle / "inputs" / description["scenario"]["robots"]["cart"]["file"]).read_bytes()
     assert description["scenario"]["robots"]["cart"]["digest"] == hashlib.sha256(urdf).hexdigest()
     text = (bundle / "README.md").read_text()
@@ -203,8 +207,10 @@ def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):
             }
             commands = acting.step(values)
             action = policy(observation)
-            assert commands["action"] == action
-            assert commands["cart.wheels"] == pytest.approx([5.0 if action == 0 else -5.0] * 4)
+            assert (commands["action"], commands["cart.wheels"]) == (
+                action,
+                pytest.approx([5.0 if action == 0 else -5.0] * 4),
+            )
             observation, _, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
 

@@ -26,9 +26,7 @@ def client(project: Path) -> Iterator[Client]:
     """The server ends by itself, and writes nothing to standard error."""
     with Client(project) as started:
         yield started
-    assert started.code == 0
-    assert started.errors == ""
-    assert started.logged == []
+    assert (started.code, started.errors, started.logged) == (0, "", [])
 
 
 @pytest.fixture

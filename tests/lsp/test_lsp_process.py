@@ -1,21 +1,37 @@
-"""The server as a process that runs all day: its end, its memory, and the order of its answers."""
+"""The server as a process that runs all day: its end, its memory, and the order of its answers.
+
+Whatever a document holds and a client asks: there is an answer, without a word in the log, and nothing
+heavy is imported.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import gc
 import json
+import os
 import random
 import shutil
+import socket
+import subprocess
+import sys
+import time
 from concurrent.futures import Future
 from typing import Any
 
 import pytest
+from lsprotocol.types import Position, Range
 
-from deepbots_cli.lsp.server import Checker, Server
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, path_of
+from deepbots_cli.installation import install_hint
+from deepbots_cli.lsp.completion import completion
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.lookup import definitions, document_symbols
+from deepbots_cli.lsp.server import Checker, CodeActions, Server, diagnostics, formatting
+from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, path_of, uri_of
+from tests.few import LIGHT, few
 from tests.fuzz.mutations import SEEDS
-from tests.lsp.client import Client
+from tests.lsp.client import ROOT, Client, position
+from tools.benchmarks.lsp_cost import heavy_imports
 
 TOGETHER = ("arena.yaml", "maze.yaml", "rover_part.yaml", "wireless.yaml", "balance.yaml")
 """Scenarios of which two include the same piece, and one extends another."""
@@ -173,3 +189,247 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
 
     asyncio.run(work())
     assert looked == ["untitled:c", "untitled:a", "untitled:b"]
+
+
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
+STEP = 37
+ASKED_OF_A_PLACE = ("completion", "hover", "definition")
+
+
+def answer_all(workspace: Workspace, document: Document, position: Position) -> None:
+    """Every request at one place; nothing may be raised."""
+    view = workspace.view(document.uri, position)
+    if view is None:  # a slip in the key `deepbots`: what is left is not a scenario
+        assert not document.is_scenario
+        return
+    for item in completion(view).items:
+        assert (
+            item.text_edit.range.start.line
+            == item.text_edit.range.end.line
+            == view.document.lines.position(view.offset).line
+        )
+    hover(view)
+    definitions(view, workspace.open_uris)
+    CodeActions(workspace, document, versioned=True).at(Range(position, position))
+
+
+@pytest.mark.parametrize("path", few(SCENARIOS, LIGHT, lambda path: path.stem))
+def test_a_scenario_cut_off_anywhere_is_answered_for(path):
+    text = path.read_text(encoding="utf-8")
+    uri = uri_of(path)
+    workspace = Workspace()
+    whole = Document(uri, 1, text, path)
+    workspace.put(whole)
+    workspace.record(analyze(whole, workspace.drafts))
+    for version, end in enumerate(range(0, len(text), STEP), 2):
+        document = Document(uri, version, text[:end], path)
+        workspace.put(document)
+        if version % 10 == 0:
+            diagnostics(analysis := analyze(document, workspace.drafts), workspace.open_uris)
+            workspace.record(analysis)
+            formatting(document)
+            document_symbols(document)
+        answer_all(workspace, document, document.lines.position(end))
+
+
+@pytest.mark.parametrize("seed", few(range(3), "0"))
+def test_a_scenario_with_random_slips_is_answered_for(seed):
+    drawn = random.Random(seed)
+    for path in drawn.sample(SCENARIOS, 5):
+        text = path.read_text(encoding="utf-8")
+        uri = uri_of(path)
+        workspace = Workspace()
+        for version in range(1, 12):
+            slips = list(text)
+            for _ in range(version % 5):
+                slips.insert(drawn.randrange(len(slips)), drawn.choice("{}[],:\"'|>-# \n\t&*!%@x😀(.)"))
+            document = Document(uri, version, "".join(slips), path)
+            workspace.put(document)
+            if version % 3 == 1:
+                workspace.record(analyze(document, workspace.drafts))
+            for _ in range(8):
+                answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
+
+
+@pytest.mark.parametrize(
+    "step", [pytest.param(4 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("method", [*ASKED_OF_A_PLACE, "codeAction"])
+def test_the_server_answers_at_every_place_of_a_scenario_and_of_what_is_left_of_it(client, pit, method, step):
+    text = client.texts[pit]
+    for end in range(0, len(text), step):
+        for document in (text, text[:end]):
+            client.change(pit, document)
+            place = position(document, end)
+            where = (
+                {"range": {"start": place, "end": place}, "context": {"diagnostics": []}}
+                if method == "codeAction"
+                else {"position": place}
+            )
+            client.request(f"textDocument/{method}", {"textDocument": {"uri": pit}, **where})
+
+
+HOSTILE = {
+    "an alias bomb": "deepbots: 1\na: &a [x, x]\n"
+    + "".join(f"a{n}: &a{n} [*a{'' if n == 0 else n - 1}, *a]\n" for n in range(60)),
+    "deep nesting": "deepbots: 1\nworld: " + "{a: " * 5000,
+    "a long line": "deepbots: 1\nsummary: " + "x" * 900_000,
+    "a long expression": "deepbots: 1\nreward: {x: " + "1 + " * 2400 + "1}",
+    "lone surrogates": "deepbots: 1\nname: \ud800\nsummary: \udfff",
+    "control characters": "deepbots: 1\nname: \0\x1b[31m\x85\u2028\r a: {",
+    "paths outside of the project": "deepbots: 1\nextends: /etc/passwd\nrobots: {a: {include:"
+    " ../../../../etc/passwd, urdf: /dev/zero}}",
+    "nothing": "",
+    "a mark of byte order": "\ufeffdeepbots: 1\nworld: {timestop: 1}",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_document_is_answered_for(client, project, name):
+    uri = client.open(project / "scenarios" / "hostile.yaml", HOSTILE[name])
+    client.findings(uri)
+    for line, character in [(0, 0), (1, 9), (2, 30), (10**6, 10**6)]:
+        for method in ASKED_OF_A_PLACE:
+            client.request(
+                f"textDocument/{method}",
+                {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}},
+            )
+    client.request("textDocument/documentSymbol", {"textDocument": {"uri": uri}})
+    client.request(
+        "textDocument/formatting",
+        {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
+    )
+    everything = {"start": {"line": 0, "character": 0}, "end": {"line": 10**6, "character": 0}}
+    client.request(
+        "textDocument/codeAction",
+        {"textDocument": {"uri": uri}, "range": everything, "context": {"diagnostics": []}},
+    )
+    client.close(uri)
+
+
+def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, project):
+    uri = client.open(project / "scenarios" / "curious.yaml", HOSTILE["paths outside of the project"])
+    findings = client.findings(uri)
+    assert all(
+        "lies outside the project" in finding["message"] for finding in findings if finding["code"] == "DB204"
+    )
+    assert (
+        [finding["code"] for finding in findings][:1],
+        client.definition(uri, "extends: /etc/pas¦swd"),
+    ) == (["DB204"], [])
+    client.close(uri)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "file:///%00",
+        "file://",
+        "http://example.org/a.yaml",
+        "file:///" + "a" * 5000,
+        "nonsense",
+        "file:///proc/self/mem",
+    ],
+)
+def test_a_document_with_an_unusual_address_is_handled_like_any_other(client, uri):
+    client.notify(
+        "textDocument/didOpen",
+        {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}},
+    )
+    client.versions[uri] = 1
+    client.findings(uri)
+    answer = client.request(
+        "textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}}
+    )
+    assert "timestep" in {item["label"] for item in answer["items"]}
+    client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
+
+
+def test_a_document_that_is_not_open_has_no_answers(client, project):
+    where = {
+        "textDocument": {"uri": (project / "scenarios" / "cartpole.yaml").as_uri()},
+        "position": {"line": 3, "character": 3},
+    }
+    assert [client.request(f"textDocument/{method}", where) for method in ASKED_OF_A_PLACE] == [
+        None,
+        None,
+        None,
+    ]
+
+
+def test_neither_simulator_nor_learner_is_imported(client, pit):
+    client.labels(pit, "delta(¦metric)")
+    client.hover(pit, "rea¦ch > radius")
+    assert heavy_imports(client.process.pid) == 0
+
+
+def test_the_server_leaves_when_its_input_ends(project):
+    client = Client(project)
+    with client:
+        client.process.stdin.close()
+        assert client.process.wait(20) == 0
+    assert client.errors == ""
+
+
+def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "deepbots_cli", "lsp", "--tcp", str(port)]
+    server = subprocess.Popen(command, cwd=project, env=environment, stderr=subprocess.PIPE)
+    body = json.dumps(
+        {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "initialize",
+            "params": {"processId": None, "rootUri": None, "capabilities": {}},
+        }
+    )
+    with connected(port) as line:
+        line.sendall(f"Content-Length: {len(body)}\r\n\r\n{body}".encode())
+        assert b"hoverProvider" in line.recv(100_000)
+    assert (server.wait(20), server.stderr.read()) == (0, b"")
+
+
+@pytest.mark.slow
+def test_a_port_in_use_and_a_missing_folder_are_errors_of_one_line(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        calls = [["lsp", "--tcp", str(port)], ["lsp", "--allow-path", "missing"]]
+        program = (
+            "from deepbots_cli.cli import main; import sys; sys.exit([main(words) for words in"
+            f" {calls}] != [2, 2])"
+        )
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", program]
+        ran = subprocess.run(
+            command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False
+        )
+    assert (ran.returncode, ran.stdout) == (0, "")
+    busy, missing = ran.stderr.splitlines()
+    assert busy == f"error: cannot listen on port {port}: address already in use"
+    assert missing.startswith("error: missing is not a folder; --allow-path needs an existing folder")
+
+
+def connected(port: int) -> socket.socket:
+    """A connection to a server that is about to start."""
+    for _ in range(200):
+        try:
+            return socket.create_connection(("127.0.0.1", port))
+        except ConnectionRefusedError:
+            time.sleep(0.1)
+    raise TimeoutError
+
+
+def test_without_the_extra_one_line_says_what_to_install():
+    program = (
+        "import sys; sys.modules['pygls'] = None; from deepbots_cli.cli import main; sys.exit(main(['lsp']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
+    )
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert f"the language server needs the 'editor' extra; {install_hint('editor')}" in ran.stderr
+    assert "Traceback" not in ran.stderr

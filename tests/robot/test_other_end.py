@@ -103,8 +103,10 @@ def test_rates_that_differ_are_named_on_both_sides() -> None:
         == differences(robot, policy)
         == ["the robot steps at 62.5 Hz, the policy acts at 31.25 Hz"]
     )
-    assert differences(policy, msgspec.structs.replace(robot, rate=1 / 0.032)) == []
-    assert differences(policy, ROBOT) == []
+    assert (
+        differences(policy, msgspec.structs.replace(robot, rate=1 / 0.032)),
+        differences(policy, ROBOT),
+    ) == ([], [])
 
 
 def test_over_zeromq_nothing_of_another_scenario_is_used_and_both_ends_say_so(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""`deepbots-robot check` and the keys of `deepbots export`, as a user runs them."""
+"""`deepbots-robot check` and the keys of `deepbots export`, as a user runs them.
+
+The section `ros`: what `inspect --ros` prints is a section that fits, and a bundle has it.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,14 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.document import shipped
 from deepbots_robot import bundle, signature
 from deepbots_robot.__main__ import main as robot
+from deepbots_robot.topics import Topic
 from tests.bundle.untrained import write_bundle
+from tests.few import WORLDS, few
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +67,7 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
     if not script.exists():
         pytest.skip("the package is not installed")
     done = subprocess.run([script, "check", "."], cwd=place, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
@@ -73,9 +79,7 @@ def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-P", "-c", code, "check", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.returncode == 0
-    assert done.stdout.splitlines()[-1] == "\\u03bb"
-    assert done.stderr == ""
+    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "\\u03bb", "")
 
 
 @pytest.mark.slow
@@ -134,3 +138,44 @@ def test_options_of_keys_that_do_not_fit_are_refused(
     monkeypatch.chdir(tmp_path)
     assert main(words) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), (*WORLDS, "tag")))
+def test_what_inspect_prints_is_a_section_without_findings(
+    scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["inspect", scenario, "--ros"]) == 0
+    printed = capfd.readouterr().out
+    Path("mine.yaml").write_text(f"deepbots: 1\nextends: {scenario}\n{printed}")
+    assert not [finding for finding in api.lint("mine.yaml") if finding.severity == "error"]
+    compiled = api.compile("mine.yaml")
+    assert len(compiled.program.ros) == len(printed.splitlines()) - 1
+    assert compiled.digest == api.compile(scenario).digest  # topics do not change a policy
+
+
+def test_a_topic_of_no_agent_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    topics = "ros:\n  blue.left_wheel: {topic: /b, type: sensor_msgs/JointState}\n"
+    wrong = topics + "  blue.left_whel: {topic: /c, type: sensor_msgs/JointState}\n"
+    Path("mine.yaml").write_text(f"deepbots: 1\nextends: sumo\n{wrong}")
+    (finding,) = [finding for finding in api.lint("mine.yaml") if finding.severity == "error"]
+    assert finding.headline == "there is no sensor, reading or actuator `blue.left_whel`"
+
+
+def test_a_bundle_has_the_topics_of_its_scenario() -> None:
+    pytest.importorskip("onnx")
+    from deepbots_cli.insight.export.bundle import ros_topics
+
+    program = api.compile(
+        "cartpole",
+        overrides=["ros={cart.pole_angle: {topic: /pole, type: sensor_msgs/JointState, part: position}}"],
+    ).program
+    topics = {
+        name: Topic(topic.topic, topic.type, topic.part)
+        for name, topic in ros_topics(program, {"cart.pole_angle", "position(cart)"}).items()
+    }
+    assert topics == {
+        "cart.pole_angle": Topic("/pole", "sensor_msgs/JointState", "position"),
+        "position(cart)": Topic("/supervisor/position_cart", "geometry_msgs/PoseStamped"),
+    }

@@ -1,4 +1,9 @@
-"""Mesh files are found, checked and hashed before an engine sees them."""
+"""Mesh files are found, checked and hashed before an engine sees them.
+
+Closed forms, and overrides against them.
+
+Masses of links from their density: closed forms at once, meshes when they are simulated.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +13,48 @@ import os
 import re
 import struct
 import zipfile
+from contextlib import closing
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from random import Random
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from deepbots_cli import api, geometry
 from deepbots_cli.diagnostics import Findings
+from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.coverage import mesh_coverage
-from deepbots_cli.robots.model import Mesh, to_urdf
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Mesh,
+    Pose,
+    RobotModel,
+    Shape,
+    Sphere,
+    homogeneous_inertial,
+    to_urdf,
+    volume,
+    with_density,
+    with_friction,
+    with_joint,
+    with_mass,
+    with_scale,
+)
 from deepbots_cli.robots.reader import RobotFile, read
-from tests.robots.meshes import ball
+from tests.robots.meshes import ball, block
 
 COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/2 4/3\nf -1 -2 -3\n"
@@ -38,8 +72,7 @@ def robot_with(folder: Path, filename: str) -> tuple[RobotFile | None, list[str]
     findings = Findings()
     robot = read(folder / "robot.urdf", "robot.urdf", findings)
     for finding in findings:
-        assert finding.code == "DB301"
-        assert finding.span.text == filename
+        assert (finding.code, finding.span.text) == ("DB301", filename)
     return robot, [finding.headline for finding in findings]
 
 
@@ -65,8 +98,7 @@ def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkey
     for content in (sound, sound, broken, broken):
         (tmp_path / "m.obj").write_bytes(content)
         problems.append(robot_with(tmp_path, "m.obj")[1])
-    assert checked == [sound, broken]
-    assert problems[:2] == [[], []]
+    assert (checked, problems[:2]) == ([sound, broken], [[], []])
     assert problems[2] == problems[3] != []
 
 
@@ -209,8 +241,7 @@ def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
         robot, headlines = robot_with(tmp_path, name)
-        assert headlines == []
-        assert mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:] == (3, 3)
+        assert (headlines, mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:]) == ([], (3, 3))
 
 
 def test_a_collada_file_of_polygons_is_sound(tmp_path: Path):
@@ -359,3 +390,333 @@ def test_a_damaged_mesh_of_many_triangles_gives_findings_and_no_error_of_python(
         (tmp_path / name).write_bytes(data)
         robot_with(tmp_path, name)
         mesh_coverage(Path(name).suffix, bytes(data), "seed")
+
+
+sizes = st.floats(0.1, 10)
+DENSITY = 3.0
+
+
+def robot(
+    shape: Shape,
+    origin: Pose = Pose(),  # noqa: B008
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> RobotModel:
+    """One link of homogeneous material, with a child at (0.1, 0.2, 0.3)."""
+    body = homogeneous_inertial(shape, DENSITY * (volume(shape) or 1), origin)
+    geometry = Geometry(shape, origin)
+    links = (Link("a", body, (geometry,), (geometry,)), Link("b", Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0)))
+    return RobotModel("r", links, (Joint("j", "continuous", "a", "b", Pose((0.1, 0.2, 0.3), rpy)),), "a")
+
+
+def moments(body: Inertial | None) -> tuple[float, ...]:
+    assert body is not None
+    return (body.mass, *body.origin.xyz, body.ixx, body.ixy, body.ixz, body.iyy, body.iyz, body.izz)
+
+
+def model_of(result: RobotModel | str) -> RobotModel:
+    assert isinstance(result, RobotModel), result
+    return result
+
+
+@settings(max_examples=50)
+@given(st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes))
+def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
+    stretched = model_of(with_scale(robot(Box(size), Pose(at)), "a", scale))
+    new = tuple(s * f for s, f in zip(size, scale, strict=True))
+    link = stretched.link("a")
+    assert link.visuals[0].shape == Box(new)
+    assert moments(link.inertial) == pytest.approx(
+        moments(
+            homogeneous_inertial(
+                Box(new), DENSITY * math.prod(new), Pose(tuple(a * f for a, f in zip(at, scale, strict=True)))
+            )
+        )
+    )
+
+
+@settings(max_examples=50)
+@given(sizes, sizes, sizes, sizes)
+def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, along):
+    stretched = model_of(with_scale(robot(Cylinder(radius, length)), "a", (across, across, along)))
+    new = Cylinder(radius * across, length * along)
+    assert stretched.link("a").collisions[0].shape == new
+    assert moments(stretched.link("a").inertial) == pytest.approx(
+        moments(homogeneous_inertial(new, DENSITY * math.pi * new.radius**2 * new.length))
+    )
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.3), Capsule(0.2, 0.7), Cylinder(0.3, 0.1), Box((1.0, 2.0, 3.0))])
+def test_every_shape_grows_evenly(shape):
+    stretched = model_of(
+        with_scale(robot(shape, Pose((1.0, 2.0, 3.0), (0.3, -0.2, 1.0))), "a", (2.0, 2.0, 2.0))
+    ).link("a")
+    assert stretched.inertial.mass == pytest.approx(8 * robot(shape).link("a").inertial.mass)
+    assert moments(stretched.inertial)[4:] == pytest.approx(
+        [32 * value for value in moments(robot(shape).link("a").inertial)[4:]]
+    )
+    assert stretched.inertial.origin.xyz == (2.0, 4.0, 6.0)
+
+
+def test_child_joints_move_with_the_stretch_and_keep_their_direction():
+    joint = model_of(
+        with_scale(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))
+    ).joint("j")
+    assert joint.origin == Pose((0.1, 0.4, 3.0), (0.1, 0.2, 0.3))
+
+
+def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
+    lying = Pose((0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0))  # its z along -y of the link
+    shape = (
+        model_of(with_scale(robot(Cylinder(0.1, 1.0), lying), "a", (2.0, 3.0, 2.0)))
+        .link("a")
+        .visuals[0]
+        .shape
+    )
+    assert (shape.radius, shape.length) == (pytest.approx(0.2), pytest.approx(3.0))
+
+
+def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
+    turned = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
+    model = robot(Box((1.0, 2.0, 3.0)), turned)
+    stretched = model_of(with_scale(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
+    assert moments(stretched)[4:] == pytest.approx(
+        moments(homogeneous_inertial(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:]
+    )
+
+
+def test_a_mesh_is_stretched_by_its_scale():
+    mesh = Mesh("/m.stl", "0", (1.0, 1.0, 2.0))
+    model = RobotModel("r", (Link("a", None, (Geometry(mesh),)),), (), "a")
+    assert model_of(with_scale(model, "a", (1.0, 2.0, 3.0))).link("a").visuals[0].shape == replace(
+        mesh, scale=(1.0, 2.0, 6.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "origin", "scale", "why"),
+    [
+        (Sphere(1.0), Pose(), (1.0, 1.0, 2.0), "a sphere would not stay round"),
+        (Cylinder(1.0, 1.0), Pose(), (1.0, 2.0, 2.0), "a cylinder would not stay round"),
+        (Capsule(1.0, 1.0), Pose(), (1.0, 1.0, 2.0), "the ends of a capsule would not stay round"),
+        (Box((1.0, 1.0, 1.0)), Pose(rpy=(0.0, 0.0, 0.5)), (1.0, 2.0, 1.0), "skew"),
+        (Box((1.0, 1.0, 1.0)), Pose(), (1.0, 0.0, 1.0), "above 0"),
+        (Box((1.0, 1.0, 1.0)), Pose(), (1.0, math.nan, 1.0), "above 0"),
+    ],
+)
+def test_a_shape_that_cannot_follow_says_why(shape, origin, scale, why):
+    answer = with_scale(robot(shape, origin), "a", scale)
+    assert isinstance(answer, str)
+    assert why in answer
+
+
+def test_a_new_mass_scales_the_inertia():
+    model = model_of(with_mass(robot(Box((1.0, 2.0, 3.0))), "a", 5.0))
+    assert moments(model.link("a").inertial) == pytest.approx(
+        moments(homogeneous_inertial(Box((1.0, 2.0, 3.0)), 5.0))
+    )
+
+
+def test_a_mass_that_cannot_be_changed_says_why():
+    assert isinstance(with_mass(RobotModel("r", (Link("a"),), (), "a"), "a", 1.0), str)
+    assert isinstance(with_mass(robot(Sphere(1.0)), "a", 0.0), str)
+
+
+def test_joint_and_friction_overrides_change_only_what_is_named():
+    model = with_joint(
+        with_joint(robot(Sphere(1.0)), "j", damping=0.5), "j", friction=0.1, limit=Limit(effort=2.0)
+    )
+    assert (model.joint("j").damping, model.joint("j").friction, model.joint("j").limit.effort) == (
+        0.5,
+        0.1,
+        2.0,
+    )
+    model = with_friction(with_friction(model, "a", lateral=0.3), "a", rolling=0.0)
+    assert model.link("a").friction == Friction(lateral=0.3, rolling=0.0)
+    assert model.link("b") == robot(Sphere(1.0)).link("b")
+
+
+@pytest.mark.parametrize(
+    "shape", [Box((0.36, 0.6, 0.96)), Sphere(0.5), Cylinder(0.4, 1.0), Capsule(0.3, 0.6)]
+)
+def test_the_closed_forms_agree_with_a_sum_over_small_cubes(shape):
+    """A grid of 40 cubes along the longest side; the surface cubes make an error of some per cent."""
+    step = 1.2 / 40
+    ticks = [-0.6 + step * (i + 0.5) for i in range(40)]
+    inside = [(x, y, z) for x in ticks for y in ticks for z in ticks if _holds(shape, x, y, z)]
+    body = homogeneous_inertial(shape, 2.0)
+    share = 2.0 / len(inside)
+    assert volume(shape) == pytest.approx(len(inside) * step**3, rel=0.05)
+    assert body.ixx == pytest.approx(share * sum(y * y + z * z for _, y, z in inside), rel=0.03)
+    assert body.izz == pytest.approx(share * sum(x * x + y * y for x, y, _ in inside), rel=0.03)
+
+
+def _holds(shape: Shape, x: float, y: float, z: float) -> bool:
+    match shape:
+        case Box(size):
+            return abs(x) < size[0] / 2 and abs(y) < size[1] / 2 and abs(z) < size[2] / 2
+        case Sphere(r):
+            return math.hypot(x, y, z) < r
+        case Cylinder(r, length):
+            return math.hypot(x, y) < r and abs(z) < length / 2
+        case Capsule(r, length):
+            return math.hypot(x, y, max(abs(z) - length / 2, 0)) < r
+        case _:
+            return False
+
+
+@settings(max_examples=50)
+@given(st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes))
+def test_every_real_body_is_plausible_also_when_stretched(size, scale):
+    model = robot(Box(size))
+    assert model.link("a").inertial.is_plausible
+    assert model_of(with_scale(model, "a", scale)).link("a").inertial.is_plausible
+
+
+WOOD_DENSITY = 700.0  # kg/m^3
+
+
+def one_shape(shape: Shape, origin: Pose = Pose()) -> RobotModel:  # noqa: B008  # frozen
+    return RobotModel("r", (Link("a", collisions=(Geometry(shape, origin),)),), (), "a")
+
+
+def mesh(folder: Path, name: str, data: bytes, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
+    (folder / name).write_bytes(data)
+    return Mesh(str(folder / name), hashlib.sha256(data).hexdigest(), scale)
+
+
+def weighed(model: RobotModel) -> Inertial:
+    dense = with_density(model, "a", WOOD_DENSITY)
+    assert isinstance(dense, RobotModel)
+    inertial = geometry.with_masses(dense).link("a").inertial
+    assert inertial is not None
+    return inertial
+
+
+def mass_and_matrix(inertial: Inertial) -> list[float]:
+    return [inertial.mass, *(entry for row in inertial.matrix for entry in row)]
+
+
+@pytest.mark.parametrize("name", ["block.stl", "block.obj"])
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (0.5, 2.0, -1.0)])
+def test_a_block_of_triangles_weighs_what_a_box_does(
+    tmp_path: Path, name: str, scale: tuple[float, float, float]
+) -> None:
+    inertial = weighed(
+        one_shape(mesh(tmp_path, name, block(name, (0.1, 0.2, 0.3)), scale), Pose((1.0, 2.0, 3.0)))
+    )
+    size = (0.1 * scale[0], 0.2 * scale[1], 0.3 * abs(scale[2]))
+    expected = homogeneous_inertial(Box(size), WOOD_DENSITY * math.prod(size))
+    assert mass_and_matrix(inertial) == pytest.approx(
+        mass_and_matrix(expected), rel=1e-6, abs=1e-9
+    )  # an STL file has 32-bit floats
+    assert inertial.origin.xyz == pytest.approx((1.0, 2.0, 3.0))
+
+
+def test_a_ball_of_triangles_weighs_nearly_what_a_sphere_does(tmp_path: Path) -> None:
+    inertial = weighed(one_shape(mesh(tmp_path, "ball.obj", ball(0.5, 120))))
+    expected = homogeneous_inertial(Sphere(0.5), WOOD_DENSITY * 4 / 3 * math.pi * 0.5**3)
+    assert mass_and_matrix(inertial) == pytest.approx(mass_and_matrix(expected), rel=2e-3, abs=1e-9)
+    assert inertial.origin.xyz == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_a_turned_block_has_the_inertia_of_a_turned_box(tmp_path: Path) -> None:
+    inertial = weighed(
+        one_shape(
+            mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))),
+            Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
+        )
+    )
+    expected = homogeneous_inertial(Box((0.2, 0.1, 0.3)), WOOD_DENSITY * 0.006)
+    assert mass_and_matrix(inertial) == pytest.approx(mass_and_matrix(expected), abs=1e-12)
+
+
+def test_a_mesh_that_is_inside_out_weighs_the_same(tmp_path: Path) -> None:
+    inside_out = block("block.obj", (0.1, 0.2, 0.3), outward=False)
+    assert weighed(one_shape(mesh(tmp_path, "block.obj", inside_out))).mass == pytest.approx(
+        WOOD_DENSITY * 0.006
+    )
+
+
+def test_an_open_mesh_has_no_mass(tmp_path: Path) -> None:
+    open_box = b"\n".join(block("block.obj", (0.1, 0.2, 0.3)).splitlines()[:-1])
+    with pytest.raises(EngineError, match="the mesh of link 'a' is not watertight"):
+        weighed(one_shape(mesh(tmp_path, "block.obj", open_box)))
+
+
+def test_shapes_in_closed_form_are_weighed_at_once() -> None:
+    dense = with_density(one_shape(Cylinder(0.1, 0.5), Pose((0.0, 0.0, 0.2))), "a", WOOD_DENSITY)
+    assert isinstance(dense, RobotModel)
+    volume = math.pi * 0.1**2 * 0.5
+    assert dense.link("a").inertial == homogeneous_inertial(
+        Cylinder(0.1, 0.5), WOOD_DENSITY * volume, Pose((0.0, 0.0, 0.2))
+    )
+    assert dense.link("a").density is None
+
+
+def test_a_link_without_a_volume_is_an_error_that_says_why(tmp_path: Path) -> None:
+    assert "has 0 shapes" in str(with_density(RobotModel("r", (Link("a"),), (), "a"), "a", WOOD_DENSITY))
+    assert "is a COLLADA file" in str(with_density(one_shape(Mesh("/m.DAE", "")), "a", WOOD_DENSITY))
+
+
+def test_a_stretched_mesh_weighs_more(tmp_path: Path) -> None:
+    model = one_shape(mesh(tmp_path, "block.stl", block("block.stl", (0.1, 0.2, 0.3))))
+    long = with_scale(model, "a", (1.0, 1.0, 2.0))
+    assert isinstance(long, RobotModel)
+    assert weighed(long).mass == pytest.approx(2.0 * weighed(model).mass)
+
+
+ROOT = Path(__file__).parents[2]
+CARTPOLE = ROOT / "robots/urdf/cartpole.urdf"
+SCENARIO = (ROOT / "scenarios/cartpole.yaml").read_text(encoding="utf-8")
+
+
+def cartpole(folder: Path, pole: str) -> str:
+    """A CartPole whose pole is a mesh with an inertial or without, and what the scenario says of it; the
+    codes of the findings."""
+    (folder / "pole.obj").write_bytes(block("pole.obj", (0.02, 0.02, 1.0)))
+    box = homogeneous_inertial(Box((0.02, 0.02, 1.0)), WOOD_DENSITY * 0.0004, Pose((0.0, 0.0, 0.5)))
+    assert box is not None
+    moments = f'<inertia ixx="{box.ixx!r}" iyy="{box.iyy!r}" izz="{box.izz!r}"/>'
+    written = f'<inertial><origin xyz="0 0 0.5"/><mass value="{box.mass!r}"/>{moments}</inertial>'
+    shape = '<collision><origin xyz="0 0 0.5"/><geometry><mesh filename="pole.obj"/></geometry></collision>'
+    text = re.sub(
+        r'<link name="pole">.*?</link>',
+        f'<link name="pole">{written if pole == "written" else ""}{shape}</link>',
+        CARTPOLE.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
+    )
+    (folder / f"{pole}.urdf").write_text(text, encoding="utf-8")
+    links = "\n    links: {pole: {density: 700 kg/m^3}}" if pole == "dense" else ""
+    return SCENARIO.replace("urdf: ../robots/urdf/cartpole.urdf", f"urdf: {pole}.urdf{links}")
+
+
+def test_a_link_of_a_scenario_takes_its_mass_from_its_density(tmp_path: Path) -> None:
+    rolls, codes = {}, {}
+    for pole in ("written", "dense", "bare"):
+        file = tmp_path / f"{pole}.yaml"
+        file.write_text(cartpole(tmp_path, pole), encoding="utf-8")
+        codes[pole] = {finding.code for finding in api.lint(file)} & {"DB305", "DB301", "DB105"}
+        if pole != "bare":
+            with closing(api.make(file)) as environment:
+                environment.reset(seed=0)
+                rolls[pole] = [environment.step(step % 2)[0].tolist() for step in range(40)]
+    assert codes == {"written": set(), "dense": set(), "bare": {"DB305"}}
+    assert rolls["dense"] == [pytest.approx(row, abs=1e-3) for row in rolls["written"]]
+
+
+@pytest.mark.parametrize(
+    ("says", "code", "words"),
+    [
+        ("density: 700 kg/m^3, mass: 1 kg", "DB202", "cannot be combined"),
+        ("density: 7 kg", "DB503", "density"),
+        ("density: 0 kg/m^3", "DB105", "0"),
+    ],
+)
+def test_a_density_that_cannot_be_meant_is_a_finding(
+    tmp_path: Path, says: str, code: str, words: str
+) -> None:
+    text = SCENARIO.replace(
+        "urdf: ../robots/urdf/cartpole.urdf", f"urdf: cartpole\n    links: {{pole: {{{says}}}}}"
+    )
+    (tmp_path / "a.yaml").write_text(text, encoding="utf-8")
+    assert [finding.code for finding in api.lint(tmp_path / "a.yaml") if words in finding.headline] == [code]

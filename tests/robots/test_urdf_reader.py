@@ -1,15 +1,49 @@
-"""The robots that the reader makes of files, and its findings about wrong ones."""
+"""The robots that the reader makes of files, and its findings about wrong ones.
+
+Whatever the file holds: findings, and never an exception, a hang or an expanded entity.
+
+The robots that are shipped, and published ones as they are.
+
+A written robot file is read again as the same robot.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
+import math
+import os
+import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
+from deepbots_cli.compiler.robots import matching_names
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.robots.model import Box, Cylinder, Friction, Limit, Mimic, Pose
-from deepbots_cli.robots.reader import read
+from deepbots_cli.document import shipped
+from deepbots_cli.robots.meshes import UnusableMesh, mesh_resolver
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Mimic,
+    Pose,
+    RobotModel,
+    Sphere,
+    homogeneous_inertial,
+    to_urdf,
+)
+from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from tests.golden.cases import mistakes
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -54,8 +88,7 @@ def test_a_sound_robot_is_read_without_a_word(read_text):
     assert model.link("hand").collisions[0].origin == Pose((0.0, 0.0, 0.5), (0.1, 0.0, 0.0))
     assert model.link("hand").friction == Friction(lateral=0.7)
     elbow = model.joint("elbow")
-    assert elbow.axis == pytest.approx((0, 0.6, 0.8))
-    assert (elbow.damping, elbow.friction) == (0.1, 0.2)
+    assert (elbow.axis, (elbow.damping, elbow.friction)) == (pytest.approx((0, 0.6, 0.8)), (0.1, 0.2))
 
 
 def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
@@ -65,8 +98,7 @@ def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
 
 def test_links_and_joints_know_where_they_are_named(read_text):
     robot, _ = read_text(ARM)
-    assert robot.link_spans["hand"].text == "hand"
-    assert robot.link_spans["hand"].start_position == (8, 15)
+    assert (robot.link_spans["hand"].text, robot.link_spans["hand"].start_position) == ("hand", (8, 15))
     assert robot.joint_spans["elbow"].location == "robot.urdf:13:16"
 
 
@@ -94,8 +126,7 @@ def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
     _, findings = read_text(
         ARM.replace('<axis xyz="0 3 4"/>', "<axis note='a xyz=\"1\" >' \n xyz = '1 2 bad'/>")
     )
-    finding = single(findings)
-    assert finding.span.text == "1 2 bad"
+    assert single(findings).span.text == "1 2 bad"
 
 
 def broken(old: str, new: str, text: str = ARM) -> str:
@@ -182,8 +213,7 @@ def test_a_duplicate_shows_the_first_place(read_text):
         )
     )
     label = findings[0].labels[0]
-    assert label.text == "first defined here"
-    assert label.span.start_position == (13, 16)
+    assert (label.text, label.span.start_position) == ("first defined here", (13, 16))
 
 
 def test_two_parents_and_a_circle_are_named(read_text):
@@ -273,8 +303,7 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
         for i in range(3)
     )
     finding = warning(read_text, broken("</robot>", frames + "</robot>"))
-    assert finding.code == "DB305"
-    assert finding.notes == ("they are: f0, f1, f2",)
+    assert (finding.code, finding.notes) == ("DB305", ("they are: f0, f1, f2",))
 
 
 @pytest.mark.parametrize(
@@ -288,8 +317,7 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
 )
 def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
     finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
-    assert finding.code == "DB306"
-    assert finding.span.start_position.line == 5
+    assert (finding.code, finding.span.start_position.line) == ("DB306", 5)
 
 
 def test_a_mass_of_zero_is_warned_about(read_text):
@@ -308,8 +336,7 @@ def test_a_joint_without_usable_limits_is_unlimited_and_warned_about(read_text, 
 
 def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
     robot, findings = read_text(broken('lower="-1" ', ""))
-    assert findings == []
-    assert robot.model.joint("elbow").limit.lower == 0.0
+    assert (findings, robot.model.joint("elbow").limit.lower) == ([], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -408,3 +435,516 @@ def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
 def test_an_unexpanded_default_of_xacro_is_read_with_a_warning(read_text):
     finding = warning(read_text, broken('<origin xyz="1 0 0"/>', '<origin xyz="$(optenv WHERE 0.5 0 1)"/>'))
     assert finding.help == "expand it with xacro; until then deepbots uses its default, 0.5 0 1"
+
+
+CARTPOLE = (Path(__file__).parents[2] / "robots/urdf/cartpole.urdf").read_bytes()
+LAUGHS = (
+    b'<?xml version="1.0"?><!DOCTYPE robot [<!ENTITY a "ha">'
+    + b"".join(b'<!ENTITY a%d "%s">' % (i, b"&a%d;" % (i - 1) * 10 if i else b"&a;") for i in range(20))
+    + b']><robot name="&a19;"/>'
+)
+
+
+def headline_of(data: bytes) -> str:
+    findings = Findings()
+    started = time.process_time()
+    assert read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: UnusableMesh("no meshes here")) is None
+    assert time.process_time() - started < 5
+    return next(iter(findings.errors)).headline
+
+
+HOSTILE = {
+    "billion laughs": (LAUGHS, "a DOCTYPE is not allowed"),
+    "external entity": (b'<!DOCTYPE r SYSTEM "file:///etc/passwd"><robot/>', "a DOCTYPE is not allowed"),
+    "unknown entity": (b'<robot name="&lol;"/>', "undefined entity"),
+    "deep": (b"<robot>" + b"<a>" * 100_000, "nested more than 64 deep"),
+    "many": (b"<robot>" + b"<a/>" * 200_000 + b"</robot>", "more than 100000 elements"),
+    "many links": (
+        b"<robot>" + b"".join(b'<link name="%d"/>' % i for i in range(5000)) + b"</robot>",
+        "more than 1000 links",
+    ),
+    "large": (b"<robot>" + b" " * 5_000_000 + b"</robot>", "larger than 4 MiB"),
+    "empty": (b"", "the file is empty"),
+    "blank": (b" \n\t", "the file is empty"),
+    "binary": (bytes(range(256)), "not UTF-8"),
+    "zeros": (b"\0" * 1000, "this is not XML"),
+    "zero in the middle": (b'<robot><link name="a"/>\0</robot>', "this is not XML: not well-formed"),
+    "a second document": (
+        b'<robot><link name="a"/></robot><robot/>',
+        "this is not XML: junk after document element",
+    ),
+    "a second document behind a zero": (b'<robot><link name="a"/></robot>\0<robot/>', "this is not XML"),
+    "DOCTYPE behind blanks": (b'\n<?xml version="1.0"?><!DOCTYPE robot><robot/>', "a DOCTYPE is not allowed"),
+    "only a declaration and zeros": (b'\n<?xml version="1.0"?>\0', "this is not XML"),
+    "many commas": (
+        b'<robot><link name="a"><visual><origin xyz="' + b"1, " * 300_000 + b'"/></visual></link></robot>',
+        "<geometry>",
+    ),
+    "utf-16": ("<robot/>".encode("utf-16"), "not UTF-8"),
+    "brackets": (b"<" * 100_000, "this is not XML"),
+    "open tag": (b'<robot name="' + b"x" * 1_000_000, "this is not XML"),
+    "long name": (
+        b'<robot><link name="' + b"x" * 1_000_000 + b'"/></robot>',
+        "is longer than 200 characters",
+    ),
+    "long tag": (b"<robot><" + b"l" * 1_000_000 + b"/></robot>", "the robot has no links"),
+    "many wrong words": (
+        b"<robot>" + b"".join(b"<lin%d/>" % i for i in range(50_000)) + b"</robot>",
+        "the robot has no links",
+    ),
+    "many digits": (
+        b'<robot><link name="a"><visual><origin xyz="' + b"9" * 1_000_000 + b'"/></visual></link></robot>',
+        "<geometry>",
+    ),
+    "many attributes": (
+        b"<robot " + b" ".join(b'a%d="1"' % i for i in range(50_000)) + b"/>",
+        "the robot has no links",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_a_hostile_file_is_refused_in_time(case):
+    data, expected = HOSTILE[case]
+    assert expected in headline_of(data)
+
+
+def test_of_a_hundred_thousand_findings_only_some_are_reported():
+    findings = Findings()
+    joints = b"<joint/>" * 99_000
+    assert (
+        read_bytes(b"<robot>" + joints + b"</robot>", "x", findings, resolve_mesh=lambda _: UnusableMesh(""))
+        is None
+    )
+    assert 0 < len(findings) <= 110
+    findings = Findings()
+    axes = b'<axis xyz="1 0 0"/>' * 99_000
+    read_bytes(
+        b'<robot><link name="a"/><joint name="j">' + axes + b"</joint></robot>",
+        "x",
+        findings,
+        resolve_mesh=lambda _: UnusableMesh(""),
+    )
+    assert 0 < len(findings) <= 110
+
+
+def test_a_long_chain_of_joints_needs_no_recursion():
+    links = b"".join(b'<link name="l%d"/>' % i for i in range(1000))
+    joints = b"".join(
+        b'<joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>' % (i, i, i + 1)
+        for i in range(999)
+    )
+    robot = read_bytes(
+        b"<robot>" + links + joints + b"</robot>", "x", Findings(), resolve_mesh=lambda _: UnusableMesh("")
+    )
+    assert robot is not None
+    assert robot.model.root == "l0"
+
+
+def test_missing_files_folders_and_pipes_are_findings(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe.urdf")
+    for name, expected in (
+        ("none.urdf", "does not exist"),
+        (".", "not a regular file"),
+        ("pipe.urdf", "not a regular file"),
+        ("a\0b", "not exist"),
+    ):
+        findings = Findings()
+        assert read(tmp_path / name, name, findings) is None
+        assert expected in findings.errors[0].headline
+
+
+def check(data: bytes) -> None:
+    """Reading ends in a robot that survives the round trip, or in at least one error; every span lies in its
+    text."""
+    findings = Findings()
+    robot = read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: UnusableMesh("no meshes here"))
+    for finding in findings:
+        assert 0 <= finding.span.start <= finding.span.end <= len(finding.span.source.text)
+        assert finding.span.location
+        assert (
+            finding.headline[0].islower()
+            or not finding.headline[0].isalpha()
+            or finding.headline.startswith("XML")
+        )
+        assert "\n" not in finding.headline
+    if robot is None:
+        assert findings.errors
+        return
+    again = read_bytes(
+        to_urdf(robot.model).encode(), "y.urdf", Findings(), resolve_mesh=lambda _: UnusableMesh("")
+    )
+    assert again is not None
+    assert again.model == robot.model
+
+
+@given(
+    st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "surrogatepass"))
+)
+@example(b"\xef\xbb\xbf<robot/>")
+@example(b"<!DOCTYPE")
+@example(b"<robot><link name='\xc3\xa4'/><!DOCTYPE x></robot>")
+def test_any_bytes_give_findings(data: bytes):
+    check(data)
+
+
+PIECES = [
+    b'"',
+    b"<",
+    b">",
+    b"/",
+    b"",
+    b"nan",
+    b"-1",
+    b"0",
+    b"1e400",
+    b"1e-320",
+    b"0 0 0",
+    b"1 2",
+    b"body",
+    b"pole",
+    b"&#10;",
+    b"&x;",
+    b"\xff",
+    b"\xc3\xa4",
+    b"fixed",
+    b"floating",
+    b"<!--",
+    b"]]>",
+    b"<link name='body'/>",
+    b"<!DOCTYPE a>",
+    b"\0",
+    b"<axis xyz='0 0 0'/>",
+    b"1e18",
+]
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, len(CARTPOLE)), st.integers(0, 40), st.sampled_from(PIECES) | st.binary(max_size=4)
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_a_damaged_robot_gives_findings_or_still_reads(cuts: list[tuple[int, int, bytes]]):
+    data = CARTPOLE
+    for at, length, piece in cuts:
+        data = data[:at] + piece + data[at + length :]
+    check(data)
+
+
+TOKENS = sorted(
+    {token for token in CARTPOLE.replace(b"<", b' "').replace(b">", b'" ').split(b'"') if 0 < len(token) < 30}
+)
+
+
+@given(st.lists(st.tuples(st.sampled_from(TOKENS), st.sampled_from(PIECES + TOKENS)), min_size=1, max_size=2))
+def test_exchanged_words_give_findings_or_still_read(exchanges: list[tuple[bytes, bytes]]):
+    data = CARTPOLE
+    for old, new in exchanges:
+        data = data.replace(old, new, 1)
+    check(data)
+
+
+SHIPPED = Path(__file__).parents[2] / "robots/urdf"
+PUBLISHED = {
+    "r2d2.urdf": {"DB307"},  # its head is continuous, from -0.38 to 0 rad
+    "husky/husky.urdf": {"DB305", "DB311"},
+    "quadruped/minitaur.urdf": {"DB307", "DB311"},
+    "laikago/laikago.urdf": {"DB306"},
+    "laikago/laikago_toes.urdf": {"DB306", "DB311"},
+    "kuka_iiwa/model.urdf": {"DB306"},
+    "franka_panda/panda.urdf": {"DB306"},
+    "a1/a1.urdf": set(),
+    "bicycle/bike.urdf": {"DB311"},
+    "biped/biped2d_pybullet.urdf": {"DB306", "DB307", "DB311"},
+    "differential/diff_ring.urdf": {"DB311"},
+    "quadruped/microtaur/microtaur.urdf": {"DB311"},
+    "racecar/racecar_differential.urdf": {
+        "DB307",
+        "DB311",
+    },  # one of its steering hinges is continuous, from -1 to 1 rad
+    "humanoid/humanoid.urdf": {"DB311"},
+    "spherical_joint_limit.urdf": {"DB306", "DB311"},
+}
+
+
+def shipped_robot(name: str) -> RobotFile:
+    findings = Findings()
+    robot = read(SHIPPED / name, name, findings)
+    assert list(findings) == []
+    assert robot is not None
+    return robot
+
+
+def moments(link, shape, origin):
+    """The moments of the file, and those of the closed form."""
+    inertial = link.inertial
+    expected = homogeneous_inertial(shape, link.inertial.mass, origin)
+    return [inertial.ixx, inertial.iyy, inertial.izz], pytest.approx(
+        [expected.ixx, expected.iyy, expected.izz], rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.urdf")), ids=lambda path: path.stem)
+def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
+    robot = shipped_robot(path.name)
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    assert again is not None
+    assert again.model == robot.model
+
+
+def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
+    model = shipped_robot("cartpole.urdf").model
+    assert model.root == "body"
+    wheels = matching_names((joint.name for joint in model.moving_joints), "wheel_*")
+    assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
+    hinge = model.joint("pole_hinge")
+    assert (hinge.limit.lower, hinge.limit.upper) == (-1.3, 1.3)
+    assert hinge.limit.effort is None
+    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == (
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 0.03),
+        0.0,
+        0.0,
+    )
+
+
+def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
+    model = shipped_robot("cartpole.urdf").model
+    assert sum(link.inertial.mass for link in model.links) == pytest.approx(2 + 4 * 0.1005 + 0.2 + 0.02)
+    for name in ("body", "pole", "tip"):
+        link = model.link(name)
+        actual, expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert (actual, link.inertial.origin) == (expected, link.visuals[0].origin)
+    for name in matching_names((link.name for link in model.links), "wheel_*"):
+        link = model.link(name)
+        (across, along, third), expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert [across, third, along] == expected  # the cylinder lies along y
+    assert isinstance(model.link("body").visuals[0].shape, Box)
+    assert model.link("tip").visuals[0].shape == Sphere(0.01)
+
+
+def test_the_cart_stands_on_its_wheels_and_on_nothing_else():
+    model = shipped_robot("cartpole.urdf").model
+    body = model.link("body").collisions[0]
+    assert body.origin.xyz[2] - body.shape.size[2] / 2 > -0.03
+    for joint in model.joints[:4]:
+        wheel = model.link(joint.child).collisions[0].shape
+        assert isinstance(wheel, Cylinder)
+        assert (wheel.radius, joint.origin.xyz[2], joint.axis) == (0.04, 0.0, (0.0, 1.0, 0.0))
+
+
+def test_the_cart_on_a_rail_is_that_of_the_textbooks():
+    model = shipped_robot("cartpole_rail.urdf").model
+    assert (model.root, [joint.name for joint in model.moving_joints]) == ("rail", ["slider", "hinge"])
+    cart, pole = model.link("cart").inertial, model.link("pole").inertial
+    assert (cart.mass, pole.mass, pole.origin.xyz, pole.iyy) == (
+        1.0,
+        0.1,
+        (0.0, 0.0, 0.5),
+        pytest.approx(0.1 * 1.0**2 / 12),
+    )
+    assert model.joint("slider").limit.effort == 10.0
+    assert not any(link.collisions for link in model.links)
+
+
+REFUSED = {
+    "kuka_iiwa/model_for_sdf.urdf": "the mesh does not exist",  # nor does PyBullet load it
+    "plane_implicit.urdf": "<geometry> contains no known shape",  # an endless plane
+    "random_urdfs/168/168.urdf": "the OBJ file contains a vertex that is not finite",
+    "torus_deform.urdf": "the robot has no links",  # a soft body; nor does PyBullet load it
+    # a file that is not there; nor does PyBullet load it
+    "toys/concave_box.urdf": "<geometry> contains no known shape",
+}
+
+
+@pytest.fixture(scope="module")
+def library() -> Path:
+    spec = importlib.util.find_spec("pybullet_data")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("pybullet_data is not installed")
+    return Path(spec.submodule_search_locations[0])
+
+
+def published(library: Path, name: str) -> tuple[RobotFile | None, Findings]:
+    findings = Findings()
+    return read(
+        library / name, name, findings, resolve_mesh=mesh_resolver((library / name).parent, [library])
+    ), findings
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_a_published_robot_is_read_with_warnings_at_most(library, name):
+    robot, findings = published(library, name)
+    assert findings.errors == []
+    assert robot is not None
+    assert {finding.code for finding in findings} == PUBLISHED[name]
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    assert again is not None
+    assert again.model == robot.model
+
+
+@pytest.mark.slow
+def test_of_the_robots_of_pybullet_data_only_these_are_refused(library):
+    names = sorted(str(path.relative_to(library)) for path in library.rglob("*.urdf"))
+    refused = {}
+    for name in names:
+        robot, findings = published(library, name)
+        if robot is None:
+            refused[name] = findings.errors[0].headline
+    assert refused == REFUSED
+    assert len(names) > 1000
+
+
+def test_patterns_keep_the_order_of_the_file_and_mind_case():
+    names = ("b_1", "a_1", "B_1", "c")
+    assert (matching_names(names, "*_1"), matching_names(names, "b_?")) == (("b_1", "a_1", "B_1"), ("b_1",))
+    assert (matching_names(names, "[ab]_1"), matching_names(names, "x*")) == (("b_1", "a_1"), ())
+    assert matching_names(["a" * 5000], "*a" * 30 + "b") == ()
+
+
+numbers = st.floats(-1e17, 1e17, allow_nan=False, allow_subnormal=True)
+positive = st.floats(1e-300, 1e17)
+not_negative = st.just(0.0) | positive
+vectors = st.tuples(numbers, numbers, numbers)
+poses = st.builds(Pose, vectors, vectors)
+colors = st.none() | st.tuples(*[st.floats(0, 1)] * 4)
+shapes = (
+    st.builds(Box, st.tuples(positive, positive, positive))
+    | st.builds(Sphere, positive)
+    | st.builds(Cylinder, positive, positive)
+    | st.builds(Capsule, positive, positive)
+)
+inertials = st.builds(
+    Inertial, not_negative, poses, not_negative, numbers, numbers, not_negative, numbers, not_negative
+)
+frictions = st.builds(Friction, *[st.none() | not_negative] * 4)
+names = st.text(st.characters(exclude_categories=["C", "Z"]) | st.just(" "), min_size=1, max_size=8).filter(
+    str.strip
+)
+axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (1 / math.sqrt(3),) * 3])
+optional = st.none() | positive
+
+
+@st.composite
+def robots(draw: st.DrawFn) -> RobotModel:
+    link_names = draw(st.lists(names, min_size=1, max_size=5, unique=True))
+    links = tuple(
+        Link(
+            name,
+            draw(st.none() | inertials),
+            tuple(draw(st.lists(st.builds(Geometry, shapes, poses, colors), max_size=2))),
+            tuple(draw(st.lists(st.builds(Geometry, shapes, poses), max_size=2))),
+            draw(frictions),
+        )
+        for name in link_names
+    )
+    joint_names = draw(st.lists(names, min_size=len(links) - 1, max_size=len(links) - 1, unique=True))
+    joints = []
+    for index, name in enumerate(joint_names):
+        kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]))
+        bounds = (
+            draw(st.just((None, None)) | st.tuples(numbers, numbers).map(sorted))
+            if kind in ("revolute", "prismatic")
+            else (None, None)
+        )
+        joints.append(
+            Joint(
+                name,
+                kind,
+                link_names[draw(st.integers(0, index))],
+                link_names[index + 1],
+                draw(poses),
+                (1.0, 0.0, 0.0) if kind in ("fixed", "floating") else draw(axes),
+                Limit(bounds[0], bounds[1], draw(optional), draw(optional)),
+                draw(not_negative),
+                draw(not_negative),
+                Mimic(joint_names[0], draw(numbers), draw(numbers))
+                if joints and joints[0].moves and draw(st.booleans())
+                else None,
+            )
+        )
+    return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])
+
+
+@given(robots())
+def test_any_robot_survives_writing_and_reading(model: RobotModel):
+    findings = Findings()
+    robot = read_bytes(
+        to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere"))
+    )
+    assert robot is not None, [finding.headline for finding in findings]
+    assert robot.model == model
+
+
+def test_writing_is_the_same_every_time_and_in_short_lines():
+    robot = read(Path(__file__).parents[2] / "robots/urdf/cartpole.urdf", "cartpole.urdf", Findings())
+    assert robot is not None
+    assert to_urdf(robot.model) == to_urdf(robot.model)
+    assert max(map(len, to_urdf(robot.model).splitlines())) < 200
+
+
+def test_one_material_name_means_one_color():
+    red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
+    visuals = tuple(Geometry(Sphere(1.0), Pose(), color) for color in (red, blue, red))
+    text = to_urdf(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
+    assert (text.count('"color_0"'), text.count('"color_1"')) == (2, 1)
+
+
+@pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])
+def test_names_with_special_characters_are_escaped(name):
+    model = RobotModel("r", (Link(name),), (), name)
+    robot = read_bytes(to_urdf(model).encode(), "x", Findings(), resolve_mesh=mesh_resolver(Path("/nowhere")))
+    assert robot is not None
+    assert robot.model.root == name
+
+
+# An independent reader agrees: yourdfpy sees the same joints, limits and kinematics in what we write
+
+
+@pytest.fixture
+def yourdfpy() -> Any:
+    """Imported by the tests that need it, since the import takes two seconds."""
+    return pytest.importorskip("yourdfpy")
+
+
+def model_of(name: str) -> RobotModel:
+    path = shipped.robot_path(name)
+    assert path is not None
+    robot = read(path, path.name, Findings())
+    assert robot is not None
+    return robot.model
+
+
+@pytest.mark.parametrize("name", shipped.robot_names())
+def test_another_reader_finds_the_same_joints_in_the_normalized_file(
+    yourdfpy: Any, name: str, tmp_path: Path
+) -> None:
+    model = model_of(name)
+    file = tmp_path / "robot.urdf"
+    file.write_text(to_urdf(model), encoding="utf-8")
+    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+    assert read_by_yourdfpy.base_link == model.root
+    assert list(read_by_yourdfpy.joint_map) == [joint.name for joint in model.joints]
+    for joint in model.moving_joints:
+        theirs = read_by_yourdfpy.joint_map[joint.name]
+        assert theirs.type == joint.type
+        np.testing.assert_allclose(theirs.axis, joint.axis)
+        if joint.limit.upper is not None:
+            assert (theirs.limit.lower, theirs.limit.upper) == (joint.limit.lower, joint.limit.upper)
+
+
+def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: Any, tmp_path: Path) -> None:
+    model = model_of("cartpole")
+    file = tmp_path / "robot.urdf"
+    file.write_text(to_urdf(model), encoding="utf-8")
+    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+    angle = 0.3
+    read_by_yourdfpy.update_cfg({"pole_hinge": angle})
+    tip = read_by_yourdfpy.get_transform("tip", model.root)[:3, 3]
+    # The hinge is 0.03 m above the body's center; a pole that leans to +x has a positive angle.
+    np.testing.assert_allclose(tip, [np.sin(angle), 0.0, 0.03 + np.cos(angle)], atol=1e-12)

@@ -18,8 +18,7 @@ def check() -> Check:
         document = loads(text)
         if document.root is None:
             return None, list(document.findings)
-        scenario = validate(document.root, document.findings)
-        return scenario, list(document.findings)
+        return validate(document.root, document.findings), list(document.findings)
 
     return run
 

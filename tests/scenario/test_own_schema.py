@@ -1,19 +1,34 @@
-"""The JSON Schema for one scenario has its names, even when the file is damaged."""
+"""The JSON Schema for one scenario has its names, even when the file is damaged.
 
+Whatever is written, the schema answers with findings that have a place.
+
+The search spaces of `tune`: how they are written, and which values are refused.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from deepbots_cli import api
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inventory import scenario_names
-from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document import to_data
+from deepbots_cli.diagnostics import Finding, Findings, Source
+from deepbots_cli.document import load, to_data
 from deepbots_cli.document.parse import parse
+from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.json_schema import json_schema, schema_text
+from deepbots_cli.scenario.search import SearchSpace
+from deepbots_cli.scenario.training import ALGORITHMS, SET_ELSEWHERE_HELP, Training
 from tests.few import every
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import Workbench
@@ -82,8 +97,10 @@ def test_every_right_scenario_fits_its_own_schema_and_the_general_one(path: Path
     checked = api.load(path)
     assert checked.document.root is not None
     for schema in (json_schema(scenario_names(checked)), json_schema()):
-        assert faults(schema, data(path.read_text(encoding="utf-8"))) == []
-        assert faults(schema, to_data(checked.document.root)) == []
+        assert (
+            faults(schema, data(path.read_text(encoding="utf-8"))),
+            faults(schema, to_data(checked.document.root)),
+        ) == ([], [])
 
 
 def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
@@ -94,8 +111,7 @@ def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
 
 def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
     joints = listed(own(CARTPOLE), "JointSensor.cart", "joint")
-    assert list(joints) == JOINTS
-    assert joints["wheel_rear_left"] == "continuous"
+    assert (list(joints), joints["wheel_rear_left"]) == (JOINTS, "continuous")
     assert joints["pole_hinge"].startswith("revolute, -1.")
 
 
@@ -125,8 +141,7 @@ def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
     schema = own(CARTPOLE)
     reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["anyOf"][0]
     descriptions = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
-    assert descriptions["fall_angle"] == "a parameter: 15 deg"
-    assert descriptions["fallen"] == "an ending"
+    assert (descriptions["fall_angle"], descriptions["fallen"]) == ("a parameter: 15 deg", "an ending")
     assert {"x", "cart.pole_angle", "time"} <= set(descriptions)
 
 
@@ -239,3 +254,301 @@ def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: P
                 assert faults(json_schema(), data(damaged.main.read_text(encoding="utf-8"))) == [], number
             damaged.file.write_bytes(whole)
     assert sound > 5
+
+
+Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
+Place = tuple[str | int, ...]
+
+FILES = sorted(ROOT.glob("scenarios/*.yaml"))
+SAMPLE_DATA: list[Any] = [to_data(root) for path in FILES if (root := load(path).root) is not None]
+VALIDATOR = jsonschema.Draft202012Validator(json_schema())
+
+ODD_SCALARS = st.sampled_from(
+    [0, -1, 3, 1.5, True, "", "x", "1 m", "1 2 3 m", "0 .. 1", "[key]", "type", "list", "a when b"]
+) | st.text(max_size=8)
+ODD_KEYS = st.sampled_from(
+    ["type", "shape", "map", "[key]", "list", "0", "include", "range", "choices", "one_of", "joint"]
+) | st.text(max_size=6)
+ODD = st.recursive(
+    ODD_SCALARS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(ODD_KEYS, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def places(data: Any, path: Place = ()) -> Iterator[Place]:
+    yield path
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from places(value, (*path, key))
+    elif isinstance(data, list):
+        for index, value in enumerate(data):
+            yield from places(value, (*path, index))
+
+
+PLACES = [[place for place in places(sample) if place] for sample in SAMPLE_DATA]
+
+
+def at(data: Any, path: Place) -> Any:
+    for step in path:
+        data = data[step]
+    return data
+
+
+@st.composite
+def mutated(
+    draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, insert: bool = True
+) -> tuple[Any, list[Place]]:
+    number = draw(st.integers(0, len(SAMPLE_DATA) - 1))
+    data = copy.deepcopy(SAMPLE_DATA[number])
+    changed = []
+    for _ in range(draw(st.integers(1, changes))):
+        place = draw(st.sampled_from(PLACES[number]))
+        try:
+            holder = at(data, place[:-1])
+            holder[place[-1]]
+        except (KeyError, IndexError, TypeError):
+            continue  # an earlier change took it away
+        if not isinstance(holder, (dict, list)):
+            continue
+        what = draw(st.sampled_from(["delete", "replace", "insert"])) if insert else "replace"
+        if what == "delete":
+            del holder[place[-1]]
+        elif what == "insert" and isinstance(holder, dict):
+            holder[draw(ODD_KEYS)] = draw(values)
+        else:
+            holder[place[-1]] = draw(values)
+        changed.append(place)
+    return data, changed
+
+
+@given(case=mutated(ODD))
+def test_no_change_of_a_scenario_raises_and_every_finding_has_a_place(
+    check: Check, case: tuple[Any, list[Place]]
+) -> None:
+    data, _ = case
+    text = json.dumps(data, ensure_ascii=False)
+    scenario, findings = check(text)
+    for finding in findings:
+        assert 0 <= finding.span.start <= finding.span.end <= len(finding.span.source.text)
+        assert finding.headline
+        assert "input should" not in finding.headline.lower()
+    if scenario is not None and not findings:
+        assert scenario.pruned == frozenset()
+
+
+@given(case=mutated(st.sampled_from([True, [[]], {"odd": 3}, 0, "x"]), changes=1, insert=False))
+def test_one_wrong_value_is_one_finding(check: Check, case: tuple[Any, list[Place]]) -> None:
+    data, _ = case
+    _, findings = check(json.dumps(data))
+    # Beside an unknown key, all that is required there is missing as well.
+    assert len([finding for finding in findings if finding.code != "DB102"]) <= 1, [
+        finding.headline for finding in findings
+    ]
+
+
+@given(case=mutated(ODD, changes=1))
+def test_what_an_editor_marks_is_a_finding_too(check: Check, case: tuple[Any, list[Place]]) -> None:
+    data, _ = case
+    assume(not VALIDATOR.is_valid(data))
+    _, findings = check(json.dumps(data))
+    assert findings
+
+
+@given(data=ODD)
+def test_a_file_of_something_else_altogether_is_answered(check: Check, data: Any) -> None:
+    _, findings = check(json.dumps(data))
+    assert findings
+
+
+def with_search(search: str) -> CheckedScenario:
+    return api.load("cartpole", overrides=[f"tune.search={{{search}}}"], tests=True)
+
+
+def spaces(search: str) -> dict[str, SearchSpace]:
+    checked = with_search(search)
+    assert list(checked.findings) == []
+    return dict(checked.search)
+
+
+def headlines_of(search: str) -> list[str]:
+    return [f"{finding.code} {finding.headline}" for finding in with_search(search).findings]
+
+
+def test_a_range_has_units_and_a_logarithm():
+    by_key = spaces("fall_angle: 10..20deg, track: 30 cm .. 0.39 m, train.learning_rate: 1e-4..1e-2:log")
+    assert by_key["fall_angle"] == SearchSpace(low=10, high=20, unit="deg")
+    assert by_key["track"] == SearchSpace(low=0.3, high=0.39, unit="m")
+    assert by_key["train.learning_rate"] == SearchSpace(low=1e-4, high=1e-2, log=True)
+
+
+def test_a_key_of_whole_numbers_gets_whole_numbers_and_any_other_key_fractions():
+    by_key = spaces("train.n_epochs: 5 .. 20, train.ent_coef: 0 .. 1")
+    assert [space.whole for space in by_key.values()] == [True, False]
+    assert [space.text(value) for space, value in zip(by_key.values(), (7.0, 0.12345), strict=True)] == [
+        "7",
+        "0.123",
+    ]
+
+
+def test_choices_are_written_with_bars_or_as_a_list():
+    by_key = spaces(
+        "train.network.activation: tanh | relu, train.network.hidden: [[10, 10], [64, 64]], train.gamma:"
+        " [0.9, 0.99]"
+    )
+    assert [space.choices for space in by_key.values()] == [
+        ("tanh", "relu"),
+        ("[10, 10]", "[64, 64]"),
+        ("0.9", "0.99"),
+    ]
+
+
+def test_a_value_is_rounded_and_stays_in_its_range():
+    space = SearchSpace(low=0.99996, high=0.99998, unit="m")
+    assert [space.text(value) for value in (0.99996, 0.999973456, 0.99998)] == [
+        "0.99996 m",
+        "0.99997346 m",
+        "0.99998 m",
+    ]
+    assert SearchSpace(low=1e-5, high=1e-2, log=True).text(0.000123456) == "0.0001235"
+
+
+def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():
+    assert SearchSpace(low=10, high=20, unit="deg").value_of("15 deg") == 15
+    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("39 cm") == 0.39
+    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("0.7 m") is None
+    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("uniform(0.1 .. 0.2 m)") is None
+    assert SearchSpace(choices=("tanh", "relu")).value_of("relu") == "relu"
+
+
+def test_a_space_that_cannot_be_searched_is_a_finding_at_its_place():
+    assert headlines_of("train.lerning_rate: 1e-4 .. 1e-2") == ["DB101 unknown key `lerning_rate` in `train`"]
+    assert headlines_of("fall_angl: 1 .. 2 deg") == ["DB201 there is no parameter `fall_angl`"]
+    assert headlines_of("train.gamma: 0.9 .. 1.2") == ["DB105 `1.2` is above the largest allowed value"]
+    assert headlines_of("train.n_epochs: 5.5 .. 20") == [
+        "DB103 expected a whole number, found the number `5.5`"
+    ]
+    assert headlines_of("track: 0.2 .. 0.4") == [
+        "DB503 a length (m) is combined with `track`, a plain number"
+    ]
+    assert headlines_of("train.network.activation: tanh | relux") == ["DB104 unknown word `relux`"]
+    assert headlines_of("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == [
+        "DB202 `parameters.track` is already searched"
+    ]
+    assert headlines_of("solved: a | b") == ["DB407 a search cannot change `solved`"]
+    assert headlines_of("train.total_timesteps: 10 .. 20") == [
+        "DB407 a search cannot change `train.total_timesteps`"
+    ]
+    assert headlines_of("train.ent_coef: 0 .. 1 :log") == [
+        "DB105 `0 .. 1 :log` has no logarithm at its low end"
+    ]
+    assert headlines_of("train.gamma: 0.99 .. 0.9") == ["DB105 the range `0.99 .. 0.9` is empty"]
+    assert headlines_of("train.batch_size: 64") == [
+        "DB103 expected a range or choices, found the number `64`"
+    ]
+    assert headlines_of("observation.x: -1 .. 1 m | -2 .. 2 m") == [
+        "DB613 `observation.x: -1 .. 1 m` changes the interface of the policy"
+    ]
+
+
+def test_a_run_keeps_the_scenario_without_the_search():
+    compiled = api.compile(with_search("fall_angle: 10 .. 20 deg"))
+    assert "tune" not in compiled.resolved
+    assert compiled.digest == api.compile("cartpole").digest
+
+
+# The table of hyperparameters says what the learning libraries take
+
+
+EXCLUDED = {
+    "self",
+    "policy",
+    "env",
+    "verbose",
+    "device",
+    "seed",
+    "tensorboard_log",
+    "policy_kwargs",
+    "_init_setup_model",
+} | {f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")}
+OURS = {"replay", "lstm", "init_std"}
+"""Hyperparameters that are arguments of other classes of the library."""
+
+
+def signature(algorithm: str) -> inspect.Signature:
+    library = "sb3_contrib" if algorithm in ("MaskablePPO", "RecurrentPPO", "TQC") else "stable_baselines3"
+    return inspect.signature(getattr(pytest.importorskip(library), algorithm).__init__)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_table_has_what_the_algorithm_takes(algorithm: str) -> None:
+    assert (
+        set(ALGORITHMS[algorithm].hyperparameter_names()) - OURS
+        == set(signature(algorithm).parameters) - EXCLUDED
+    )
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Check, cartpole: str) -> None:
+    parameters = signature(algorithm).parameters
+    own = {
+        name: parameters[name].default
+        for name in ALGORITHMS[algorithm].hyperparameter_names()
+        if name not in OURS
+    }
+    train = {"algorithm": algorithm, "total_timesteps": 1000} | {
+        name: value for name, value in own.items() if value is not None
+    }
+    text = (
+        "\n".join(line for line in cartpole.splitlines() if not line.startswith("train:"))
+        + f"\ntrain: {json.dumps(train)}\n"
+    )
+    scenario, findings = check(text)
+    assert [finding.headline for finding in findings] == []
+    assert scenario is not None
+    assert isinstance(scenario.train, Training)
+    assert set(scenario.train.hyperparameters) == set(train) - {"algorithm", "total_timesteps"}
+
+
+def test_what_is_said_elsewhere_is_not_a_hyperparameter() -> None:
+    assert not [
+        name
+        for name in SET_ELSEWHERE_HELP
+        if any(name in model.model_fields for model in ALGORITHMS.values())
+    ]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "entry", "sound"),
+    [
+        ("SAC", "ent_coef: auto_0.1", True),
+        ("SAC", "ent_coef: often", False),
+        ("PPO", "ent_coef: auto", False),
+        ("SAC", "train_freq: 1 episode", True),
+        ("SAC", "train_freq: 0", False),
+        ("TD3", "action_noise: {type: ornstein_uhlenbeck, sigma: 0.5 -> 0.1}", True),
+        ("TD3", "action_noise: {type: pink, sigma: 0.5}", False),
+        ("SAC", "replay: her", True),
+        ("SAC", "replay: {type: her, n_sampled_goal: 8}", True),
+        ("SAC", "replay: hers", False),
+        ("PPO", "clip_range: 0.2 -> 0.1", True),
+        ("PPO", "gamma: 98 %", True),
+        ("PPO", "gamma: 101 %", False),
+        ("PPO", "gamma: 98", False),
+        ("PPO", "learning_rate: -1e-3", False),
+        ("PPO", "learning_rate: 1e-3 -> -1", False),
+    ],
+)
+def test_hyperparameters_are_checked_by_their_kind(
+    check: Check, cartpole: str, algorithm: str, entry: str, sound: bool
+) -> None:
+    _, findings = check(cartpole.replace("algorithm: PPO,", f"algorithm: {algorithm}, {entry},"))
+    assert (not findings) == sound
+    assert len(findings) <= 1
+
+
+def test_a_percentage_becomes_a_number(check: Check, cartpole: str) -> None:
+    scenario, _ = check(cartpole.replace("algorithm: PPO,", "algorithm: PPO, gamma: 57 %,"))
+    assert scenario is not None
+    assert scenario.train is not None
+    assert scenario.train.hyperparameters["gamma"] == 0.57

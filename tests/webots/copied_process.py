@@ -19,7 +19,7 @@ from typing import Any, Self
 from deepbots_cli.cli import main
 from deepbots_cli.webots import recorder, runner, viewer  # noqa: F401  # before the process is copied
 from deepbots_cli.webots.remote import server  # noqa: F401
-from tests.webots.worlds_of_webots import HEADER
+from tests.webots.exported_projects import HEADER
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -54,8 +54,7 @@ def same_episodes(name: str, folder: Path, steps: int, script: str | None = None
     assert len(exports) == len(wanted) == steps + len(episodes)
     for (observation, reward, *ends, _), (own, own_reward, *own_ends, _) in zip(exports, wanted, strict=True):
         assert np.abs(np.subtract(observation, own)).max() <= 1e-6
-        assert reward == pytest.approx(own_reward, abs=1e-9)
-        assert ends == own_ends
+        assert (reward, ends) == (pytest.approx(own_reward, abs=1e-9), own_ends)
     assert messages(exports, "to") == messages(wanted, "to")
     largest = 0.0
     for of_export, of_scenario in zip(messages(exports, "from"), messages(wanted, "from"), strict=True):
@@ -124,8 +123,7 @@ def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path
     heights = {
         body.node.name: physics.position(body, ((0, 0, 0), (0, 0, 0, 1)))[2] for body in physics.scene.bodies
     }
-    assert heights["BALL"] == pytest.approx(0.07)
-    assert heights["BOX"] == pytest.approx(0.15)
+    assert (heights["BALL"], heights["BOX"]) == (pytest.approx(0.07), pytest.approx(0.15))
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,21 @@
-"""`deepbots new NAME --webots WORLD.wbt`: a project of Webots as a scenario."""
+"""`deepbots new NAME --webots WORLD.wbt`: a project of Webots as a scenario.
+
+Worlds as text: nodes, and findings about damaged worlds.
+
+Worlds that mean harm: small texts that stand for much, and texts at the limits of size.
+
+PROTOs that are templates of JavaScript.
+
+The tables of docs/webots.md name every node and every class with missing functions.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import re
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -11,16 +23,27 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.cli.starters.webots import Starter, from_webots
+from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields.names import Name
+from deepbots_cli.webots.findings import WorldError, WorldFindings
 from deepbots_cli.webots.imports import hints
 from deepbots_cli.webots.imports.names import scenario_name
-from tests.webots.worlds_of_webots import HEADER
+from deepbots_cli.webots.library import LIBRARY
+from deepbots_cli.webots.nodes import child, children, node_types, number, numbers, real, text, vector, walk
+from deepbots_cli.webots.project import Files, World, read_world, world_of_source
+from deepbots_cli.webots.protos import MAX_LEVELS, Expander, Scope
+from deepbots_cli.webots.scene_builder import MAX_POINTS, build_scene
+from deepbots_cli.webots.simulation import Simulation
+from deepbots_cli.webots.syntax import MAX_DEPTH, MAX_NODES, MAX_NUMBERS, MAX_TOKENS, Node, parse
+from deepbots_cli.webots.unimplemented import MISSING
+from tests.webots.exported_projects import HEADER, node, read, simulate
 
 WORLD = """
 WorldInfo { basicTimeStep 16 gravity 9.81 }
@@ -123,10 +146,10 @@ def project(folder: Path, world: str = WORLD, cart: str = CART, judge: str = JUD
     for name, body in bodies.items():
         inside = textwrap.indent(textwrap.dedent(body).strip(), "        ").strip()
         judge = judge.replace(f"__{name.upper()}__", inside)
-    for name, text in (("cart", cart), ("judge", judge)):
+    for name, code in (("cart", cart), ("judge", judge)):
         path = folder / "controllers" / name / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="surrogateescape")
+        path.write_text(code, encoding="utf-8", errors="surrogateescape")
     path = folder / "worlds" / "world.wbt"
     path.parent.mkdir(exist_ok=True)
     path.write_text(HEADER + world if not world.startswith("#") else world, encoding="utf-8")
@@ -271,9 +294,7 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
     arm = model.joint("rod_joint")
     assert (arm.limit.lower, arm.limit.upper, arm.damping) == (-1.0, 1.0, 0.01)
     wheel = model.joint("left_motor_joint")
-    assert wheel.type == "continuous"
-    assert wheel.limit.velocity == 20.0
-    assert wheel.limit.effort == 2.0
+    assert (wheel.type, wheel.limit.velocity, wheel.limit.effort) == ("continuous", 20.0, 2.0)
     assert model.link("rod").inertial.origin.xyz[2] == pytest.approx((0.2 * 0.25 + 0.05 * 0.5) / 0.25)
 
 
@@ -693,3 +714,719 @@ def test_damaged_python_and_worlds_end_in_a_scenario_or_one_sentence(
 def test_names_of_webots_become_names_that_a_scenario_accepts(text: str, name: str) -> None:
     assert scenario_name(text) == name
     Name(shared=True).check(name)
+
+
+EXAMPLE = """#VRML_SIM R2023b utf8
+EXTERNPROTO "https://raw.githubusercontent.com/cyberbotics/webots/R2023b/projects/objects/floors/protos/RectangleArena.proto"
+PROTO Wheel [ field SFFloat radius 0.04 field SFString name "wheel" field MFNode extra [ ] ]
+{ Solid { name IS name children IS extra boundingObject Cylinder { radius IS radius height 0.02 } physics Physics { } } }
+WorldInfo { basicTimeStep 16 info [ "a", "b" ] contactProperties [ ContactProperties { coulombFriction 0.5 } ] }
+Viewpoint { orientation 0 0 1 0.5 position -1 0 1 }
+RectangleArena { floorSize 2 2 } # a comment
+DEF ROBOT Robot { translation 0 0 .1 children [ DEF SHAPE Shape { geometry Box { size 0.2 0.1 0.1 } }
+  HingeJoint { jointParameters HingeJointParameters { axis 0 1 0 anchor 0 0.1 0 }
+    device [ RotationalMotor { name "motor" }, PositionSensor { } ] endPoint Wheel { radius 0.05 } } ]
+  boundingObject USE SHAPE physics Physics { density -1 mass 1 } controller "c" supervisor TRUE }
+"""
+
+
+def errors(text: str) -> list[str]:
+    """Return the headlines of a world that cannot run."""
+    try:
+        world = read(text)
+        build_scene(world)
+    except WorldError as error:
+        return [finding.headline for finding in error.findings]
+    return [finding.headline for finding in world.findings.errors]
+
+
+def warnings(text: str) -> list[str]:
+    world = read(text)
+    build_scene(world)
+    return [finding.headline for finding in world.findings.warnings]
+
+
+# What is read
+
+
+def test_a_world_is_a_tree_of_nodes_with_places():
+    document = parse(Source("w.wbt", EXAMPLE))
+    assert document.release == "R2023b"
+    assert [entry.type for entry in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
+    assert [entry.name for entry in document.externs] == ["RectangleArena"]
+    robot = document.nodes[-1]
+    assert (robot.name, robot.span.start_position, vector(robot, "translation")) == (
+        "ROBOT",
+        (8, 11),
+        (0, 0, 0.1),
+    )
+    shape = child(robot, "boundingObject")
+    assert shape is not None
+    assert shape.name == "SHAPE"
+
+
+def test_a_definition_is_used_by_reference_and_defaults_are_those_of_webots():
+    world = read(EXAMPLE)
+    info, _, _, robot = world.nodes
+    assert (number(info, "basicTimeStep"), number(info, "ERP"), text(robot, "window")) == (
+        16,
+        0.2,
+        "<generic>",
+    )
+    motor = next(motor_node for motor_node in walk(world.nodes) if motor_node.type == "RotationalMotor")
+    assert (number(motor, "maxVelocity"), number(motor, "maxTorque"), numbers(motor, "controlPID")) == (
+        10,
+        10,
+        [10, 0, 0],
+    )
+
+
+def test_a_proto_keeps_its_fields_and_becomes_its_body():
+    wheel = next(entry for entry in walk(read(EXAMPLE).nodes) if entry.type == "Wheel")
+    assert number(wheel, "radius") == 0.05
+    assert wheel.body is not None
+    cylinder = child(wheel.body, "boundingObject")
+    assert cylinder is not None
+    assert (number(cylinder, "radius"), text(wheel.body, "name")) == (0.05, "wheel")
+
+
+def test_nodes_in_a_field_of_a_proto_take_their_place_in_its_body():
+    world = read(
+        HEADER
+        + "PROTO A [ field MFNode slot [ ] ] { Solid { translation 1 0 0 children [ Group { children IS slot } ] } }"
+        + " A { slot [ DEF INNER Solid { translation 0 2 0 } ] }"
+    )
+    simulation = Simulation(build_scene(world), world.span)
+    assert node(simulation, "INNER").getPosition() == pytest.approx([1, 2, 0])
+
+
+def test_a_proto_of_the_project_is_read_from_its_file(tmp_path: Path):
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "protos").mkdir()
+    (tmp_path / "protos" / "Ball.proto").write_text(
+        HEADER
+        + "PROTO Ball [ field SFFloat radius 1 ] { Solid { boundingObject Sphere { radius IS radius } } }"
+    )
+    path = tmp_path / "worlds" / "w.wbt"
+    path.write_text(HEADER + 'EXTERNPROTO "../protos/Ball.proto"\nBall { radius 0.5 }')
+    assert build_scene(read_world(path)).bodies[0].geometries[0].shape.size == (0.5,)
+
+
+def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "webots" / "projects" / "objects" / "toys"
+    folder.mkdir(parents=True)
+    (folder / "Duck.proto").write_text(
+        HEADER + "PROTO Duck [ ] { Solid { boundingObject Sphere { radius 0.1 } } }"
+    )
+    (tmp_path / "project" / "worlds").mkdir(parents=True)
+    path = tmp_path / "project" / "worlds" / "w.wbt"
+    path.write_text(HEADER + 'EXTERNPROTO "webots://projects/objects/toys/Duck.proto"\nDuck { }')
+    missing = read_world(path).findings.errors
+    assert [finding.headline for finding in missing] == ["PROTO Duck is not available"]
+    assert not read_world(path, [tmp_path / "webots"]).findings.errors
+    monkeypatch.setenv("WEBOTS_HOME", str(tmp_path / "webots"))
+    assert not read_world(path).findings.errors
+
+
+# Findings
+
+
+@pytest.mark.parametrize(
+    ("text", "headline"),
+    [
+        ("", "the first line is not a header of Webots"),
+        ("\x00\x01\x02", "the file is binary"),
+        (
+            "#VRML_SIM R2021b utf8\nWorldInfo { }",
+            "a world of R2021b; before R2022a other axes point up and along cylinders",
+        ),
+        (
+            "#VRML_SIM V8.5 utf8\nWorldInfo { }",
+            "a world of V8.5; before R2022a other axes point up and along cylinders",
+        ),
+        (HEADER + "WorldInfo {", "the end of the file in the place of the name of a field or '}'"),
+        (HEADER + "WorldInfo { title }", "'}' in the place of a value"),
+        (HEADER + 'WorldInfo { title "a }', "a string without its end"),
+        (HEADER + "Robot { children [ Solid { ] }", "']' in the place of the name of a field or '}'"),
+        (HEADER + "Robot { boundingObject USE BOX }", "USE of 'BOX', which no DEF names before"),
+        (HEADER + "Solid { name 1 name 2 }", "the field name is written twice"),
+        (HEADER + "1 2 3", "'1' in the place of a node"),
+        (HEADER + "PROTO A [ field SFOdd x 1 ] { Solid { } }", "there is no type SFOdd"),
+        (HEADER + "PROTO A [ ] { }", "PROTO A has no node"),
+        (HEADER + "Solid { children [ " * (MAX_DEPTH + 1), f"nodes are more than {MAX_DEPTH} levels deep"),
+    ],
+)
+def test_a_text_that_is_not_a_world_is_one_finding(text: str, headline: str):
+    with pytest.raises(WorldError) as caught:
+        world_of_source(Source("w.wbt", text), Path("/n/worlds/w.wbt"), Files(Path("/n")))
+    (finding,) = caught.value.findings
+    assert finding.headline == headline
+    assert str(finding).startswith("w.wbt:")
+
+
+@pytest.mark.parametrize(
+    ("text", "headline"),
+    [
+        ("Robt { }", "there is no node Robt"),
+        ("Solid { translation 1 2 }", "Solid.translation is 2 numbers, and not three numbers"),
+        ("Solid { translation [ 1 2 3 ] }", "Solid.translation is a list, and not three numbers"),
+        ("Solid { name 3 }", "Solid.name is not a text in quotes"),
+        ("Robot { supervisor 1 }", "Robot.supervisor is not TRUE or FALSE"),
+        ("Solid { translation 1e999 0 0 }", "Solid.translation is too large a number"),
+        ("Solid { translation IS place }", "Solid.translation is IS place, outside of a PROTO"),
+        (
+            "Solid { boundingObject Sphere { radius -1 } }",
+            "a Sphere whose size is not positive, or is above 1000 km",
+        ),
+        ("Solid { physics Physics { density -1 } }", "Physics with neither a density nor a mass"),
+        ("WorldInfo { basicTimeStep 0 }", "basicTimeStep is 0 ms; it is between 1 and 10,000"),
+        ('WorldInfo { coordinateSystem "NUE" }', "the axes of the world are NUE; deepbots has z upward"),
+        ("Track { }", "the node Track is not implemented"),
+        ("PROTO A [ ] { A { } } A { }", "PROTO A contains itself"),
+        ("PROTO A [ ] { Solid { name IS x } } A { }", "the PROTO has no field 'x'"),
+        ('EXTERNPROTO "webots://projects/a/B.proto" B { }', "PROTO B is not available"),
+        (
+            "PROTO A [ ] { Solid { translation %<= 1 >% 0 0 } } A { }",
+            "PROTO A is a template, which only a file of its own may be",
+        ),
+        (
+            'Solid { boundingObject Mesh { url "../../etc/passwd" } }',
+            "the mesh '../../etc/passwd' is not a file of the project",
+        ),
+        (
+            f'Solid {{ boundingObject Mesh {{ url "{"x" * 300}.stl" }} }}',
+            f"the mesh '{'x' * 80}' is not a file of the project",
+        ),
+        (f'EXTERNPROTO "{"x" * 300}.proto" {"x" * 300} {{ }}', f"PROTO {'x' * 300} is not available"),
+        (
+            "Solid { boundingObject ElevationGrid { } }",
+            "an ElevationGrid with less than two rows or columns, or without spacing",
+        ),
+        (
+            "Solid { boundingObject IndexedFaceSet { coord Coordinate { point [ 0 0 0 ] } coordIndex [ 0 1 2 ] } }",
+            "an IndexedFaceSet whose coordIndex names a point that does not exist",
+        ),
+        (
+            "Solid { physics Physics { density -1 mass 1 inertiaMatrix [ 1 1 9, 0 0 0 ] } }",
+            "inertiaMatrix is none of a rigid body",
+        ),
+        (
+            "Robot { children [ HingeJoint { jointParameters HingeJointParameters { axis 0 0 0 } endPoint Solid { } } ] }",
+            "the axis of a HingeJoint is zero",
+        ),
+    ],
+)
+def test_a_world_that_cannot_run_says_why(text: str, headline: str):
+    assert errors(HEADER + text) == [headline]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "reason"),
+    [
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n" + b"f 1 2 3\n" * 3_800_000, "more than 400,000"),
+        ("a.stl", b"x" * 80 + (500_000).to_bytes(4, "little") + bytes(50 * 500_000), "it has 500,000 faces"),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nelement face 3800000\n",
+            "it has 3,800,000 faces",
+        ),
+    ],
+)
+def test_a_mesh_of_millions_of_faces_is_refused_before_it_is_loaded(
+    tmp_path: Path, name: str, data: bytes, reason: str
+):
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "worlds" / name).write_bytes(data)
+    world = tmp_path / "worlds" / "w.wbt"
+    text = f'{HEADER}Solid {{ boundingObject Mesh {{ url "{name}" }} }}'
+    start = time.process_time()
+    read_text = world_of_source(Source("w.wbt", text), world, Files(tmp_path))
+    build_scene(read_text)
+    (finding,) = read_text.findings.errors
+    assert reason in finding.headline
+    assert time.process_time() - start < 5
+
+
+@pytest.mark.parametrize(
+    ("text", "headline"),
+    [
+        ("Solid { colour 1 }", "Solid has no field 'colour'"),
+        ("RectangleArena { floorSise 1 1 }", "RectangleArena has no field 'floorSise'"),
+        (
+            'EXTERNPROTO "https://x/Rust.proto" Solid { children [ Shape { appearance Rust { } } ] }',
+            "the appearance Rust is not available",
+        ),
+        ("Solid { boundingObject Cone { } }", "Cone cannot collide"),
+        (
+            "Robot { children [ GPS { } GPS { } ] }",
+            "the robot 'robot' has two devices 'gps'; the first one is used",
+        ),
+    ],
+)
+def test_a_world_runs_without_what_it_warns_of(text: str, headline: str):
+    assert warnings(HEADER + text) == [headline]
+
+
+def test_findings_have_their_place_and_a_suggestion():
+    world = read(HEADER + 'WorldInfo { }\nSolid {\n  naem "a"\n}')
+    (finding,) = world.findings.warnings
+    assert str(finding) == "world.wbt:4:8: warning: Solid has no field 'naem'\n  help: did you mean 'name'?"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_nothing_is_read_outside_of_the_project(tmp_path: Path):
+    secret = tmp_path / "Secret.proto"
+    secret.write_text(HEADER + "PROTO Secret [ ] { Solid { } }")
+    (tmp_path / "project" / "worlds").mkdir(parents=True)
+    (tmp_path / "project" / "protos").mkdir()
+    (tmp_path / "project" / "protos" / "Secret.proto").symlink_to(secret)
+    path = tmp_path / "project" / "worlds" / "w.wbt"
+    for address in ("../protos/Secret.proto", "../../Secret.proto"):
+        path.write_text(HEADER + f'EXTERNPROTO "{address}"\nSecret {{ }}')
+        assert [finding.headline for finding in read_world(path).findings.errors] == [
+            "PROTO Secret is not available"
+        ]
+
+
+# Damage
+
+
+def survives(text: str) -> None:
+    """Build and run a world, which may end in findings and in nothing else."""
+    try:
+        world = world_of_source(Source("w.wbt", text), Path("/n/worlds/w.wbt"), Files(Path("/n")))
+        scene = build_scene(world)
+        world.findings.require_none()
+        simulation = Simulation(scene, world.span)
+        for _ in range(2):
+            simulation.run_step()
+    except (DeepbotsError, FloatingPointError):
+        pass
+
+
+@given(st.data())
+def test_a_damaged_world_ends_in_findings(data: st.DataObject):
+    start = data.draw(st.integers(0, len(EXAMPLE)))
+    length = data.draw(st.integers(0, 40))
+    piece = data.draw(
+        st.one_of(
+            st.text(max_size=12),
+            st.sampled_from(
+                [
+                    "{",
+                    "}",
+                    "[",
+                    "]",
+                    '"',
+                    "IS x",
+                    "USE ROBOT",
+                    "DEF A",
+                    "NULL",
+                    "TRUE",
+                    "-1",
+                    "1e308",
+                    "0",
+                    "nan",
+                    "#",
+                    "PROTO B [",
+                    "%<",
+                ]
+            ),
+        )
+    )
+    survives(EXAMPLE[:start] + piece + EXAMPLE[start + length :])
+
+
+@given(st.data())
+def test_a_world_with_two_parts_exchanged_ends_in_findings(data: st.DataObject):
+    words = EXAMPLE.split(" ")
+    first, second = (data.draw(st.integers(5, len(words) - 1)) for _ in range(2))
+    words[first], words[second] = words[second], words[first]
+    survives(" ".join(words))
+
+
+@given(st.text(max_size=200))
+def test_any_text_ends_in_findings(text: str):
+    survives(HEADER + text)
+
+
+def test_the_example_runs():
+    assert [robot.name for robot in simulate(FLOOR_LESS).scene.robots] == ["robot"]
+
+
+FLOOR_LESS = 'Robot { children [ GPS { } ] controller "<none>" }'
+
+
+SECONDS = 4.0
+"""CPU time of the slowest world: 1 s on an idle core."""
+BOX = "Shape { geometry Box { } }"
+PAIR = "PROTO Pair [ field MFNode x [ ] ] { Group { children [ Group { children IS x } Group { children IS x } ] } } "
+MANY_NODES = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
+MANY_POINTS = f"the world has more than {MAX_POINTS:,} points of meshes and grids"
+MANY_LEVELS = f"the world has more than {MAX_LEVELS} levels of nodes"
+
+
+def doubled(levels: int, leaf: str = BOX) -> str:
+    """Return a text in which each definition uses the previous one twice."""
+    first = f"DEF A0 Group {{ children [ {leaf} ] }} "
+    return first + "".join(
+        f"DEF A{i} Group {{ children [ USE A{i - 1} USE A{i - 1} ] }} " for i in range(1, levels)
+    )
+
+
+def protos(count: int, uses: int, body: str = "Group { children [ %s ] }") -> str:
+    """Return PROTOs that each contain the previous one, and a node of the last one."""
+    texts = [f"PROTO P{i} [ ] {{ {body % (f'P{i - 1} {{ }} ' * uses if i else '')} }} " for i in range(count)]
+    return "".join(texts) + f"P{count - 1} {{ }}"
+
+
+def errors_and_places(text: str) -> list[tuple[str, str]]:
+    """Return the errors of a world, each with the text that it points to."""
+    try:
+        world = read(HEADER + text)
+        build_scene(world)
+        findings = world.findings.errors
+    except WorldError as error:
+        findings = error.findings
+    return [(each.headline, each.span.source.text[each.span.start : each.span.end]) for each in findings]
+
+
+@pytest.mark.parametrize(
+    ("text", "headline", "place"),
+    [
+        pytest.param(doubled(18), MANY_NODES, "Group", id="USE that doubles"),
+        pytest.param(doubled(14, "Solid { }"), MANY_NODES, "Group", id="USE that doubles solids"),
+        pytest.param(doubled(1000), f"nodes are more than {MAX_DEPTH} levels deep", "USE", id="USE in USE"),
+        pytest.param("DEF A Group { children [ USE A ] }", "USE of 'A' within itself", "USE", id="USE of itself"),
+        pytest.param(
+            "DEF A Group { } DEF A Group { children [ Group { children USE A } ] }",
+            "USE of 'A' within itself",
+            "USE",
+            id="USE of itself, after another of its name",
+        ),
+        pytest.param(
+            "PROTO P [ ] { DEF A Solid { boundingObject USE A } } P { }",
+            "USE of 'A' within itself",
+            "USE",
+            id="USE of itself in a PROTO",
+        ),
+        pytest.param(
+            "PROTO A [ ] { Group { children [ A { } A { } ] } } A { }",
+            "PROTO A contains itself",
+            "A",
+            id="PROTO of itself",
+        ),
+        pytest.param(
+            "PROTO A [ field SFNode x A { } ] { Group { children IS x } } A { }",
+            "PROTO A contains itself",
+            "A",
+            id="PROTO in its default",
+        ),
+        pytest.param(
+            "PROTO A [ ] { Group { children B { } } } PROTO B [ ] { Group { children [ A { } A { } ] } } B { }",
+            "PROTO B contains itself",
+            "B",
+            id="PROTOs of each other",
+        ),
+        pytest.param(protos(17, 2), MANY_NODES, "P2", id="PROTO that doubles"),
+        pytest.param(protos(300, 1), MANY_LEVELS, "P224", id="PROTO in PROTO"),
+        pytest.param(
+            protos(19, 1, "Solid { children [ " * 30 + "%s" + "] } " * 30), MANY_LEVELS, "Solid", id="deep PROTOs"
+        ),
+        pytest.param(
+            f"{PAIR}{'Pair { x [ ' * 30}{BOX}{' ] }' * 30}", MANY_NODES, "Group", id="IS that doubles"
+        ),
+        pytest.param(
+            "".join(
+                f"PROTO P{i} [ field SFNode x DEF D{i} Group {{ children [ {f'USE D{i - 1} ' * 2 if i else ''} ] }} ]"
+                " { Group { children IS x } } "
+                for i in range(25)
+            )
+            + "P24 { }",
+            MANY_NODES,
+            "Group",
+            id="USE in defaults that doubles",
+        ),
+        pytest.param("Group { }" * (MAX_NODES + 1), f"the file has more than {MAX_NODES:,} nodes", "Group", id="nodes"),
+        pytest.param(
+            "Solid { boundingObject Group { children [ DEF G ElevationGrid { xDimension 1000 yDimension 1000 }"
+            + "USE G " * 100
+            + "] } }",
+            MANY_POINTS,
+            "ElevationGrid",
+            id="USE of a grid",
+        ),
+        pytest.param(
+            "".join(f"Pit {{ xDimension 400 yDimension 400 randomSeed {i} }}" for i in range(100)),
+            "the PROTOs of the world are larger than 4 MiB",
+            "Pit",
+            id="large PROTOs of the library",
+        ),
+    ],
+)  # fmt: skip
+def test_a_small_text_that_stands_for_much_is_a_finding_at_its_place(text: str, headline: str, place: str):
+    start = time.process_time()
+    assert errors_and_places(text) == [(headline, place)]
+    assert time.process_time() - start < SECONDS
+
+
+NUMBERS = "1 1 1 " * (MAX_NUMBERS // 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param('WorldInfo { title "' + r"\a" * 4_000_000 + '" }', id="escapes"),
+        pytest.param("#\n" * 4_000_000, id="comments"),
+        pytest.param("Group { " + " ".join(f"childrem{i} 1" for i in range(MAX_TOKENS // 2 - 9)) + "}", id="unknown fields"),
+        pytest.param(" ".join(f"Groupp{i} {{ }}" for i in range(MAX_NODES)), id="unknown nodes"),
+        pytest.param("Groupp { } " * MAX_NODES, id="one unknown node"),
+        pytest.param("".join(f"PROTO A{i} [ ] {{ Group {{ }} }} " for i in range(MAX_NODES)), id="PROTOs"),
+        pytest.param(
+            "PROTO A [ field MFFloat x [ ] ] { Group { } } PROTO B [ ] { A { x [ " + NUMBERS + "] } }"
+            + "B { }" * (MAX_NODES // 6),
+            id="numbers in a field of a PROTO",
+        ),
+        pytest.param(
+            "PROTO A [ ] { Shape { geometry PointSet { coord Coordinate { point [ " + NUMBERS + "] } } } }"
+            + "A { }" * (MAX_NODES // 5),
+            id="numbers in the body of a PROTO",
+        ),
+        pytest.param("Solid { boundingObject Sphere { } physics Physics { } }" * 1990, id="bodies"),
+        pytest.param("E-puck { }" * 280, id="robots of the library"),
+    ],
+)  # fmt: skip
+def test_a_world_at_the_limits_of_size_is_read_in_a_second(text: str):
+    start = time.process_time()
+    errors_and_places(text)
+    assert time.process_time() - start < SECONDS
+
+
+def test_an_error_after_a_hundred_warnings_is_reported():
+    fields = " ".join(f"field{i} 1" for i in range(200))
+    assert errors_and_places(f"Solid {{ {fields} }} Robt {{ }}") == [("there is no node Robt", "Robt")]
+
+
+def test_new_from_a_world_that_uses_itself_is_a_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "worlds").mkdir()
+    world = tmp_path / "worlds" / "w.wbt"
+    world.write_text(f"{HEADER}DEF A Group {{ children [ USE A ] }}", encoding="utf-8")
+    assert main(["new", "t", "--webots", str(world)]) == 1
+    assert "USE of 'A' within itself" in capsys.readouterr().err
+
+
+# The count
+
+
+@st.composite
+def trees(draw: st.DrawFn) -> tuple[str, int]:
+    """Draw the text of nodes with DEF, USE and PROTO, and the number of nodes that it stands for."""
+    sizes: dict[str, int] = {}
+
+    def node(depth: int) -> tuple[str, int]:
+        if sizes and draw(st.booleans()):
+            used = draw(st.sampled_from(sorted(sizes)))
+            return f"USE {used} ", sizes[used]
+        name = draw(st.sampled_from(["", *"ABCDEF"]))
+        sizes.pop(name, None)  # it cannot be used before its end
+        inner = [node(depth + 1) for _ in range(draw(st.integers(0, 3 if depth < 4 else 0)))]
+        text, size = "".join(text for text, _ in inner), sum(size for _, size in inner)
+        # A Pair is its node and the three of its body, with its field in two of them.
+        is_pair = draw(st.booleans())
+        written = f"Pair {{ x [ {text}] }} " if is_pair else f"Group {{ children [ {text}] }} "
+        total = 4 + 2 * size if is_pair else 1 + size
+        if name:
+            sizes[name] = total
+            written = f"DEF {name} {written}"
+        return written, total
+
+    nodes = [node(0) for _ in range(draw(st.integers(1, 3)))]
+    return "".join(text for text, _ in nodes), sum(size for _, size in nodes)
+
+
+def expanded_size(node: Node) -> int:
+    """Return the size of the tree of a node, written out."""
+    inner = [node.body] if node.body else [each for value in node.fields.values() for each in value.nodes]
+    return 1 + sum(map(expanded_size, inner))
+
+
+@given(trees())
+def test_the_count_of_nodes_is_the_size_of_the_expanded_tree(tree: tuple[str, int]):
+    text, size = tree
+    document = parse(Source("w.wbt", f"{HEADER}{PAIR}{text}"))
+    findings = WorldFindings()
+    expander = Expander(Files(Path("/n")), findings)
+    if size > MAX_NODES:
+        with pytest.raises(Exception, match="more than"):
+            expander.expand(document.nodes, Scope.of_document(document))
+        return
+    assert (
+        expander.expand(document.nodes, Scope.of_document(document)),
+        sum(map(expanded_size, document.nodes)),
+    ) == (size, size)
+    assert not findings.errors
+
+
+needs_v8 = pytest.mark.skipif(
+    importlib.util.find_spec("py_mini_racer") is None, reason="mini-racer is not installed"
+)
+HEAD = "PROTO Thing [ field SFVec3f size 1 2 3 field MFFloat list [ 1 2 ] field SFNode part NULL ]"
+
+
+def world(
+    folder: Path, body: str, node: str = "Thing { }", *, allow_code: bool = True, head: str = HEAD
+) -> World:
+    """Return the world of a node, whose PROTO has a body; a copy of Webots is in the folder `webots`."""
+    for name in ("worlds", "protos"):
+        (folder / name).mkdir(exist_ok=True)
+    (folder / "protos" / "Thing.proto").write_text(f"{HEADER}{head} {{ {body} }}", encoding="utf-8")
+    path = folder / "worlds" / "w.wbt"
+    path.write_text(f'{HEADER}EXTERNPROTO "../protos/Thing.proto"\n{node}', encoding="utf-8")
+    return read_world(
+        path, [folder / "webots"] if (folder / "webots").is_dir() else (), allow_code=allow_code
+    )
+
+
+def problem(made: World) -> str:
+    (finding,) = made.findings.errors
+    return finding.headline
+
+
+@needs_v8
+def test_a_template_makes_nodes_of_the_values_of_its_fields(tmp_path: Path):
+    made = world(
+        tmp_path,
+        """%< // a statement
+          const size = fields.size.value;
+          let sum = fields.list.value.reduce((before, now) => before + now);
+          if (fields.part.value === undefined) { sum += 100; }
+        >%
+        # a comment %< }}} >%
+        Solid { translation %<= size.x * 2 // twice >% 0 %<= fields.size.defaultValue.z >%
+          name "%<= sum + " " + context.os >%"
+          children [ %< for (let k = 0; k < 3; ++k) { >% Pose { translation %<= k >% 0 0 } %< } >% ] }""",
+        "Thing { size 5 5 5 list [ 3 4 ] }",
+    )
+    assert not made.findings.errors
+    solid = real(made.nodes[0])
+    assert (numbers(solid, "translation"), text(solid, "name")) == ([10, 0, 3], "107 linux")
+    assert [numbers(pose, "translation")[0] for pose in children(solid)] == [0, 1, 2]
+
+
+@needs_v8
+def test_a_template_reads_nodes_in_its_fields_and_keeps_is(tmp_path: Path):
+    made = world(
+        tmp_path,
+        """Solid { translation IS size
+          boundingObject Sphere { radius %<= fields.part.value.fields.radius.value * 2 >% }
+          name "%<= fields.part.value.node_name >%" }""",
+        "Thing { size 7 8 9 part Sphere { radius 0.25 } }",
+    )
+    solid = real(made.nodes[0])
+    assert (numbers(solid, "translation"), text(solid, "name")) == ([7, 8, 9], "Sphere")
+    sphere = child(solid, "boundingObject")
+    assert sphere is not None
+    assert number(sphere, "radius") == 0.5
+
+
+@needs_v8
+def test_a_template_imports_modules_of_a_copy_of_webots(tmp_path: Path):
+    modules = tmp_path / "webots" / "resources" / "javascript" / "modules" / "webots"
+    modules.mkdir(parents=True)
+    (modules / "outer.js").write_text(
+        "import * as inner from 'inner.js';\nexport function twice(x) { return inner.two * x; }\n",
+        encoding="utf-8",
+    )
+    (modules / "inner.js").write_text("export const two = 2;\nlet hidden = 1;\n", encoding="utf-8")
+    made = world(
+        tmp_path,
+        """%< import * as outer from 'outer.js';
+             import {two as pair} from 'inner.js'; >%
+        Solid { translation %<= outer.twice(4) >% %<= pair >% %<= typeof inner >% }""".replace(
+            "%<= typeof inner >%", "%<= typeof inner === 'undefined' ? 1 : 0 >%"
+        ),
+    )
+    assert not made.findings.errors
+    assert numbers(real(made.nodes[0]), "translation") == [8, 2, 1]
+
+
+@needs_v8
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("%< while (true) {} >% Solid { }", "fails: JavaScript was terminated by timeout"),
+        (
+            "%< let a = []; while (true) { a.push(new Array(1e6).fill(a)); } >% Solid { }",
+            "fails: JavaScript memory limit",
+        ),
+        ("%< undefinedName(); >% Solid { }", "fails: ReferenceError: undefinedName is not defined"),
+        ("%< if ( >% Solid { }", "fails: SyntaxError"),
+        (
+            "%< wbfile.readTextFile('/etc/passwd'); >% Solid { }",
+            "fails: ReferenceError: wbfile is not defined",
+        ),
+        ("%< require('fs'); >% Solid { }", "fails: ReferenceError: require is not defined"),
+        (
+            "%< import * as wbrandom from 'wbrandom.js'; >% Solid { }",
+            "imports wbrandom.js, which is not available",
+        ),
+        ("%<= 'x'.repeat(2 ** 24) >%", "makes more than 8 MiB"),
+        ("%< return 'x'.repeat(2 ** 28); >%", "makes more than 8 MiB"),
+        ("%< throw 'x'.repeat(2 ** 28); >%", "fails: its error has a long text"),
+        ("%< new Uint8Array(2 ** 30).fill(1); >% Solid { }", "fails: ReferenceError: Uint8Array"),
+        ("%< new WebAssembly.Memory({initial: 9}); >% Solid { }", "fails: ReferenceError: WebAssembly"),
+        ("%< return ''; })(); (() => { >% Solid { }", "fails: SyntaxError"),
+        ("%< return 5; >% Solid { }", "returns before its end"),
+        ("Solid { name '%<= '%' + '< 1 >' + '%' >%' }", "makes another template"),
+    ],
+)
+def test_a_template_that_fails_is_a_finding(tmp_path: Path, monkeypatch, body: str, words: str):
+    if "timeout" in words:  # on a busy machine, the memory is not full after 2 s
+        monkeypatch.setattr("deepbots_cli.webots.proto_templates.MAX_SECONDS", 2.0)
+    assert problem(world(tmp_path, body)).startswith(f"the template of PROTO Thing {words}")
+
+
+def test_no_template_runs_without_permission(tmp_path: Path):
+    assert problem(world(tmp_path, "Solid { name %<= 1 >% }", allow_code=False)) == (
+        "PROTO Thing is a template of JavaScript, which deepbots webots runs with --allow-code"
+    )
+
+
+def test_a_template_of_lua_is_named(tmp_path: Path):
+    assert problem(world(tmp_path, "Solid { name %{= 1 }% }")) == (
+        "PROTO Thing is a template of Lua, which deepbots cannot run"
+    )
+
+
+@pytest.mark.skipif(importlib.util.find_spec("py_mini_racer") is not None, reason="mini-racer is installed")
+def test_without_the_engine_the_extra_is_named(tmp_path: Path):
+    assert "pip install 'deepbots-cli[webots-js]'" in problem(world(tmp_path, "Solid { name %<= 1 >% }"))
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "webots.md").read_text(encoding="utf-8")
+WORDS = set(re.findall(r"[\w-]+", PAGE))
+APPEARANCES = {"Parquetry", "ChequeredParquetry", "SandyGround", "BrushedAluminium", "Grass", "Asphalt"}
+
+
+@pytest.mark.parametrize("name", sorted(node_types()))
+def test_each_node_is_in_a_table(name: str):
+    assert name in WORDS
+
+
+@pytest.mark.parametrize("name", sorted(set(LIBRARY) - APPEARANCES))
+def test_each_equivalent_of_a_proto_is_named(name: str):
+    assert name in WORDS
+
+
+def test_a_function_that_is_missing_is_not_there():
+    import deepbots_cli.webots.devices as devices
+    from deepbots_cli.webots import cameras, joints, lidar, light, radar, radio, sensors, supervisor, tree
+
+    modules = (cameras, devices, joints, lidar, light, radar, radio, sensors, supervisor, tree)
+    classes = {name: value for module in modules for name, value in vars(module).items()}
+    for owner, names in MISSING.items():
+        for name in names.split():
+            assert name not in vars(classes[owner]), f"{owner}.{name}"

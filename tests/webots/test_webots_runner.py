@@ -19,7 +19,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.recorder import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
 from tests.webots.copied_process import ENVIRONMENT, CopiedProcess
-from tests.webots.worlds_of_webots import HEADER, simulate
+from tests.webots.exported_projects import HEADER, simulate
 
 WORLD = """WorldInfo { basicTimeStep 32 }
 Robot { name "boss" supervisor TRUE controller "boss" children [ Emitter { } Receiver { } ] }
@@ -126,8 +126,7 @@ def test_the_devices_of_a_large_robot_fit_the_page(project: Project):
     project.controller("cart", CART)
     ran = project.run(allow=False)
     assert max(map(len, ran.stdout.splitlines())) <= 100
-    words = " ".join(ran.stdout.split())
-    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in words
+    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in " ".join(ran.stdout.split())
     (row,) = json.loads(project.run("--json", allow=False).stdout)
     assert "ps3, ls3, ps4" in row["devices"]
 
@@ -179,8 +178,7 @@ def test_a_supervisor_quits_with_an_exit_code(project: Project):
         print(boss.step(32))
         """,
     )
-    ran = project.run(code=7)
-    assert ran.stdout.splitlines()[0] == "[boss] -1"
+    assert project.run(code=7).stdout.splitlines()[0] == "[boss] -1"
 
 
 def test_a_crash_names_its_robot(project: Project):
@@ -198,8 +196,7 @@ def test_a_crash_names_its_robot(project: Project):
 def test_an_exit_code_of_a_controller_is_kept(project: Project):
     project.controller("cart", "from controller import Robot\nRobot().step(32)\nraise SystemExit(5)")
     project.controller("boss", BOSS)
-    ran = project.run(code=5)
-    assert "[boss] 3 []" in ran.stdout
+    assert "[boss] 3 []" in project.run(code=5).stdout
 
 
 def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
@@ -271,8 +268,7 @@ def test_two_supervisors_run_until_both_end(project: Project):
         "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
     )
     project.controller("boss", BOSS)
-    ran = project.run()
-    assert ran.stdout.splitlines()[-1] == "[cart] 0.288"
+    assert project.run().stdout.splitlines()[-1] == "[cart] 0.288"
 
 
 @pytest.mark.parametrize(
@@ -337,22 +333,19 @@ def test_a_world_with_errors_runs_nothing(project: Project):
 
 def test_a_world_without_controllers_says_so(project: Project):
     project.write("worlds/w.wbt", HEADER + "Solid { }")
-    ran = project.run(code=2)
-    assert "no robot of the world has a controller that can run" in ran.stderr
+    assert "no robot of the world has a controller that can run" in project.run(code=2).stderr
 
 
 def test_the_packages_of_another_environment_are_found(project: Project):
     project.controller("cart", CART)
     project.controller("boss", "from controller import Supervisor\nSupervisor()\nimport json\nprint('ok')")
-    ran = project.run("--python", sys.executable)
-    assert ran.stdout.splitlines()[0] == "[boss] ok"
+    assert project.run("--python", sys.executable).stdout.splitlines()[0] == "[boss] ok"
 
 
 def test_a_class_that_is_missing_says_so_by_name(project: Project):
     project.controller("cart", CART)
     project.controller("boss", "from controller import Mouse")
-    ran = project.run(code=1)
-    assert "ImportError: controller.Mouse is not implemented" in ran.stderr
+    assert "ImportError: controller.Mouse is not implemented" in project.run(code=1).stderr
 
 
 # A process per controller
@@ -478,8 +471,7 @@ def test_a_process_that_ignores_the_end_is_ended(project: Project):
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
-    ran = project.run("--steps", "50", "--processes", "--json")
-    assert json.loads(ran.stdout)["steps"] == 50
+    assert json.loads(project.run("--steps", "50", "--processes", "--json").stdout)["steps"] == 50
 
 
 # Videos and keys
@@ -489,8 +481,10 @@ def test_a_keyboard_says_that_it_has_no_keys(capsys):
     keyboard = Keyboard()
     keyboard.enable(32)
     keyboard.enable(64)
-    assert keyboard.getKey() == -1
-    assert capsys.readouterr().err.count("no key of the Keyboard is ever pressed: there is no window") == 1
+    assert (
+        keyboard.getKey(),
+        capsys.readouterr().err.count("no key of the Keyboard is ever pressed: there is no window"),
+    ) == (-1, 1)
 
 
 @pytest.mark.parametrize("name", ["run.avi", "taken.gif"])
@@ -527,7 +521,6 @@ def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
     ran = project.run("--record", "run.gif")
     assert sorted(ran.stdout.splitlines()) == ["[boss] True [0, 0, 0]", "[cart] True [0, 0, 0]"]
     with Image.open(project.folder / "run.gif") as video:
-        assert video.size == (640, 480)
-        assert video.n_frames == 3
+        assert (video.size, video.n_frames) == ((640, 480), 3)
         picture = video.convert("RGB")
         assert picture.getpixel((320, 240))[0] > 100 > picture.getpixel((20, 20))[0]

@@ -1,12 +1,26 @@
-"""Painted lines: places beside and along them, their reflected light, and their use in a scenario."""
+"""Painted lines: places beside and along them, their reflected light, and their use in a scenario.
+
+`height(x, y)` in expressions: the surface that both engines collide with, alone and in a batch.
+"""
+
+from __future__ import annotations
 
 import math
+import random
 from contextlib import closing
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from deepbots_cli import api
-from deepbots_cli.program.world import Line
+from deepbots_cli import api, engines
+from deepbots_cli.compiler import check
+from deepbots_cli.document.load import load
+from deepbots_cli.engine_kinds import Diagonal, diagonal_of
+from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
+from deepbots_cli.geometry import HeightGrid, ground_height, ground_heights
+from deepbots_cli.program.world import Line, ObjectBody, Pit, Terrain, TerrainShape, Tile, Tiles, WorldModel
+from deepbots_cli.robots.model import Pose, Sphere
 from deepbots_cli.runtime.paths import Follower, PaintedGround
 from tests.worlds import Maker
 
@@ -25,20 +39,23 @@ def circle(corners: int, radius: float = 1.0) -> Line:
 
 def test_left_of_a_line_is_positive() -> None:
     follow = Follower(ROAD)
-    assert follow((0.5, 0.1, 0.0)) == pytest.approx((0.1, 0.0))
-    assert follow((0.5, -0.2, 0.0)) == pytest.approx((-0.2, 0.0))
+    assert (follow((0.5, 0.1, 0.0)), follow((0.5, -0.2, 0.0))) == (
+        pytest.approx((0.1, 0.0)),
+        pytest.approx((-0.2, 0.0)),
+    )
 
 
 def test_inside_a_loop_that_turns_left_is_left_of_it_and_outside_right() -> None:
-    assert Follower(SQUARE)((0.5, 0.2))[0] == pytest.approx(0.2)
-    assert Follower(SQUARE)((-0.3, -0.4))[0] == pytest.approx(-0.5)
+    assert (Follower(SQUARE)((0.5, 0.2))[0], Follower(SQUARE)((-0.3, -0.4))[0]) == (
+        pytest.approx(0.2),
+        pytest.approx(-0.5),
+    )
 
 
 def test_the_way_along_a_line_counts_from_where_the_episode_begins() -> None:
     follow = Follower(ROAD)
     follow((0.3, 0.0))
-    assert follow((0.8, 0.0))[1] == pytest.approx(0.5)
-    assert follow((0.2, 0.0))[1] == pytest.approx(-0.1)
+    assert (follow((0.8, 0.0))[1], follow((0.2, 0.0))[1]) == (pytest.approx(0.5), pytest.approx(-0.1))
     follow.reset()
     assert follow((0.9, 0.0))[1] == 0.0
 
@@ -81,9 +98,7 @@ def test_lanes_beside_each_other_are_distinguished() -> None:
 
 def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
     light = PaintedGround([SQUARE], spot=0.002)
-    assert light(0.5, 0.5) == 1.0
-    assert light(40.0, 40.0) == 1.0
-    assert light(0.5, 0.0) == pytest.approx(0.1)
+    assert (light(0.5, 0.5), light(40.0, 40.0), light(0.5, 0.0)) == (1.0, 1.0, pytest.approx(0.1))
 
 
 @pytest.mark.parametrize(
@@ -145,3 +160,148 @@ def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(m
             moved = environment.engine.pose("rover")()[0][0] - x
             assert total == pytest.approx(100 * moved)
             assert moved > 0.1
+
+
+GROUND = Path(__file__).parents[1] / "data" / "scenarios" / "ground.yaml"
+RAMP = Path(__file__).parents[1] / "data" / "hosts" / "terrain_mesh.yaml"
+STAIRS = Tiles(
+    (Tile("stairs", (("height", 0.02, 0.16), ("tread", 0.3, 0.3), ("inverted", 0.0, 0.0))),),
+    2,
+    4.0,
+    0.0,
+    1.0,
+    0.05,
+    0,
+)
+ROUGH = Tiles((Tile("rough", (("height", 0.0, 0.3), ("grain", 0.2, 0.2))),), 2, 4.0, 1.0, 1.0, 0.1, 0)
+PIT = Pit(3.2, 2.0)
+SHAPES = [
+    pytest.param(shape, id=name) for name, shape in (("stairs", STAIRS), ("rough", ROUGH), ("pit", PIT))
+]
+
+
+def world(shape: TerrainShape) -> WorldModel:
+    ball = ObjectBody("ball", Sphere(0.01), Pose((0.0, 0.0, 5.0)), mass=1.0)
+    return WorldModel(timestep=0.01, substeps=1, terrain=Terrain(shape), objects=(ball,))
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_ray_downward_meets_the_ground_at_its_height(engine: str, shape: TerrainShape) -> None:
+    pytest.importorskip(engine)
+    at = ground_height(Terrain(shape), diagonal_of(engine))
+    numbers = random.Random(0)
+    with closing(engines.create(engine, world(shape))) as simulated:
+        down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
+        read = simulated.rays(("ball", None), down, 10.0)
+        for _ in range(200):
+            x, y = numbers.uniform(-1.9, 1.9), numbers.uniform(-1.9, 1.9)
+            simulated.reset()
+            simulated.place("ball", (x, y, 5.0), IDENTITY_ROTATION)
+            assert 5.0 - read()[0] == pytest.approx(at(x, y), abs=1e-3)
+
+
+@pytest.mark.parametrize("diagonal", ["falling", "rising"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_columns_have_the_heights_of_single_points_to_the_bit(
+    shape: TerrainShape, diagonal: Diagonal
+) -> None:
+    numbers = np.random.default_rng(1)
+    x, y = numbers.uniform(-6.0, 6.0, (2, 3000))  # beyond the terrain, too
+    x[:200] = np.round(x[:200] / 0.05) * 0.05  # on the lines of the grid
+    y[:100] = np.round(y[:100] / 0.05) * 0.05
+    at = ground_height(Terrain(shape), diagonal)
+    over = ground_heights(Terrain(shape), diagonal)
+    assert over(x, y).tolist() == [at(*place) for place in zip(x.tolist(), y.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "inside"), [("falling", [1.5, 0.75, 5.25]), ("rising", [4.5, 2.25, 6.75])]
+)
+def test_each_cell_is_two_triangles(diagonal: Diagonal, inside: list[float]) -> None:
+    grid = HeightGrid(np.array([[0.0, 1.0], [2.0, 9.0]]), (2.0, 2.0), diagonal)
+    places = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (0.0, 0.0), (-0.5, -0.5), (0.5, 0.5)]
+    x, y = np.transpose(places)
+    assert grid.heights_function()(x, y) == pytest.approx([0.0, 1.0, 2.0, 9.0, *inside])
+
+
+@pytest.fixture(scope="module")
+def ramp() -> Terrain:
+    """A mesh from -4 to 4 m, which rises from 0 to 0.2 m along y."""
+    program = api.compile(RAMP).program
+    assert program.world.terrain is not None
+    return program.world.terrain
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "height"),
+    [(0.0, 4.1, 0.2), (0.0, -50.0, 0.0), (4.5, 2.0, 0.15), (-9.0, 9.0, 0.2), (math.inf, 0.0, 0.1)],
+)
+def test_beyond_a_mesh_the_ground_has_the_height_of_its_nearest_edge(
+    ramp: Terrain, x: float, y: float, height: float
+) -> None:
+    assert ground_height(ramp)(x, y) == pytest.approx(height)
+
+
+@pytest.mark.parametrize("kind", ["pit", "mesh", "plane"])
+def test_only_a_place_that_is_not_a_number_has_no_height_in_a_column(ramp: Terrain, kind: str) -> None:
+    over = ground_heights({"pit": Terrain(PIT), "mesh": ramp, "plane": None}[kind])
+    heights = over(np.array([math.nan, 0.0, math.inf]), np.array([0.0, 0.0, 0.0]))
+    assert np.isnan(heights).tolist() == [True, False, False]
+
+
+def test_a_plane_has_the_height_0() -> None:
+    assert (ground_height(None)(3.0, 4.0), ground_heights(None)(np.ones(3), np.ones(1)).tolist()) == (
+        0.0,
+        [0.0, 0.0, 0.0],
+    )
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_the_feet_of_a_robot_on_stairs_stand_on_the_ground(engine: str) -> None:
+    pytest.importorskip(engine)
+    with closing(api.make(GROUND, engine=engine)) as environment:
+        for level in (0, 1):
+            environment.reset(seed=3, options={"kind": 1, "level": level})
+            poses = [environment.engine.pose("dog", f"{leg}_toe")()[0] for leg in ("FR", "FL", "RR", "RL")]
+            at = ground_height(environment.world.terrain, diagonal_of(engine))
+            expected = [z - at(x, y) for x, y, z in poses]
+            observed = environment.get_observations()[-5:-1]
+            assert -0.1 + 0.2 * (observed + 1.0) == pytest.approx(expected, abs=1e-6)
+            assert np.mean(expected) == pytest.approx(0.02, abs=0.01)  # the radius of a foot
+
+
+def test_a_batch_observes_the_heights_of_single_worlds_to_the_bit() -> None:
+    pytest.importorskip("mujoco")
+    program = api.compile(GROUND).program
+    seeds = range(8)
+    singles = [api.build(program, engine="mujoco") for _ in seeds]
+    with closing(api.build_batch(program, len(seeds))) as batch:
+        alone = [single.reset(seed=seed)[0] for single, seed in zip(singles, seeds, strict=True)]
+        assert np.array_equal(batch.reset(list(seeds)), alone)
+        numbers = np.random.default_rng(0)
+        for _ in range(20):
+            actions = numbers.uniform(-1.0, 1.0, (8, 12)).astype(np.float32)
+            outcome = batch.advance(actions)
+            steps = [single.step(action) for single, action in zip(singles, actions, strict=True)]
+            assert np.array_equal(outcome.observations, [step[0] for step in steps])
+            if len(outcome.done):
+                break
+    for single in singles:
+        single.close()
+
+
+@pytest.mark.parametrize(
+    ("expression", "code", "headline"),
+    [
+        ("height(1, 2) / m", "DB502", "expected a length (m)"),
+        ("height(position(dog).x) / m", "DB401", "`height` takes 2 arguments, not 1"),
+        ("height(dog, dog) / m", "DB203", "robot"),
+        ("height(yaw(dog), 1 m) / m", "DB503", "must be a length"),
+        ("height(position(dog.toes).x, position(dog.toes).y) / m", "DB404", "single value"),
+    ],
+)
+def test_a_wrong_argument_is_found(expression: str, code: str, headline: str) -> None:
+    findings = check(load(GROUND, overrides=[f'reward={{"high": "{expression}"}}'])).findings.errors
+    assert {finding.code for finding in findings} == {code}
+    assert headline in findings[0].headline

@@ -1,11 +1,21 @@
 """Terrain: the same surface for engine, placing and pictures; pictures, formulas and meshes as ground; what
-is refused."""
+is refused.
+
+Terrain of tiles, against closed forms of each kind.
+
+Walls and the arena as bodies with names: what expressions, sensors and cameras know of them.
+
+Rotations as roll, pitch and yaw.
+"""
+
+from __future__ import annotations
 
 import math
 import random
 import struct
 import zlib
 from contextlib import closing, suppress
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +23,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli import api, engines, pictures
+from deepbots_cli import api, engines, frames, pictures
+from deepbots_cli.compiler import check
+from deepbots_cli.compiler.inventory import definition, names_at
+from deepbots_cli.document.load import load
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
 from deepbots_cli.geometry import RIM_RADIUS_PER_SIGMA, ground_height, height_grid, picture_pixels
-from deepbots_cli.program.world import Formula, ObjectBody, Pit, Terrain, TerrainShape, WorldModel
+from deepbots_cli.program.world import (
+    TILE_MARGIN_M,
+    Formula,
+    ObjectBody,
+    Pit,
+    Terrain,
+    TerrainShape,
+    Tile,
+    Tiles,
+    WorldModel,
+)
 from deepbots_cli.robots.model import Sphere
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.tiles import heights, tile_heights
+from tests.worlds import Make
 
 PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
 SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
@@ -224,8 +250,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
         tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m"
     )
     at = ground_height(scenario.program.world.terrain)
-    assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
-    assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
+    assert (at(1.0, 2.0), at(-1.0, 0.0)) == (pytest.approx(0.4, abs=1e-3), pytest.approx(-0.2, abs=1e-3))
     assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
@@ -233,9 +258,7 @@ def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(t
     (tmp_path / "hills.png").write_bytes(gray_png([[255] * 5, *[[0] * 5] * 4]))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
     at = ground_height(scenario.program.world.terrain)
-    assert at(0.0, 4.0) == 2.0
-    assert at(0.0, 3.0) == 1.0
-    assert at(0.0, -1.0) == 0.0
+    assert (at(0.0, 4.0), at(0.0, 3.0), at(0.0, -1.0)) == (2.0, 1.0, 0.0)
     assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
     assert "hills.png" in scenario.inputs
     assert "file: inputs/hills.png" in scenario.resolved
@@ -259,9 +282,11 @@ def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
     for file in ("ramp.stl", "ramp.obj"):
         scenario = compiled(tmp_path, f"type: mesh, file: {file}, scale: 1 1 0.5")
         at = ground_height(scenario.program.world.terrain)
-        assert at(3.0, 0.0) == pytest.approx(0.5)
-        assert at(3.0, -5.0) == pytest.approx(0.25)
-        assert at(30.0, 0.0) == pytest.approx(0.5)
+        assert (at(3.0, 0.0), at(3.0, -5.0), at(30.0, 0.0)) == (
+            pytest.approx(0.5),
+            pytest.approx(0.25),
+            pytest.approx(0.5),
+        )
         assert height_after_rolling(scenario) == pytest.approx(0.1, abs=0.02)
 
 
@@ -293,3 +318,320 @@ def test_a_compiled_scenario_with_another_formula_than_of_place_has_no_heights()
         height_grid(Formula(Name("secret"), (1.0, 1.0)))
     with pytest.raises(EngineError, match="the height is undefined"):
         height_grid(Formula(Op("div", (Const(1.0), Const(0.0))), (1.0, 1.0)))
+
+
+SIDE, PLATFORM, CELL, LEVELS = 8.0, 1.6, 0.1, 5
+
+
+def tiles(kind: str, seed: int = 0, **measures: tuple[float, float]) -> Tiles:
+    tile = Tile(kind, tuple((name, *ends) for name, ends in measures.items()))
+    return Tiles((tile,), LEVELS, SIDE, 2.0, PLATFORM, CELL, seed)
+
+
+def along_x(terrain: Tiles, level: int) -> np.ndarray:
+    """Heights along the middle of a tile, from its edge to the middle of its platform."""
+    whole = tile_heights(terrain, 0, level)
+    return whole[len(whole) // 2, : len(whole) // 2 + 1]
+
+
+KINDS = {
+    "slope": {"angle": (0.0, 0.4), "inverted": (0.0, 0.0)},
+    "stairs": {"height": (0.02, 0.16), "tread": (0.3, 0.3), "inverted": (0.0, 0.0)},
+    "waves": {"height": (0.0, 0.1), "length": (2.0, 2.0)},
+    "rough": {"height": (0.0, 0.08), "grain": (0.2, 0.2)},
+    "blocks": {"height": (0.02, 0.16), "side": (0.5, 0.5)},
+    "stepping_stones": {"side": (0.8, 0.3), "gap": (0.1, 0.2), "depth": (1.0, 1.0)},
+    "gaps": {"width": (0.1, 0.3), "spacing": (1.0, 1.0), "depth": (1.0, 1.0)},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("level", range(LEVELS))
+def test_a_tile_is_level_along_its_edge_and_on_its_platform_unless_the_ground_is_rough(
+    kind: str, level: int
+) -> None:
+    whole = tile_heights(tiles(kind, **KINDS[kind]), 0, level)
+    assert whole.shape == (81, 81)
+    assert not np.any([whole[0], whole[-1], whole[:, 0], whole[:, -1]])
+    platform = whole[33:48, 33:48]
+    is_uneven = kind in ("waves", "rough") and level > 0
+    assert (np.ptp(platform) > 0.0) == is_uneven
+
+
+@pytest.mark.parametrize("inverted", [0.0, 1.0])
+def test_stairs_climb_a_step_for_each_tread(inverted: float) -> None:
+    terrain = tiles("stairs", height=(0.02, 0.16), tread=(0.3, 0.3), inverted=(inverted, inverted))
+    for level, step in enumerate(np.linspace(0.02, 0.16, LEVELS)):
+        line = along_x(terrain, level) * (-1.0 if inverted else 1.0)
+        count = math.floor((SIDE - PLATFORM) / 2 / 0.3)
+        assert line[-1] == pytest.approx(count * step)
+        assert np.unique(line.round(9)) == pytest.approx(step * np.arange(count + 1))
+        assert np.all(np.diff(line) >= 0.0)
+
+
+def test_a_slope_has_its_angle() -> None:
+    terrain = tiles("slope", angle=(0.0, 0.4), inverted=(0.0, 0.0))
+    for level, angle in enumerate(np.linspace(0.0, 0.4, LEVELS)):
+        line = along_x(terrain, level)
+        rising = np.diff(line)[: round((SIDE - PLATFORM) / 2 / CELL)]
+        assert rising == pytest.approx(math.tan(angle) * CELL, abs=1e-12)
+
+
+def test_waves_go_up_to_their_height_with_their_length() -> None:
+    whole = tile_heights(tiles("waves", **KINDS["waves"]), 0, LEVELS - 1)
+    x = np.linspace(-SIDE / 2, SIDE / 2, len(whole))
+    inner = np.abs(x) <= SIDE / 2 - TILE_MARGIN_M
+    wave = 0.1 * (np.cos(math.pi * x[:, None]) + np.cos(math.pi * x[None, :]) + 2.0) / 4.0
+    assert whole[np.ix_(inner, inner)] == pytest.approx(wave[np.ix_(inner, inner)])
+    assert whole.max() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("kind", ["rough", "blocks"])
+def test_random_heights_are_within_their_range_and_those_of_their_seed(kind: str) -> None:
+    measures = KINDS[kind]
+    first, again, another_seed = (tile_heights(tiles(kind, seed, **measures), 0, 4) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, another_seed)
+    highest = measures["height"][1]
+    assert 0.8 * highest < first.max() <= highest
+    assert first.min() >= 0.0
+
+
+def test_stones_and_gaps_have_their_widths() -> None:
+    stones = along_x(tiles("stepping_stones", **KINDS["stepping_stones"]), LEVELS - 1)
+    assert set(np.unique(stones)) == {-1.0, 0.0}
+    # From the edge to the platform: stones of 0.3 m with gaps of 0.2 m between.
+    assert np.flatnonzero(stones < 0.0).tolist() == [7, 8, 12, 13, 17, 18, 22, 23, 27, 28]
+    trenches = along_x(tiles("gaps", **KINDS["gaps"]), LEVELS - 1)
+    # Outward from the platform: 1 m of ground, then a trench of 0.3 m, twice, and ground up to the edge.
+    outward = trenches[::-1][round(PLATFORM / 2 / CELL) :]
+    assert np.flatnonzero(outward < 0.0).tolist() == [11, 12, 13, 24, 25, 26]
+
+
+def test_kinds_stand_along_x_and_levels_along_y() -> None:
+    kinds = tuple(Tile(kind, tuple((name, *ends) for name, ends in KINDS[kind].items())) for kind in KINDS)
+    terrain = Tiles(kinds, LEVELS, SIDE, 2.0, PLATFORM, CELL, 3)
+    whole = heights(terrain)
+    assert (whole.shape, terrain.size) == ((5 * 80 + 41, 7 * 80 + 41), (60.0, 44.0))
+    assert np.array_equal(whole[20 + 160 : 20 + 241, 20 + 80 : 20 + 161], tile_heights(terrain, 1, 2))
+
+
+TILED = """\
+deepbots: 1
+extends: quadruped
+name: Climb
+parameters: {kind: 1, level: 2}
+world:
+  terrain:
+    type: tiles
+    levels: 3
+    tiles: {waves: {type: waves, height: 0 .. 10 cm}, up: {type: stairs, height: 2 .. 16 cm}}
+reset: {place: {dog: {x: (kind - 0.5) * 8 m, y: (level - 1) * 8 m}}}
+remove: [reset.place.dog.z]
+evaluation: {cases: {}}
+tests: {}
+"""
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_a_robot_begins_on_the_platform_of_its_tile(tmp_path: Path, engine: str) -> None:
+    pytest.importorskip(engine)
+    (tmp_path / "climb.yaml").write_text(TILED)
+    compiled = api.compile(tmp_path / "climb.yaml")
+    top = 0.16 * math.floor((8.0 - 1.5) / 2 / 0.3)
+    assert ground_height(compiled.program.world.terrain)(4.0, 8.0) == pytest.approx(top)
+    with closing(api.make(compiled, engine=engine)) as environment:
+        environment.reset(seed=1)
+        x, y, z = environment.engine.pose("dog")()[0]
+        assert (x, y) == pytest.approx((4.0, 8.0), abs=0.05)
+        assert 0.15 < z - top < 0.6
+        toes = [environment.engine.pose("dog", f"{leg}_toe")()[0][2] for leg in ("FR", "FL", "RR", "RL")]
+        assert np.mean(toes) - top == pytest.approx(0.02, abs=0.01)  # the radius of a foot
+
+
+@pytest.mark.parametrize(
+    ("terrain", "code"),
+    [
+        ("tiles: {up: {type: stairs, height: 2 .. 16 cm, tread: 8 m}}", "DB105"),
+        ("tiles: {up: {type: stairs, height: 2 .. 16 cm}}, platform: 8 m", "DB105"),
+        ("tiles: {up: {type: stairs, height: -2 .. 16 cm}}", "DB105"),
+        ("tiles: {up: {type: stairs, height: 2 .. 16 s}}", "DB503"),
+        ("tiles: {up: {type: slope, angle: 0 .. 100 deg}}", "DB105"),
+        ("tiles: {over: {type: stepping_stones, side: 50 .. 0 cm, gap: 0 .. 10 cm}}", "DB105"),
+        ("tiles: {up: {type: ladder, height: 2 .. 16 cm}}", "DB104"),
+        ("tiles: {over: {type: gaps, width: 5 .. 30 cm}}", "DB105"),  # finer than the cell
+        ("tiles: {up: {type: stairs, height: 2 .. 16 cm}}, side: 8.05 m", "DB308"),
+        ("tiles: {up: {type: stairs, height: 2 .. 16 cm}}, cell: 1 cm", "DB005"),
+        ("tiles: {}", "DB107"),
+    ],
+)
+def test_tiles_that_do_not_fit_are_one_finding(tmp_path: Path, terrain: str, code: str) -> None:
+    (tmp_path / "climb.yaml").write_text(
+        f"deepbots: 1\nextends: quadruped\nname: Climb\nworld: {{terrain: {{type: tiles, {terrain}}}}}\n"
+    )
+    errors = [finding for finding in api.lint(tmp_path / "climb.yaml") if finding.severity == "error"]
+    assert [finding.code for finding in errors] == [code], [finding.headline for finding in errors]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_height_of_a_tile_is_larger_than_the_largest_one(kind: str) -> None:
+    terrain = tiles(kind, **KINDS[kind])
+    highest = max(np.abs(tile_heights(terrain, 0, level)).max() for level in range(LEVELS))
+    assert highest <= terrain.largest_height(0) + 1e-9
+    assert highest >= 0.8 * terrain.largest_height(0)
+
+
+@pytest.mark.parametrize(
+    ("terrain", "place"),
+    [
+        ("{type: pit, height: 100 km}", "100 km"),
+        ("{type: tiles, levels: 2, tiles: {up: {type: stairs, height: 2 .. 16 km}}}", "2 .. 16 km"),
+        ("{type: tiles, levels: 2, tiles: {up: {type: gaps, width: 10 .. 20 cm, depth: 20 km}}}", "20 km"),
+    ],
+)
+def test_ground_beyond_10_km_is_a_finding(terrain: str, place: str) -> None:
+    overrides = [f"world.terrain={terrain}"]
+    errors = check(
+        load(Path(__file__).parents[2] / "scenarios" / "quadruped.yaml", overrides=overrides)
+    ).findings.errors
+    assert [(finding.code, finding.span.text) for finding in errors] == [("DB105", place)]
+    assert "10 km" in (errors[0].help or "")
+
+
+# The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena
+# at 1 m.
+YARD = """
+deepbots: 1
+name: Yard
+summary: A puck between walls.
+world:
+  timestep: 32 ms
+  arena: {size: 2 2 m}
+  walls:
+    bay:  {points: [0.4 -0.3 m, 0.4 0.3 m], thickness: 2 cm, height: 20 cm}
+    nook: {points: [-0.4 -0.3 m, -0.4 0.3 m, -0.1 0.3 m], thickness: 2 cm}
+objects:
+  puck: {shape: cylinder, radius: 2 cm, height: 4 cm, mass: 0.1 kg, friction: 0}
+robots:
+  stand:
+    urdf: cartpole_rail
+    base: fixed
+    pose: {x: 5 m}
+action: {idle: -1 .. 1}
+augment:
+  to_bay:   clearance(puck, bay)
+  to_nook:  clearance(nook, puck)
+  to_arena: clearance(puck, arena)
+  middle:   position(bay)
+  touched:  contact(puck, bay)
+  bumped:   collided(bay)
+  fenced:   contact(arena, puck)
+observation: {to_bay: 0 .. 2 m, to_nook: 0 .. 2 m, to_arena: 0 .. 2 m, middle: -1 .. 1 m, touched: auto, bumped: auto, fenced: auto}
+reward: {idle: idle}
+truncation: {max_steps: 50}
+reset: {place: {puck: {x: 0.2 m, y: 0.25 m}}}
+"""
+
+
+def observed_values(environment: Supervisor) -> dict[str, float]:
+    """The values of the observation, in m and as truth values."""
+    entries = environment.scenario.agent.numbers
+    observation = environment.get_observations()
+    return {
+        f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low
+        + (value + 1) / 2 * (entry.high - entry.low)
+        for entry, value in zip(entries, observation.tolist(), strict=True)
+    }
+
+
+def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
+    make: Make,
+) -> None:
+    environment = make(YARD)
+    environment.reset(seed=0)
+    values = observed_values(environment)
+    assert values["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
+    assert values["to_nook"] == pytest.approx(
+        math.hypot(0.29, 0.04) - 0.02, abs=2e-3
+    )  # to the corner of the nearer of its two pieces
+    assert values["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
+
+
+def test_a_wall_of_one_piece_has_a_position(make: Make) -> None:
+    environment = make(YARD)
+    environment.reset(seed=0)
+    values = observed_values(environment)
+    assert [values[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
+
+
+def test_contact_and_collided_tell_walls_apart(make: Make) -> None:
+    environment = make(YARD, "reset.place.puck.velocity=2 0 0 m/s")
+    environment.reset(seed=0)
+    touched = set()
+    for _ in range(10):
+        environment.step([0.0])
+        values = observed_values(environment)
+        assert values["touched"] == values["bumped"]
+        touched |= {name for name in ("touched", "fenced") if values[name] > 0.5}
+    assert touched == {"touched"}
+
+
+def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Make) -> None:
+    environment = make(YARD, "reset.place.puck.velocity=0 4 0 m/s")
+    environment.reset(seed=0)
+    touched = set()
+    for _ in range(15):
+        environment.step([0.0])
+        touched |= {name for name in ("touched", "fenced") if observed_values(environment)[name] > 0.5}
+    assert touched == {"fenced"}
+
+
+def test_a_touch_sensor_feels_a_wall_that_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "yard.yaml"
+    sensors = "    sensors: {bump: {type: touch, link: pole, against: [nook, arena]}}\n    emit: [bump]\n"
+    file.write_text(
+        YARD.replace("    pose: {x: 5 m}\n", f"    pose: {{x: 5 m}}\n{sensors}"), encoding="utf-8"
+    )
+    (sensor,) = api.compile(file).program.robots[0].sensors
+    assert sensor.against == ("nook 1", "nook 2", "front wall", "back wall", "left wall", "right wall")
+
+
+def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path: Path) -> None:
+    file = tmp_path / "yard.yaml"
+    file.write_text(YARD, encoding="utf-8")
+    checked = api.load(file)
+    felt = [
+        entry.name
+        for entry in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))
+    ]
+    assert {"bay", "nook", "arena"} <= set(felt)
+    assert not {"bay", "arena"} & {entry.name for entry in names_at(checked, "body", ("reset", "place"))}
+    for name in ("bay", "arena"):
+        target = definition(checked, name)
+        assert target is not None
+        assert target.span is not None
+        assert target.span.text == name
+
+
+ANGLES = (-2.9, -0.4, 0.0, 1.3, 3.0)
+
+
+@pytest.mark.parametrize("pitch", [-pi / 2, pi / 2])
+@pytest.mark.parametrize("noise", [0.0, 1e-12, -1e-12])
+def test_a_vertical_pitch_keeps_the_rotation(pitch: float, noise: float) -> None:
+    """Only the difference of roll and yaw counts there, and the roll is 0."""
+    for roll in ANGLES:
+        for yaw in ANGLES:
+            turned = frames.quaternion(roll, pitch + noise, yaw)
+            angles = frames.roll_pitch_yaw(turned)
+            assert angles[:2] == (0.0, pitch)
+            again = frames.quaternion(*angles)
+            assert abs(sum(map(float.__mul__, turned, again))) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_other_angles_come_back() -> None:
+    for roll in ANGLES:
+        for pitch in (-1.57, -0.3, 0.0, 1.2, 1.57):
+            for yaw in ANGLES:
+                angles = frames.roll_pitch_yaw(frames.quaternion(roll, pitch, yaw))
+                assert angles == pytest.approx((roll, pitch, yaw), abs=1e-9)

@@ -14,8 +14,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from tests.faults.injected import everything
-from tests.faults.trying import Project
+from tests.faults.injected import Project, everything
 from tools.benchmarks.report import Row, options, show
 
 

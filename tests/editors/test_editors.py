@@ -1,19 +1,245 @@
-"""The YAML language server with the JSON Schema of deepbots: its completion, hover and problems."""
+"""The YAML language server, which VS Code and Neovim use, as a process of its own; `make editors` says where
+it is.
+
+Neovim with the settings of docs/editors.md shows findings, hover and completion of a scenario. It is
+searched on the `PATH`, or named by `NEOVIM`.
+
+What `--format sarif` writes, against the schema of the standard; `make editors` says where that is.
+
+The YAML language server with the JSON Schema of deepbots: its completion, hover and problems.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.cli.commands.lint import Format, report
 from deepbots_cli.compiler.inventory import scenario_names
+from deepbots_cli.diagnostics import Finding
 from deepbots_cli.scenario.json_schema import FILE_NAME, schema_text
 from deepbots_cli.scenario.sensors import SENSORS
-from tests.editors.conftest import ROOT, Type
-from tests.lsp.client import Client
+from tests.golden.cases import write
+from tests.lsp.client import Client, Message, position
+
+ROOT = Path(__file__).parents[2]
+CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8")
+CURSOR = "§"
+
+
+@dataclass(frozen=True)
+class Typed:
+    """What an editor shows while one types: the cursor is at `place` of the document at `uri`."""
+
+    client: Client
+    uri: str
+    place: Message
+    problems: list[Message]
+
+    def _asked(self, method: str) -> Message:
+        answer: Message = self.client.request(
+            f"textDocument/{method}", {"textDocument": {"uri": self.uri}, "position": self.place}
+        )
+        return answer
+
+    @property
+    def hover(self) -> str:
+        return str(self._asked("hover")["contents"]["value"])
+
+    @property
+    def offers(self) -> dict[str, Message]:
+        return {item["label"]: item for item in self._asked("completion")["items"]}
+
+    @property
+    def messages(self) -> list[tuple[str, str]]:
+        """The underlined text and the message of each problem."""
+        lines = self.client.texts[self.uri].splitlines()
+        return [(_underlined(lines, problem["range"]), problem["message"]) for problem in self.problems]
+
+
+Type = Callable[[str, str], Typed]
+
+
+def _underlined(lines: list[str], span: Message) -> str:
+    start, end = span["start"], span["end"]
+    line = lines[start["line"]]
+    return line[start["character"] : end["character"] if end["line"] == start["line"] else None]
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the schemas; below `general` and `own` a comment leads to them."""
+    root = tmp_path_factory.mktemp("scenarios")
+    (root / FILE_NAME).write_text(schema_text(), encoding="utf-8")
+    (root / "cartpole.schema.json").write_text(
+        schema_text(scenario_names(api.load("cartpole"))), encoding="utf-8"
+    )
+    return root
+
+
+@pytest.fixture(scope="session")
+def client(folder: Path) -> Iterator[Client]:
+    """The server, without its catalogs in the net."""
+    server = os.environ.get("YAML_LANGUAGE_SERVER")
+    if server is None:
+        pytest.skip("`make editors` installs the server and runs this")
+    settings = {
+        "validate": True,
+        "hover": True,
+        "completion": True,
+        "schemas": {(folder / FILE_NAME).as_uri(): "*.scenario.yaml"},
+        "schemaStore": {"enable": False},
+        "kubernetesCRDStore": {"enable": False},
+    }
+    capabilities = {
+        "textDocument": {
+            "hover": {"contentFormat": ["markdown"]},
+            "completion": {"completionItem": {"snippetSupport": True, "documentationFormat": ["markdown"]}},
+        },
+        "workspace": {"configuration": True},
+    }
+    command = ["node", str(Path(server).resolve()), "--stdio"]
+    with Client(folder, capabilities=capabilities, command=command, settings={"yaml": settings}) as connected:
+        yield connected
+
+
+def _typing(client: Client, folder: Path, ending: str, comment: str) -> Type:
+    def typed(old: str, new: str) -> Typed:
+        assert old in CARTPOLE
+        text = comment + CARTPOLE.replace(old, new, 1)
+        before, _, after = text.partition(CURSOR)
+        uri = client.open(folder / f"case{len(client.texts)}{ending}", before + after)
+        return Typed(client, uri, position(text, len(before)), client.published(uri))
+
+    return typed
+
+
+@pytest.fixture
+def typed(client: Client, folder: Path) -> Type:
+    """CartPole with a change, in a file that settings give the general schema; where the change has a `§`,
+    the cursor is."""
+    return _typing(client, folder, ".scenario.yaml", "")
+
+
+@pytest.fixture
+def typed_for(client: Client, folder: Path) -> Type:
+    """The same in a file whose first line names the schema made for CartPole."""
+    return _typing(client, folder, ".yaml", "# yaml-language-server: $schema=cartpole.schema.json\n")
+
 
 pytestmark = pytest.mark.editors
+
+NEOVIM = os.environ.get("NEOVIM", "nvim")
+
+
+def version() -> tuple[int, ...]:
+    if shutil.which(NEOVIM) is None:
+        return (0,)
+    output = subprocess.run([NEOVIM, "--version"], capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, re.findall(r"\d+", output)[:2]))
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> Message:
+    if version() < (0, 11):
+        pytest.skip("Neovim 0.11 or newer is not there")
+    folder = tmp_path_factory.mktemp("neovim")
+    for name in ("scenarios", "robots"):
+        shutil.copytree(ROOT / name, folder / name)
+    (folder / "deepbots.toml").touch()
+    page = (ROOT / "docs" / "editors.md").read_text(encoding="utf-8")
+    (folder / "init.lua").write_text(
+        "\n".join(
+            re.findall(
+                r"^```lua\n(.*?)^```", page.partition("## The JSON Schema")[0], re.MULTILINE | re.DOTALL
+            )
+        )
+    )
+    command = folder / "bin" / "deepbots"
+    command.parent.mkdir()
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m deepbots_cli "$@"\n')
+    command.chmod(0o755)
+    places = {f"XDG_{kind}_HOME": str(folder / kind) for kind in ("CONFIG", "DATA", "STATE", "CACHE")}
+    environment = {**os.environ, **places, "PYTHONPATH": str(ROOT), "SEEN": str(folder / "seen.json")}
+    environment["PATH"] = f"{command.parent}{os.pathsep}{environment['PATH']}"
+    script = Path(__file__).with_name("neovim.lua")
+    arguments = [NEOVIM, "--headless", "-u", "init.lua", "-c", f"luafile {script}"]
+    ran = subprocess.run(
+        arguments, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (folder / "seen.json").exists(), ran.stderr
+    answer: Message = json.loads((folder / "seen.json").read_text(encoding="utf-8"))
+    assert answer.get("fault") is None
+    return answer
+
+
+def test_findings_underline_the_right_letters_behind_an_emoji(answers: Message) -> None:
+    assert ["DB104", "gyros"] in answers["findings"]
+
+
+def test_a_quick_fix_and_all_fixes_at_once_change_the_text(answers: Message) -> None:
+    assert '"😀ü": {type: gyro, link: ball}' in answers["fixed"]  # that all fixes were made was waited for
+
+
+def test_hover_shows_type_and_value(answers: Message) -> None:
+    assert "a length (m), 2.7 m, fixed" in answers["hover"]
+
+
+def test_completion_offers_the_names_that_begin_so(answers: Message) -> None:
+    assert answers["offered"][0] == "metric"
+
+
+def test_the_definition_of_a_joint_is_in_its_robot_file(answers: Message) -> None:
+    assert '<joint name="pitch"' in answers["definition"]
+
+
+def test_the_outline_has_sections_and_the_names_in_them(answers: Message) -> None:
+    assert {"[Namespace] signals", "[Variable] reach"} <= set(answers["outline"])
+
+
+def test_formatting_makes_what_fmt_makes(answers: Message) -> None:
+    assert answers["formatted"] == "world: {timestep: 32 ms"
+
+
+@pytest.fixture(scope="session")
+def schema() -> jsonschema.Draft7Validator:
+    place = os.environ.get("SARIF_SCHEMA")
+    if place is None:
+        pytest.skip("`make editors` installs the schema and runs this")
+    return jsonschema.Draft7Validator(json.loads(Path(place).read_text(encoding="utf-8")))
+
+
+def sarif(findings: list[Finding]) -> object:
+    return json.loads(report(findings, Format.sarif, (), ("error",)))
+
+
+def test_every_mistake_of_the_golden_cases_becomes_valid_sarif(
+    schema: jsonschema.Draft7Validator, tmp_path: Path
+) -> None:
+    (tmp_path / "deepbots.toml").touch()
+    findings = [
+        finding
+        for path in sorted(write(tmp_path / "golden").glob("lint/err/*.yaml"))
+        for finding in api.lint(path, preview=True)
+    ]
+    assert len(findings) > 200
+    assert [error.message for error in schema.iter_errors(sarif(findings))] == []
+
+
+def test_no_findings_become_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
+    assert [error.message for error in schema.iter_errors(sarif([]))] == []
+
 
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 JOINTS = {"pole_hinge", "wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right"}
@@ -101,8 +327,10 @@ def test_in_an_empty_file_the_sections_are_offered(client: Client, folder: Path)
     ]
     texts = {item["label"]: item["insertText"] for item in items}
     assert {"deepbots", "world", "robots", "reward", "extends"} <= set(texts)
-    assert texts["deepbots"] == "deepbots: ${1:1}"
-    assert [text for text in texts.values() if ":" not in text] == []
+    assert (texts["deepbots"], [text for text in texts.values() if ":" not in text]) == (
+        "deepbots: ${1:1}",
+        [],
+    )
 
 
 def test_an_algorithm_is_offered_its_own_hyperparameters(typed: Type) -> None:

@@ -1,16 +1,92 @@
-"""A missing comma, `=` in place of a colon, and a wrong indentation each have a finding with a fix."""
+"""A line whose key lacks its colon has the finding itself, and a fix.
+
+A missing comma, `=` in place of a colon, and a wrong indentation each have a finding with a fix.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding, edited
+from deepbots_cli.document import load
 from deepbots_cli.lsp.workspace import Document, analyze, uri_of
-from tests.document.test_missing_colons import SCENARIO, findings_of
+
+SCENARIO = """deepbots: 1
+name: Mine
+parameters:
+  fall_angle: 15 deg  # the largest lean
+world: {timestep: 32 ms, substeps: 4}
+robots:
+  cart:
+    urdf: cartpole
+    sensors:
+      pole_angle: {type: joint_position, joint: pole_hinge}
+    actuators:
+      wheels:
+        type: velocity_motor
+        joints: [wheel_*]
+        max_torque: 10 N*m
+    apply: {wheels: drive * 5 rad/s}
+action:
+  drive: {choices: {forward: 1, backward: -1}}
+observation:
+  cart.pole_angle: -20 .. 20 deg
+reward:
+  alive: 1
+termination:
+  failure:
+    fallen: abs(cart.pole_angle) > fall_angle
+truncation: {max_steps: 100}
+train:
+  algorithm: PPO
+  total_timesteps: 4096
+"""
+KEYS = [number for number, line in enumerate(SCENARIO.splitlines()) if number and ":" in line]
+
+
+def findings_of(text: str) -> tuple[Finding, ...]:
+    path = Path("mine.yaml").absolute()
+    return tuple(check(load(path, drafts={path: text.encode()})).document.findings)
+
+
+@pytest.mark.parametrize("number", KEYS, ids=lambda number: SCENARIO.splitlines()[number].strip())
+def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int) -> None:
+    lines = SCENARIO.splitlines(keepends=True)
+    lines[number] = lines[number].replace(":", "", 1)
+    text = "".join(lines)
+    (finding,) = (each for each in findings_of(text) if each.code in ("DB001", "DB103"))
+    assert finding.span.start_position.line == number + 1
+    assert "write a colon after the key" in (finding.help or "")
+    assert finding.fix is not None
+    (edit,) = finding.fix.edits
+    assert text[: edit.span.start] + edit.text + text[edit.span.end :] == SCENARIO
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("{timestep: 32 ms", "{timestep 32 ms"), ("  alive: 1", "  alive:1")],
+)
+def test_a_colon_is_missing_in_brackets_or_lacks_its_space(before: str, after: str) -> None:
+    text = SCENARIO.replace(before, after)
+    (finding,) = (each for each in findings_of(text) if each.fix is not None)
+    assert finding.fix is not None
+    (edit,) = finding.fix.edits
+    assert text[: edit.span.start] + edit.text + text[edit.span.end :] == SCENARIO
+
+
+def test_text_on_several_lines_lacks_no_colon() -> None:
+    text = SCENARIO.replace("name: Mine\n", "name: Mine\nsummary: A pole\n  that stands\n")
+    assert not [each for each in findings_of(text) if each.severity == "error"]
+    text = text.replace("  that stands\n", "  that stands\n  up: 1\n")
+    (finding,) = (each for each in findings_of(text) if each.severity == "error")
+    assert not re.search(r"`that:", finding.help or "")
+
 
 TEXT = SCENARIO.replace(
     "  alive: 1\n",
@@ -37,8 +113,7 @@ def _corrected(text: str) -> str:
 )
 def test_a_missing_comma_between_keys_in_braces_is_added(written: str) -> None:
     (right,) = (line for line in TEXT.splitlines() if line.replace(",", "").endswith(written))
-    text = TEXT.replace(right, right.replace(", ", " "))
-    assert _corrected(text) == TEXT
+    assert _corrected(TEXT.replace(right, right.replace(", ", " "))) == TEXT
 
 
 def test_a_missing_comma_is_added_behind_braces_and_at_the_end_of_a_line() -> None:
@@ -115,8 +190,7 @@ def test_a_value_above_the_block_of_a_section_is_removed() -> None:
     assert text != TEXT
     wrong = text.replace("\nworld:", "\nworld: +")
     (finding,) = findings_of(wrong)
-    assert finding.headline == "`world` has a value, and a block below it"
-    assert _corrected(wrong) == text
+    assert (finding.headline, _corrected(wrong)) == ("`world` has a value, and a block below it", text)
 
 
 def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved() -> None:
@@ -125,8 +199,10 @@ def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved
     assert text != TEXT
     wrong = text.replace("  timestep:", "timestep:")
     (finding,) = findings_of(wrong)
-    assert finding.headline == "`timestep` is not indented below `world`, but the next line is"
-    assert _corrected(wrong) == text
+    assert (finding.headline, _corrected(wrong)) == (
+        "`timestep` is not indented below `world`, but the next line is",
+        text,
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,20 @@
 """Motors of scenarios against closed forms: strength, delay, lag, limits, and what an episode draws of
-them."""
+them.
+
+Arms that receive poses of their hand as commands: they reach them, stay in their ranges, and open their
+fingers.
+
+Disturbances: momentum is force times time, pushes come when they are due, and come again with the seed.
+
+Rotors against closed forms: a quadrotor hovers, climbs, turns and lags as its figures say.
+"""
 
 from __future__ import annotations
 
-from math import ceil, exp, inf
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from math import ceil, exp, inf, isclose, pi
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +24,8 @@ from deepbots_cli import api
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.actuation import Response
-from tests.worlds import RAIL, Make
+from deepbots_cli.runtime.actuation import Push, Response
+from tests.worlds import RAIL, SCENARIOS, Make
 
 STRONG = "robots.cart.joints={slider: {max_torque: 100 kN}}"
 """The limit of the robot file is 10 N, and a greater one of an actuator has no effect."""
@@ -67,8 +78,10 @@ def test_a_delay_counts_in_substeps_whatever_the_tick(rail: Make, substeps: int,
     motor = rail(f"world.substeps={substeps}", *ENDLESS, delay=f"{delay} s", max_torque="100 kN")
     waits = ceil(delay / TICK * substeps - 1e-9)
     speeds = cart_speeds(motor, 5)
-    assert speeds[waits] == pytest.approx(1.0, abs=1e-6)
-    assert speeds[:waits] == pytest.approx([0.0] * waits, abs=1e-6)
+    assert (speeds[waits], speeds[:waits]) == (
+        pytest.approx(1.0, abs=1e-6),
+        pytest.approx([0.0] * waits, abs=1e-6),
+    )
 
 
 def test_an_acceleration_limit_gives_a_ramp(rail: Make):
@@ -103,8 +116,7 @@ def test_strength_multiplies_what_a_motor_exerts_whatever_the_substeps(rail: Mak
             max_torque="7 N",
         )
     assert cart_speeds(weak, 5) == pytest.approx(cart_speeds(full, 5), rel=1e-12)
-    torques = weak.engine.joint_torques("cart", ("slider",))
-    assert torques()[0] == pytest.approx(7.0)
+    assert weak.engine.joint_torques("cart", ("slider",))()[0] == pytest.approx(7.0)
 
 
 def test_strength_multiplies_the_spring_its_damper_and_its_limit(rail: Make):
@@ -125,8 +137,7 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
         max_velocity="0.5 m/s",
         max_torque="100 kN",
     )
-    speeds = cart_speeds(arm, 100)
-    assert max(speeds) < 0.5 * 1.01
+    assert max(cart_speeds(arm, 100)) < 0.5 * 1.01
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
 
 
@@ -171,8 +182,7 @@ def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
 def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
     late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
     once = cart_speeds(late, 8, FORWARD)
-    again = cart_speeds(late, 8, BACKWARD)
-    assert np.allclose(once, np.negative(again), atol=1e-6)
+    assert np.allclose(once, np.negative(cart_speeds(late, 8, BACKWARD)), atol=1e-6)
 
 
 def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device():
@@ -277,8 +287,7 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
         "robots.cart.actuators={place: {type: velocity_motor, joint: slider, time_constant: 20 ms}}",
         "robots.cart.apply={place: drive * 1 m/s - 0.1 * place / s}",
     )
-    speeds = cart_speeds(twins, 20)
-    assert 0.8 < speeds[-1] < 1.0
+    assert 0.8 < cart_speeds(twins, 20)[-1] < 1.0
 
 
 @pytest.mark.parametrize("limit", ["20 N", "uniform(20 .. 30 N)"])
@@ -368,8 +377,7 @@ def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():
     response.send([0.15, 5.0])
     for k in range(1, 5):
         first, second = response.advance() or ()
-        assert first == pytest.approx(0.1 + k * 2.0 * SUBSTEP)
-        assert second == 5.0
+        assert (first, second) == (pytest.approx(0.1 + k * 2.0 * SUBSTEP), 5.0)
     assert (response.advance() or (0.0,))[0] == pytest.approx(0.15)
 
 
@@ -484,3 +492,394 @@ def test_strength_multiplies_the_stall_torque(make: Make, tmp_path: Path, engine
         speeds.append(beam.engine.joint_states("arm", ("hinge",))()[0][1])
     rate = 4.0 / 10.0 / 0.02
     assert speeds == pytest.approx([10 * (1 - exp(-rate * 0.05)), 10 * (1 - exp(-rate * 0.025))], rel=0.03)
+
+
+ARM = SCENARIOS / "arm.yaml"
+HAND = "robots.panda.actuators.hand={type: cartesian, link: panda_grasptarget, joints: arm"
+JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
+
+
+def act(
+    environment: Supervisor, reach: tuple[float, float, float], opening: float = -1.0, ticks: int = 1
+) -> None:
+    for _ in range(ticks):
+        environment.step(np.array([*reach, opening], np.float32))
+
+
+def target_of(reach: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The place in the world that belongs to an action."""
+    return (0.6 + 0.15 * reach[0], 0.2 + 0.15 * reach[1], 0.3 + 0.15 * reach[2])
+
+
+@pytest.mark.slow
+def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(make: Make):
+    panda = make(ARM)
+    read = panda.engine.pose("panda", "panda_grasptarget")
+    states = panda.engine.joint_states("panda", JOINTS)
+    model = panda.scenario.world.robots[0].model
+    panda.reset(seed=0)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        x, y, z = (float(value) for value in rng.uniform(-1, 1, 3))
+        act(panda, (x, y, z), ticks=60)
+        position, orientation = read()
+        assert position == pytest.approx(target_of((x, y, z)), abs=1e-3)
+        assert abs(orientation[0]) == pytest.approx(1.0, abs=1e-4)  # half a turn about x
+        for name, state in zip(JOINTS, states(), strict=True):
+            limit = model.joint(name).limit
+            assert limit.lower is not None
+            assert limit.upper is not None
+            assert limit.lower - 1e-3 <= state[0] <= limit.upper + 1e-3
+
+
+@pytest.mark.slow
+def test_a_stretched_arm_finds_a_way_to_bend(make: Make):
+    panda = make(ARM, "reset.joints={panda.arm: 0 deg}")
+    panda.reset(seed=0)
+    act(panda, (0.0, 0.0, -1.0), ticks=80)
+    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
+        target_of((0, 0, -1)), abs=1e-3
+    )
+
+
+def test_joints_move_no_faster_than_their_limits(make: Make):
+    panda = make(ARM, f"{HAND}, rpy: 180 0 0 deg, max_velocity: 0.3 rad/s}}")
+    states = panda.engine.joint_states("panda", JOINTS)
+    panda.reset(seed=0)
+    fastest = 0.0
+    for _ in range(20):
+        act(panda, (1.0, 1.0, -1.0))
+        fastest = max(fastest, *(abs(state[1]) for state in states()))
+    assert 0.2 < fastest < 0.33
+
+
+def test_without_an_attitude_only_the_place_counts(make: Make):
+    panda = make(ARM, f"{HAND}}}")
+    panda.reset(seed=0)
+    act(panda, (-1.0, 0.5, 1.0), ticks=60)
+    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
+        target_of((-1, 0.5, 1)), abs=1e-3
+    )
+
+
+def test_a_target_out_of_reach_is_approached(make: Make):
+    panda = make(ARM, "robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach")
+    panda.reset(seed=0)
+    act(panda, (0.0, 0.0, 0.0), ticks=60)
+    x, y, _ = panda.engine.pose("panda", "panda_grasptarget")()[0]
+    assert x > 0.7
+    assert abs(y) < 0.2
+
+
+@pytest.mark.slow
+def test_a_gripper_goes_from_closed_to_open(make: Make):
+    panda = make(ARM, "robots.panda.apply.grip=2 * open - 0.5")
+    fingers = panda.engine.joint_states("panda", ("panda_finger_joint1", "panda_finger_joint2"))
+    panda.reset(seed=0)
+    for action, opening in ((-1.0, 0.0), (0.0, 0.02), (1.0, 0.04), (-0.5, 0.0)):
+        act(panda, (0.0, 0.0, 0.0), action, ticks=20)
+        assert [state[0] for state in fingers()] == pytest.approx([opening] * 2, abs=5e-4)
+
+
+@pytest.mark.slow
+def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
+    used, fresh = make(ARM), make(ARM)
+    used.reset(seed=1)
+    act(used, (0.3, -0.7, 0.5), ticks=17)
+    states = []
+    for panda in (used, fresh):
+        panda.reset(seed=2)
+        act(panda, (-0.4, 0.2, 0.9), 0.3, ticks=15)
+        states.append(panda.engine.joint_states("panda", JOINTS)())
+    assert [state[:2] for state in states[0]] == [state[:2] for state in states[1]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
+def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, route: str):
+    panda = make(
+        ARM, f"messages.to_robot={{{route}}}", "reset.joints={panda.arm: ready, panda.fingers: 30 mm}"
+    )
+    states = panda.engine.joint_states("panda", (*JOINTS, "panda_finger_joint1"))
+    panda.reset(seed=0)
+    before = [state[0] for state in states()]
+    act(panda, (0.0, 0.0, -1.0), ticks=20)
+    assert [state[0] for state in states()] == pytest.approx(before, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(make: Make):
+    spring = (
+        "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad,"
+        " damping: 50 N*m*s/rad}"
+    )
+    steady = ("robots.panda.apply={hand: ready + 1e-9 rad * reach, grip: open}", "action.reach.range=-1 .. 1")
+    late, prompt = (
+        make(ARM, spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s")
+    )
+    states = []
+    for panda in (late, prompt):
+        panda.reset(seed=0)
+        for _ in range(20):
+            panda.step(0 * panda.action_space.sample())
+        states.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
+    assert states[0] == pytest.approx(
+        states[1], abs=1e-8
+    )  # the solver stops at 1e-7; one finger follows the other
+    assert states[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
+
+
+def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(make: Make):
+    panda = make(ARM, f"{HAND}, rpy: 180 0 90 deg}}")
+    panda.reset(seed=0)
+    act(panda, (0.0, 0.0, 0.0), ticks=80)
+    x, y, _, _ = panda.engine.pose("panda", "panda_grasptarget")()[1]
+    assert 2 * np.arctan2(y, x) % (2 * pi) == pytest.approx(pi / 2, abs=1e-3)
+
+
+DRONE = SCENARIOS / "drone.yaml"
+MASS = 0.02572680943 + 4 * 0.0005
+DRONE_TICK = 0.01
+ALONE = (
+    "world.gravity=0 0 0 m/s^2",
+    "parameters.hover=0 N",
+    "reset={place: {drone: {z: 1 m}}}",
+    "robots.drone.actuators.rotors.time_constant=0 ms",
+)
+
+
+@pytest.fixture
+def pushed(make: Make) -> Make:
+    """A quadrotor that floats, with rotors at rest, under the given disturbances."""
+
+    def float_under(disturbances: str, *overrides: str) -> Supervisor:
+        return make(DRONE, *ALONE, *overrides, f"disturbances={disturbances}")
+
+    return float_under
+
+
+def velocities(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[float, float, float]]:
+    """The velocity after each tick."""
+    environment.reset(seed=seed)
+    read = environment.engine.velocity("drone")
+    per_tick = []
+    for _ in range(ticks):
+        environment.step(np.zeros(4, np.float32))
+        per_tick.append(read()[0])
+    return per_tick
+
+
+@pytest.mark.parametrize("substeps", [1, 3, 8])
+@pytest.mark.parametrize("lasts", [0.04, 0.1, 0.033])
+def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, substeps: int, lasts: float):
+    once = pushed(
+        f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}",
+        f"world.substeps={substeps}",
+    )
+    speeds = velocities(once, 40)
+    assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in speeds[:5])
+    assert speeds[5][0] > 0
+    assert speeds[-1] == pytest.approx((0.02 * lasts / MASS, 0, 0), rel=1e-3, abs=1e-5)
+
+
+def test_a_torque_turns_the_body(pushed: Make):
+    once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, duration: 50 ms}}")
+    velocities(once, 10)
+    _, (_, _, rate) = once.engine.velocity("drone")()
+    inertia = 2.2e-5 + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
+    assert rate == pytest.approx(1e-5 * 0.05 / inertia, rel=2e-2)
+
+
+def test_pushes_repeat_after_their_interval_and_the_first_comes_after_one(pushed: Make):
+    often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, duration: 20 ms}}")
+    speeds = [speed[1] for speed in velocities(often, 100)]
+    jumps = [k for k in range(1, 100) if speeds[k] > speeds[k - 1] + 1e-6]
+    assert jumps == [k for start in (20, 40, 60, 80) for k in (start, start + 1)]
+
+
+def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
+    often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, duration: 10 ms}}")
+    speeds = [speed[1] for speed in velocities(often, 100)]
+    assert [k for k in range(100) if speeds[k] > (speeds[k - 1] if k else 0.0) + 1e-6] == [0, 50]
+
+
+def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
+    gusts = (
+        "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms),"
+        " duration: uniform(10 .. 30 ms)}}"
+    )
+    used, fresh = pushed(gusts), pushed(gusts)
+    velocities(used, 33, seed=4)
+    first, again, another_seed = (
+        velocities(used, 60, seed=7),
+        velocities(fresh, 60, seed=7),
+        velocities(fresh, 60, seed=8),
+    )
+    assert first == again != another_seed
+    assert len({round(step[0] - before[0], 9) for before, step in pairwise(first)}) > 6
+
+
+def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
+    gust = (
+        "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms),"
+        " duration: 20 ms}"
+    )
+    alone = pushed(f"{{{gust}}}")
+    both = pushed(
+        f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"
+    )
+    assert np.allclose(
+        np.array(velocities(alone, 50))[:, :2], np.array(velocities(both, 50))[:, :2], atol=1e-9
+    )
+
+
+def test_nothing_pushes_while_the_world_settles(pushed: Make):
+    settled = pushed(
+        "{push: {body: drone, force: 0 0.01 0 N, at: 0 s, duration: 10 ms}}", "reset.settle=0.5 s"
+    )
+    assert settled.reset(seed=0)
+    assert settled.engine.velocity("drone")()[0] == pytest.approx((0, 0, 0), abs=1e-12)
+    assert velocities(settled, 3)[-1][1] == pytest.approx(0.01 * 0.01 / MASS, rel=1e-3)
+
+
+def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed: Make):
+    windy = pushed(
+        "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, duration: 50 ms}}",
+        "parameters.wind=uniform(1 .. 20 mN)",
+    )
+    speeds = velocities(windy, 40, seed=3)
+    assert speeds[19][0] > 0
+    assert speeds[39][0] == pytest.approx(3 * speeds[19][0], rel=1e-3)
+
+
+class Pushed:
+    """Stands in for an engine: keeps the momentum that it is given, in substeps of 1 s."""
+
+    def __init__(self) -> None:
+        self.momentum = 0.0
+        self.act: Callable[[], object] = lambda: None
+
+    def pusher(self, part: object) -> Callable[..., None]:
+        def push(force: tuple[float, float, float], torque: tuple[float, float, float]) -> None:
+            self.momentum += force[0]
+
+        return push
+
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self.act = callback
+
+
+def test_pushes_that_end_within_a_substep_lose_nothing_over_many():
+    engine = Pushed()
+    push = Push(engine, ("body", None), lambda: ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.25, 2.1), 1.0)  # type: ignore[arg-type]
+    push.reset(0.0, 0)
+    for _ in range(2100):
+        engine.act()
+    assert isclose(engine.momentum, 1000 * 2.0 * 1.25, rel_tol=2e-3)
+
+
+GRAVITY = 9.81
+TURNING = 2.2e-5
+LEVEL = "reset={place: {drone: {z: 1 m}}}"
+PERFECT = (
+    "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N,"
+    " moment_constant: 16 mm, spin: 1}"
+)
+BALANCED = PERFECT.replace("spin: 1", "spin: {prop_fl: 1, prop_fr: -1, prop_rl: -1, prop_rr: 1}")
+EXACT_HOVER = f"parameters.hover={MASS * GRAVITY / 4!r} N"
+
+
+@pytest.fixture
+def drone(make: Make) -> Make:
+    return partial(make, DRONE, LEVEL, "disturbances={}")
+
+
+def fly(environment: Supervisor, ticks: int, pushes: tuple[float, ...] = (0.0,) * 4, seed: int = 0) -> None:
+    environment.reset(seed=seed)
+    for _ in range(ticks):
+        environment.step(np.array(pushes, np.float32))
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 8])
+def test_a_thrust_that_balances_gravity_keeps_the_height_whatever_the_substeps(drone: Make, substeps: int):
+    hovering = drone(BALANCED, EXACT_HOVER, f"world.substeps={substeps}")
+    fly(hovering, 100)
+    (x, y, z), orientation = hovering.engine.pose("drone")()
+    assert ((x, y, z), orientation) == (
+        pytest.approx((0, 0, 1), abs=1e-6),
+        pytest.approx((0, 0, 0, 1), abs=1e-6),
+    )
+
+
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_what_is_left_of_the_thrust_accelerates(drone: Make, substeps: int):
+    rising = drone(PERFECT, EXACT_HOVER, f"world.substeps={substeps}")
+    fly(rising, 20, (1.0,) * 4)
+    (_, _, speed), _ = rising.engine.velocity("drone")()
+    assert speed == pytest.approx(4 * 0.03 / MASS * 20 * DRONE_TICK, rel=1e-3)
+
+
+def test_drag_turns_the_body_about_its_axis_in_the_sense_of_the_spin(drone: Make):
+    turning = drone(PERFECT, EXACT_HOVER)
+    fly(turning, 10)
+    _, (_, _, rate) = turning.engine.velocity("drone")()
+    inertia = TURNING + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
+    assert rate == pytest.approx(0.016 * MASS * GRAVITY / inertia * 10 * DRONE_TICK, rel=2e-2)
+
+
+def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):
+    tilting = drone(BALANCED, EXACT_HOVER)
+    fly(tilting, 3, (-0.3, -0.3, 0.3, 0.3))  # front, front, rear, rear: the nose goes down
+    _, (roll_rate, pitch_rate, _) = tilting.engine.velocity("drone")()
+    assert pitch_rate > 1.0
+    assert roll_rate == pytest.approx(0.0, abs=1e-3)
+
+
+def test_commands_beyond_the_range_are_brought_to_its_end(drone: Make):
+    falling = drone(PERFECT, "parameters.hover=-10 N")
+    fly(falling, 20)
+    (_, _, speed), _ = falling.engine.velocity("drone")()
+    assert speed == pytest.approx(-GRAVITY * 20 * DRONE_TICK, rel=1e-3)
+
+
+def test_lagging_rotors_follow_the_exponential(drone: Make):
+    lag = 0.03
+    substep = DRONE_TICK / 4
+    slow = drone(PERFECT.replace("spin: 1", "spin: 1, time_constant: 30 ms"), EXACT_HOVER)
+    fly(slow, 10)
+    (_, _, speed), _ = slow.engine.velocity("drone")()
+    shares = [1 - exp(-k * substep / lag) for k in range(1, 41)]
+    assert speed == pytest.approx(GRAVITY * substep * sum(share - 1 for share in shares), rel=1e-3)
+
+
+def test_rotors_stand_still_from_a_reset_to_the_first_command(drone: Make):
+    late = drone(PERFECT.replace("spin: 1", "spin: 1, delay: 50 ms"), EXACT_HOVER)
+    for _ in range(2):
+        fly(late, 5)
+        (_, _, speed), _ = late.engine.velocity("drone")()
+        assert speed == pytest.approx(-GRAVITY * 5 * DRONE_TICK, rel=1e-3)
+
+
+def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: Make):
+    worn = drone(
+        "robots.drone.actuators.rotors.delay=0 ms",
+        "robots.drone.actuators.rotors.time_constant=0 ms",
+        EXACT_HOVER,
+    )
+    worn.reset(seed=3)
+    strengths = worn.robot_drone.drive_rotors.strength
+    assert len(set(strengths)) == 4
+    assert all(0.95 <= strength <= 1 for strength in strengths)
+    worn.step(np.zeros(4, np.float32))
+    (_, _, speed), _ = worn.engine.velocity("drone")()
+    assert speed == pytest.approx(GRAVITY * (sum(strengths) / 4 - 1) * DRONE_TICK, rel=2e-2)
+
+
+def test_episodes_with_drawn_rotors_are_the_same_after_any_past(drone: Make):
+    used, fresh = drone(), drone()
+    fly(used, 37, (0.4, -0.2, 0.1, 0.3), seed=5)
+    states = []
+    for environment in (used, fresh):
+        fly(environment, 20, (0.1, 0.2, -0.1, 0.0), seed=8)
+        states.append((environment.engine.pose("drone")(), environment.engine.velocity("drone")()))
+    assert states[0] == states[1]
