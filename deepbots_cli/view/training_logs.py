@@ -330,7 +330,8 @@ def scalars_of(path: Path) -> dict[str, Curve]:
 
 
 def _check_events(file: Path) -> None:
-    """Refuse what `EventAccumulator` would take much memory for: 4 kB for each tag, 400 bytes for each value."""
+    """Refuse a file that takes much memory: `EventAccumulator` needs 4 kB for a tag, and 400 bytes for a
+    value."""
     from google.protobuf.message import DecodeError
     from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
     from tensorboard.compat.proto.event_pb2 import Event

@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.cli.conftest import Deepbots
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.run import Run
+from tests.commands import Deepbots
 
 MESH = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 SCENARIO = """\

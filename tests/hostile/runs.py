@@ -3,8 +3,8 @@ a user would do.
 
     python -m tests.hostile.runs RUN 0 200
 
-A server imports everything once and forks a process for each command, which takes at most `MOST_SECONDS` of CPU
-and `MOST_MEMORY` more than the server.
+A server imports everything once and forks a process for each command, which takes at most `MOST_SECONDS` of
+CPU and `MOST_MEMORY` more than the server.
 """
 
 from __future__ import annotations
@@ -315,7 +315,7 @@ def outcomes(run: Path, numbers: range) -> Iterator[dict[str, Any]]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipe = subprocess.PIPE
     with subprocess.Popen(
-        [sys.executable, "-m", __name__ if __name__ != "__main__" else "tests.hostile.runs"],
+        [sys.executable, "-m", "tests.hostile.runs"],
         env=environment, stdin=pipe, stdout=pipe, text=True,
     ) as server:  # fmt: skip
         assert server.stdin is not None
@@ -329,7 +329,6 @@ def outcomes(run: Path, numbers: range) -> Iterator[dict[str, Any]]:
 if __name__ == "__main__":
     if len(sys.argv) == 1:
         main()
-    for outcome in (
-        outcomes(Path(sys.argv[1]).resolve(), range(*map(int, sys.argv[2:]))) if sys.argv[1:] else ()
-    ):
-        print(json.dumps(outcome), flush=True)
+    else:
+        for outcome in outcomes(Path(sys.argv[1]).resolve(), range(*map(int, sys.argv[2:]))):
+            print(json.dumps(outcome), flush=True)
