@@ -8,7 +8,7 @@ from math import acos, cos, dist, hypot, pi, sin
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.mechanics import Chain
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, quaternion
 from deepbots_cli.program.world import RobotBody, WorldModel

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.mechanics import Chain
 from deepbots_cli.frames import IDENTITY_FRAME
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.kinematics import link_frames

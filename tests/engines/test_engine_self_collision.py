@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli.engines import create, create_batch
-from deepbots_cli.engines.masses import self_collision_pairs
+from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.port import Engine
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel

@@ -19,7 +19,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.program.task import Solved, Training
-from deepbots_cli.rollout.sharded_collector import Order, RunningEpisode, ShardPool, ShardResult
+from deepbots_cli.rollout.collector import Order, RunningEpisode, ShardPool, ShardResult
 from deepbots_cli.rollout.worlds import Array
 from tests.few import few
 from tests.learning.interruption import outcome

@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError, UsageError
-from deepbots_cli.runtime.observing import Observer
+from deepbots_cli.runtime.observations import Observer
 from tests.worlds import Make
 
 CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)

@@ -8,8 +8,8 @@ import random
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, scalar_function
+from deepbots_cli.expressions.functions.table import rotation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Op, Scalar
-from deepbots_cli.expressions.world_trees import rotation
 from deepbots_cli.frames import Frame
 from deepbots_cli.runtime import formulas
 

@@ -19,7 +19,7 @@ from deepbots_cli.geometry import ground_height
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields.names import Name
 from deepbots_cli.webots.imports import hints
-from deepbots_cli.webots.imports.names import scenario_name
+from deepbots_cli.webots.imports.world import scenario_name
 from tests.webots.worlds_of_webots import HEADER
 
 WORLD = """

@@ -28,9 +28,9 @@ def test_each_equivalent_of_a_proto_is_named(name: str):
 
 def test_a_function_that_is_missing_is_not_there():
     import deepbots_cli.webots.devices as devices
-    from deepbots_cli.webots import cameras, joints, lidar, light, radar, radio, sensors, supervisor, tree
+    from deepbots_cli.webots import cameras, joints, ranging, sensors, supervisor, tree
 
-    modules = (cameras, devices, joints, lidar, light, radar, radio, sensors, supervisor, tree)
+    modules = (cameras, devices, joints, ranging, sensors, supervisor, tree)
     classes = {name: value for module in modules for name, value in vars(module).items()}
     for owner, names in MISSING.items():
         for name in names.split():

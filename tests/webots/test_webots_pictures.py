@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from deepbots_cli.engines.mujoco import cameras
+from deepbots_cli.webots.looks import MAX_PICTURE_BYTES
 from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
-from deepbots_cli.webots.textures import MAX_PICTURE_BYTES
 from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.worlds_of_webots import device, read, simulate
 
