@@ -39,10 +39,9 @@ if TYPE_CHECKING:
     from deepbots_cli.program.members import Others
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.batch import BatchEnvironment, BatchSupervisor
     from deepbots_cli.runtime.forward_pass import Predictor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
-    from deepbots_cli.runtime.vector import BatchEnvironment
 
 MAX_WORLDS = 4096
 """Worlds in a batch; each takes 0.1 to 1 MB of memory."""
@@ -297,7 +296,7 @@ def make_vec(
         source = compile(source, overrides=overrides, permissions=permissions)
     program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
     batch = build_batch(program, num_envs, engine=engine, fixed=fixed)
-    from deepbots_cli.runtime.vector import BatchEnvironment
+    from deepbots_cli.runtime.batch import BatchEnvironment
 
     return BatchEnvironment(batch)
 
@@ -316,7 +315,7 @@ def build_batch(
     world = _build_batch(
         world_of(program, program.others), count, engine, fixed, scripts=program.others.scripts
     )
-    from deepbots_cli.runtime.agent_batch import AgentBatch
+    from deepbots_cli.runtime.agents import AgentBatch
 
     # It has the interface of a batch, for one agent.
     return cast("BatchSupervisor", AgentBatch(world, program, _policies_of(program.others)))

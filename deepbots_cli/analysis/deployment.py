@@ -12,7 +12,7 @@ from functools import cached_property
 
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, names_in
 from deepbots_cli.program import Program
-from deepbots_cli.program.dependencies import Definitions, Node
+from deepbots_cli.program.identity import Definitions, Node
 from deepbots_cli.program.robots import Robot, Sensor
 
 _OF_CHANNEL = frozenset({"age", "message_received"})

@@ -1,13 +1,12 @@
 """Work on processes of this machine, or over a Ray cluster.
 
-session.py           `Cluster`: the workers that the user names
+session.py           the workers that the user requests, and calls of a function on them
 worker_pool.py       `WorkerPool`, the interface of both kinds of workers; functions and checks of a worker
 local_processes.py   workers as processes of this machine, with the standard library alone
 worker.py            such a process
 ray_cluster.py       workers of a Ray cluster; only this module and the next one import Ray
 ray_internals.py     the private members of Ray that deepbots uses
 shards.py            the shards of a training on workers, which are replaced when they are lost
-tasks.py             calls of a function on workers (trainings of a group), repeated when they are lost
 
 The result of a training does not depend on where its parts run: shards and trainings are functions of the
 scenario, the seed and their number. The results of a worker therefore may be lost, and are computed again

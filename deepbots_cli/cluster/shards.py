@@ -23,7 +23,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.rollout.sharded_collector import (
+from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
     Order,

@@ -6,8 +6,7 @@
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
 workspace.py   names that the methods of a supervisor share; reads of the engine
 printer.py     numbers, vectors and the memories of stateful functions
-names.py       identifiers, and constants for parameters
-text.py        blocks, quotes, comments, templates
+names.py       names in generated code; its blocks, quotes, comments and templates
 lines.py       breaks of long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.
@@ -25,10 +24,9 @@ from types import CodeType, ModuleType
 from typing import Any
 
 from deepbots_cli.codegen.lines import wrap_line
-from deepbots_cli.codegen.names import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name
+from deepbots_cli.codegen.names import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name, fill_template
 from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
-from deepbots_cli.codegen.text import fill_template
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.targets import BATCH, SCALAR, Target

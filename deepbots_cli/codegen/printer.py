@@ -13,10 +13,10 @@ from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from deepbots_cli.codegen.names import LOOP_VARIABLES
-from deepbots_cli.codegen.text import quoted, tuple_code, with_comment
+from deepbots_cli.codegen.names import LOOP_VARIABLES, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.functions.table import rotation
 from deepbots_cli.expressions.scalar import (
     Const,
     Draw,
@@ -29,7 +29,6 @@ from deepbots_cli.expressions.scalar import (
     is_drawn,
 )
 from deepbots_cli.expressions.targets import SCALAR, operation_code
-from deepbots_cli.expressions.world_trees import rotation
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from deepbots_cli.codegen.names import Constants
+from deepbots_cli.codegen.names import Constants, block, indent, quoted, quoted_tuple, tuple_code
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.robot import ActuatorBindings
-from deepbots_cli.codegen.text import block, indent, quoted, quoted_tuple, tuple_code
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.program import Program, generated

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
-from deepbots_cli.codegen.names import Constants, class_name
-from deepbots_cli.codegen.printer import Printer, outer_states
-from deepbots_cli.codegen.text import (
+from deepbots_cli.codegen.names import (
+    Constants,
     block,
+    class_name,
     constants_tuple_code,
     docstring,
     fill_template,
@@ -18,6 +18,7 @@ from deepbots_cli.codegen.text import (
     targets_code,
     tuple_code,
 )
+from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from deepbots_cli.codegen.names import block, indent, quoted, targets_code, tuple_code, with_comment
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
 from deepbots_cli.codegen.robot import observes_each_timestep
-from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple_code, with_comment
 from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in

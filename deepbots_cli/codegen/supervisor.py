@@ -6,7 +6,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import get_args
 
-from deepbots_cli.codegen.names import Constants, class_name
+from deepbots_cli.codegen.names import (
+    Constants,
+    block,
+    class_name,
+    docstring,
+    fill_template,
+    quoted,
+    quoted_tuple,
+    tuple_code,
+)
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
@@ -16,14 +25,6 @@ from deepbots_cli.codegen.step import (
     choice_tables,
     observe_method,
     start_method,
-)
-from deepbots_cli.codegen.text import (
-    block,
-    docstring,
-    fill_template,
-    quoted,
-    quoted_tuple,
-    tuple_code,
 )
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.lower import fold_operation

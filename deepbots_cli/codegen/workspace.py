@@ -12,9 +12,8 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from copy import copy
 from typing import NamedTuple
 
-from deepbots_cli.codegen.names import LOOP_VARIABLES, Constants, Names
+from deepbots_cli.codegen.names import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.codegen.printer import Printer
-from deepbots_cli.codegen.text import quoted
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.expressions.targets import SCALAR, Target
 from deepbots_cli.program import Program, generated

@@ -3,9 +3,8 @@
     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
 texts.py        texts of the scenario with their places, and findings at offsets of them
-values.py       texts to typed trees
+values.py       the values of fields, read by their annotations; values that every episode draws anew
 namespace.py    one flat namespace, each name typed on first use; the names that an expression may use
-fields.py       fields of the scenario, read by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
 actuators.py    actuators of a robot: kinds, limits, responses
@@ -13,8 +12,7 @@ controllers.py  poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
 agents.py       several agents: a scenario for each of them
-combined_program.py   the programs of several agents as one
-multi_agent_tests.py  the tests of several agents
+multi_agent.py  their programs as one, and their tests
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple, TypedDict, Unpack
 
-from deepbots_cli.compiler.fields import Default, FieldContext
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
 from deepbots_cli.compiler.robots import (
     ResolvedRobot,
@@ -18,6 +17,7 @@ from deepbots_cli.compiler.robots import (
     report_unmatched,
     warn_beyond_limits,
 )
+from deepbots_cli.compiler.values import Default, FieldContext
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, single
 from deepbots_cli.expressions.types import (

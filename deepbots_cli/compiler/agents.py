@@ -3,7 +3,7 @@
 The scenario of an agent is the file with the keys of the agent at the top level, `endings` as successes and
 failures of the agent, and the robots of other agents without controllers. It is checked like any scenario
 with one agent, so every rule about action, observation and reward applies to each agent; nodes keep their
-places in the file. `combined_program.py` combines the programs.
+places in the file. `multi_agent.py` combines the programs.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.compiler.combined_program import combined_program
-from deepbots_cli.compiler.multi_agent_tests import DividedTests
+from deepbots_cli.compiler.multi_agent import DividedTests, combined_program
 from deepbots_cli.compiler.symmetry import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files

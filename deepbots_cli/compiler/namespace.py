@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path as FilePath
 
-from deepbots_cli.compiler.fields import FieldReader
 from deepbots_cli.compiler.robots import ResolvedRobot
-from deepbots_cli.compiler.values import ANY_NAME, ValueReader
+from deepbots_cli.compiler.values import ANY_NAME, FieldReader, ValueReader
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER, TIME

@@ -1,12 +1,8 @@
 """Physics engines behind the port.
 
+mechanics.py   bodies by name, objects as robots of one link, masses, the torque of DC motors, inverse kinematics
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
-kinematics.py  inverse kinematics of chains of joints
-curves.py      the torque of a DC motor at a speed
-objects.py     objects and walls as robots of one link
-masses.py      masses of a robot, and its groups of links that are rigid
-bodies.py      bodies by name, and pooled ones in one of several forms
 
 An engine is imported when it is first used. `deepbots_cli.engine_kinds` has the table of engines. Other
 packages add theirs as an entry point of the group `deepbots.engines`: a name, and the `module:attribute` of

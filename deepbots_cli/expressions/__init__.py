@@ -14,7 +14,6 @@ unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
 help_texts.py   the help in its findings
 scalar.py       scalar trees: one tree per SI number, as in the compiled scenario
-world_trees.py  scalar trees of functions of the world
 lower.py        typed tree to scalar trees, with constants folded
 targets.py      scalar trees to Python text, for one world or a batch
 text.py         values and scalar trees as text for people

@@ -14,6 +14,7 @@ from deepbots_cli.expressions.functions import (
     Reduction,
     scalar_function,
 )
+from deepbots_cli.expressions.functions.table import rotation
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State
 from deepbots_cli.expressions.types import (
     Components,
@@ -27,7 +28,6 @@ from deepbots_cli.expressions.types import (
     TypedNode,
     Vector,
 )
-from deepbots_cli.expressions.world_trees import rotation
 
 Scalars = tuple[Scalar, ...]
 

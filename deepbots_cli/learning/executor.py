@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.environments import WorldFactory
     from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.program.task import Training
-    from deepbots_cli.rollout.sharded_collector import ShardPool
+    from deepbots_cli.rollout.collector import ShardPool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

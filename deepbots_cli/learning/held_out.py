@@ -18,10 +18,10 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, Start, play
+from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import StopCondition, ordered_episodes, play_batch, play_episodes
-from deepbots_cli.rollout.sharded_collector import ShardedCollector
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.forward_pass import Predictor
 from deepbots_cli.runtime.streams import derive_seed

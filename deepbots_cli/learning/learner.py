@@ -31,8 +31,7 @@ from deepbots_cli.learning.checkpoint_files import (
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor
-from deepbots_cli.rollout.sharded_collector import ShardedCollector
+from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.scenario.training import ALGORITHMS
 

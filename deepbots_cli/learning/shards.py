@@ -34,10 +34,11 @@ from deepbots_cli.program.levels import LIMITS, SUCCESS
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.batch_worlds import BatchWorlds
-from deepbots_cli.rollout.collector import Lesson, LocalCollector
-from deepbots_cli.rollout.sharded_collector import (
+from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
+    Lesson,
+    LocalCollector,
     Order,
     RunningEpisode,
     ShardResult,

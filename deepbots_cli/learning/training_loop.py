@@ -51,8 +51,7 @@ from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollector
-from deepbots_cli.rollout.sharded_collector import Answer, ShardedCollector
+from deepbots_cli.rollout.collector import Answer, Collector, CollectTimes, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS

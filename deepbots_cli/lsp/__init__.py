@@ -8,8 +8,7 @@ cursor.py                 the path of the cursor in a text that may be broken YA
 lookup.py                 shapes of the schema and definitions at a path or the cursor; document symbols
 hover.py                  hover texts
 uses.py                   the uses of a name
-completion.py             completion of keys, words, names and files
-expression_completion.py  completion of expressions
+completion.py             completion in keys, values, and texts of the expression language
 written_names.py          names that the current text defines
 choices.py                the choices of a completion
 

@@ -1,4 +1,4 @@
-"""Completion of keys, words, names, expressions and files, also in a document that is broken at the cursor.
+"""Completion in keys, values, and texts of the expression language.
 
 The schema gives keys and words by the path of the cursor. Names come from the last analysis that resolved
 them and from the current text.
@@ -19,25 +19,285 @@ from lsprotocol.types import (
     TextEdit,
 )
 
-from deepbots_cli.compiler.inventory import names_at
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inventory import definition, names_at
+from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
 from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
+from deepbots_cli.expressions.dimensions import UNITS, Unit
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
+from deepbots_cli.expressions.types import Context, Kind, Scope, ValueType
 from deepbots_cli.lsp.choices import Choice, unique
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.expression_completion import expression_choices, is_expression, word_before
-from deepbots_cli.lsp.hover import describe_key, describe_shape, summary
-from deepbots_cli.lsp.lookup import section_of, shapes_at
-from deepbots_cli.lsp.workspace import CursorView
-from deepbots_cli.lsp.written_names import names_in_text
+from deepbots_cli.lsp.hover import describe_function, describe_key, describe_shape, describe_symbol, summary
+from deepbots_cli.lsp.lookup import ignore_finding, section_of, shapes_at
+from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
+from deepbots_cli.lsp.written_names import VALUE_ON_BOARD, defines, names_in_text
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, section_fields
 from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
-from deepbots_cli.scenario.fields.quantities import Quantity, Range
+from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Expression, Quantity, Range
 from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Flag, Word
 from deepbots_cli.scenario.scenario import VERSION
+
+_WORD = re.compile(r"[A-Za-z_][\w.]*$")
+_AFTER_NUMBER = re.compile(
+    r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$"
+)
+_GRAMMAR = {
+    "when": "`a when c`: a if the condition is true, otherwise 0",
+    "if": "`a if c else b`: a if the condition is true, otherwise b",
+    "else": "`a if c else b`: a if the condition is true, otherwise b",
+    "and": "both conditions are true",
+    "or": "at least one condition is true",
+    "not": "the condition is false",
+    "true": "always true",
+    "false": "never true",
+}
+_REPEATS = {
+    "every": "draws again after this time: `uniform(0 .. 1) every 5 s`",
+    "each step": "draws again in each step",
+}
+_CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
+_ROBOT_CONTEXTS = ("emit", "apply")
+_BODY = "body or link"
+_MAX_NAMES = 1000
+_MAX_LOOKBACK = 2000
+"""The number of characters before the cursor that are searched for an open bracket."""
+
+
+def is_expression(field: FieldType) -> bool:
+    """Return whether a value of this type is a text of the expression language."""
+    return isinstance(field, (Expression, Quantity, Range, Column))
+
+
+def expression_choices(view: CursorView, field: FieldType) -> Iterator[Choice]:
+    """Yield the choices that may come next in an expression, including names in the text that no analysis has
+    resolved yet."""
+    path, text = view.cursor.path, view.cursor.text
+    if _expects_unit(text):
+        yield from _units(text, field)
+        return
+    scope = _scope_of(view.analysis, field, path) if view.analysis else None
+    if scope is not None and view.checked is not None:
+        choices = _choices_in_scope(text, scope, view.checked)
+        yield from (choice for choice in choices if not defines(path, choice.text))
+    kind = _expected_kind(text, field)
+    for name in names_in_text(kind, path, view.data):
+        if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
+            yield Choice(name, CompletionItemKind.Variable, "")
+    if scope is None and kind != _BODY:
+        yield from functions(frozenset(Family))
+
+
+def word_before(text: str) -> str:
+    """Return the name at the end of the text, up to the cursor."""
+    match = _WORD.search(text)
+    return match.group() if match else ""
+
+
+def functions(families: frozenset[Family]) -> Iterator[Choice]:
+    """Yield the functions of these families."""
+    for function in FUNCTIONS.values():
+        if function.family in families:
+            yield Choice(
+                f"{function.name}(",
+                CompletionItemKind.Function,
+                function.signature,
+                describe_function(function),
+            )
+
+
+# What the text before the cursor expects
+
+
+def _expects_unit(text: str) -> bool:
+    """Return whether `text` ends in a number, or in a unit followed by `*` or `/`."""
+    word = word_before(text)
+    return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
+
+
+def _expected_kind(text: str, field: FieldType) -> str:
+    """Return the kind of name that may end `text`: a kind of `names_in_text`."""
+    word = word_before(text)
+    if _expected_parts(text[: len(text) - len(word)]) is not None:
+        return _BODY
+    if not isinstance(field, Expression) or field.context in _CONTEXTS:
+        return "setting"
+    return VALUE_ON_BOARD if field.context in _ROBOT_CONTEXTS else "value"
+
+
+def _expected_parts(before: str) -> frozenset[Kind] | None:
+    """Return the kinds of parts that the argument at the end of the text may name; None for a value or
+    outside of a call."""
+    called = _open_call(before)
+    if called is None:
+        return None
+    name, index = called
+    function = FUNCTIONS.get(name)
+    params: tuple[Param, ...] = function.params if function is not None else ()
+    if not params or (function is not None and function.family is Family.DRAW):
+        return None
+    param = params[min(index, len(params) - 1)]
+    return (
+        param.kinds
+        if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/"))
+        else None
+    )
+
+
+def _open_call(before: str) -> tuple[str, int] | None:
+    """Return the innermost open call at the end of the text: its function and the index of the argument."""
+    depth = commas = 0
+    for index in range(len(before) - 1, max(-1, len(before) - _MAX_LOOKBACK), -1):
+        sign = before[index]
+        if sign == ")":
+            depth += 1
+        elif sign == "," and depth == 0:
+            commas += 1
+        elif sign == "(" and depth:
+            depth -= 1
+        elif sign == "(":
+            match = _WORD.search(before[:index])
+            return (match.group(), commas) if match else None
+    return None
+
+
+def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> Scope | None:
+    """Return the scope of an expression at `path` in a field of this type."""
+    checked = analysis.checked
+    if checked is None or checked.namespace is None:
+        return None
+    if not isinstance(field, Expression):
+        may_vary = isinstance(field, Quantity) and field.known != "fixed"
+        return ParameterScope(checked.namespace, Context.FIELD if may_vary else Context.FIXED)
+    if field.context in _CONTEXTS:
+        return ParameterScope(checked.namespace, _CONTEXTS[field.context])
+    context = Context[field.context.upper()]
+    if field.context not in _ROBOT_CONTEXTS:
+        return SupervisorScope(checked.namespace, context)
+    robot = str(path[1]) if len(path) > 1 else ""
+    scopes = [
+        reading.scope
+        for reading in analysis.readings
+        if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot
+    ]
+    same = next((scope for scope in scopes if scope.context is context), scopes[0] if scopes else None)
+    return RobotScope(checked.namespace, context, robot, dict(same.symbols) if same else {})
+
+
+# Units
+
+
+def _units(text: str, field: FieldType) -> Iterator[Choice]:
+    """Yield the units that may follow a number; those of the field come first."""
+    # After `*` or `/`, only single units follow, not `N*m`.
+    goes_on = text[: len(text) - len(word_before(text))].endswith(("*", "/"))
+    units = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
+    if not goes_on:
+        yield from (
+            Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
+            for unit in units
+            if unit.text not in UNITS
+        )
+    dimensions = [unit.dimension for unit in units]
+    for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
+        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
+    if isinstance(field, Expression) and not goes_on:
+        yield from (
+            Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or")
+        )
+
+
+def _measures(field: FieldType) -> list[str]:
+    if not isinstance(field, (Quantity, Range, Column)):
+        return []
+    return [
+        measure
+        for measure in (field.measure, *field.measure.split(" or "))
+        if measure in MEASURES and measure != "any"
+    ]
+
+
+def _unit(measure: str) -> Unit | None:
+    tree = parser.parse(MEASURES[measure][1], ignore_finding)
+    return tree.unit if isinstance(tree, syntax.Number) else None
+
+
+# Names
+
+
+def _choices_in_scope(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
+    """Yield the choices that may replace the name at the end of `text`, except units."""
+    word = word_before(text)
+    before = text[: len(text) - len(word)]
+    kinds = _expected_parts(before)
+    if kinds is not None:
+        yield from _parts(scope, kinds)
+        return
+    if before.endswith(")."):
+        yield from _components_of_call(before[:-1], scope)
+        return
+    if "." in word:
+        yield from _components(word.rpartition(".")[0], scope)
+    yield from _names(scope, checked)
+    yield from functions(ALLOWED_FAMILIES[scope.context])
+    for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
+        yield Choice(word, CompletionItemKind.Keyword, "", doc)
+
+
+def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
+    robot = scope.robot if isinstance(scope, RobotScope) else None
+    for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
+        symbol = scope.lookup(name)
+        if symbol is not None and symbol.refusal is None:
+            entry = definition(checked, name, robot)
+            yield Choice(
+                name,
+                CompletionItemKind.Variable,
+                describe_symbol(symbol),
+                entry.description if entry else "built in",
+            )
+
+
+def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
+    for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MAX_NAMES]:
+        subject = scope.subject(name, kinds)
+        if subject is not None and subject.kind in kinds:
+            yield Choice(name, CompletionItemKind.Reference, subject.kind.description)
+
+
+def _components(name: str, scope: Scope) -> Iterator[Choice]:
+    """Return the components of a named vector, such as `name.x`."""
+    symbol = scope.lookup(name)
+    return _component_choices(symbol.type if symbol else None, f"{name}.")
+
+
+def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
+    """Return the components of the vector that the call at the end of the text returns, such as `x`."""
+    depth = 0
+    for index in range(len(text) - 1, max(-1, len(text) - _MAX_LOOKBACK), -1):
+        depth += {")": 1, "(": -1}.get(text[index], 0)
+        if depth == 0:
+            break
+    begin = index - len(word_before(text[:index]))
+    tree = parser.parse(text[begin:], ignore_finding)
+    typed = check(tree, scope, ignore_finding) if tree is not None else None
+    return _component_choices(typed.type if typed else None, "")
+
+
+def _component_choices(vector: ValueType | None, before: str) -> Iterator[Choice]:
+    """Yield each component of a vector, and `xy` for a vector in space."""
+    components = (vector and vector.components) or ()
+    for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
+        words = vector._replace(components=None).description if vector else ""
+        yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
+
 
 _INCLUDE = Choice(
     "include",

@@ -20,10 +20,9 @@ task.py          agent, endings, training, evaluation
 levels.py        levels of a curriculum, and how a world changes its own
 members.py       several agents, and where the program of all has the parts of each
 resets.py        placements, randomized parameters
-identity.py      canonical JSON, digests, interfaces
+identity.py      canonical JSON, digests, interfaces; the values that a value is made of
 draws.py         the draws of a reset, by name
 topics.py        sensors and commands as fields of ROS 2 messages
-dependencies.py  the values that a value is made of, through names
 generated.py     the names in the code that is generated from it
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place

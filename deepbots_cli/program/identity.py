@@ -1,4 +1,7 @@
-"""Comparison of programs: canonical JSON with digests, and the interfaces of agents, item by item.
+"""Comparison of programs: canonical JSON with digests, the interfaces of agents, item by item, and the
+values that a value is made of.
+
+Comparison of programs: canonical JSON with digests, and the interfaces of agents, item by item.
 
 Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose
 key `is` holds the class name. Texts and places in files are left out: an expression is written as its name
@@ -15,18 +18,69 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
-from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.expressions.scalar import Name, Scalar, walk
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import MessageField, MessageLayout
+from deepbots_cli.program.robots import MessageField, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber
+from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import Picture
 from deepbots_cli.robots.model import Mesh
+
+Node = tuple[Robot | None, Scalar]
+"""A part of a tree, and the robot that computes it; None for the supervisor."""
+
+
+class Definitions:
+    """The values that a program names.
+
+    `fields` are the fields that robots send, by full name, each with the robot that computes it.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.parameters = {value.name: value for value in program.parameters}
+        self.signals = {signal.name: signal for signal in program.signals}
+        self.fields = {
+            f"{robot.name}.{entry.name}": (robot, entry)
+            for robot in program.robots
+            for entry in robot.emitted
+        }
+        self._followed: dict[str, tuple[Robot | None, Expression | NamedScalars]] = {
+            **{value.name: (None, value) for value in (*program.signals, *program.endings)},
+            **self.fields,
+            **{
+                f"{link.receiver}.{value.name}": (None, value)
+                for link in program.links
+                for value in link.values
+            },
+        }
+
+    def nodes(self, trees: Iterable[Scalar]) -> Iterator[Node]:
+        """Return the nodes of trees of the supervisor, and after each name those of its definition, once.
+
+        A parameter has no definition here, and a sensor has none.
+        """
+        return self._nodes(trees, None, set())
+
+    def _nodes(self, trees: Iterable[Scalar], robot: Robot | None, met: set[str]) -> Iterator[Node]:
+        for node in (node for tree in trees for node in walk(tree)):
+            yield robot, node
+            # A name on board of a robot is one of its sensors, and not a value of the supervisor.
+            if (
+                robot is None
+                and isinstance(node, Name)
+                and node.name in self._followed
+                and node.name not in met
+            ):
+                met.add(node.name)
+                owner, value = self._followed[node.name]
+                yield from self._nodes(value.scalars, owner, met)
+
 
 # Canonical JSON
 

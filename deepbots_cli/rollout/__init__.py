@@ -2,14 +2,12 @@
 
 episode.py            `steps`, an episode of one environment; the result of an episode
 source.py             the resolution of a name, path or object to a scenario
-source_hints.py       the ends of its messages: what was probably meant, or what exists
 drivers.py            drivers: a script, random or zero actions, a list of actions, a person
 recordings.py         the episodes in a recording
 robot_logs.py         the episodes in the log of a robot, with its scenario
 worlds.py             worlds that run side by side: what all have, and single worlds
 batch_worlds.py       the worlds of a batch, on arrays
-collector.py          fragments of experience, from worlds in this process
-sharded_collector.py  fragments of experience, from shards of worlds
+collector.py          fragments of experience, from worlds in this process and from shards
 seats.py              the experience of each of several agents in the same worlds
 policies.py           a trained policy as a driver; evaluations in several worlds at a time
 

@@ -1,19 +1,32 @@
-"""Experience for a learner, fragment by fragment.
+"""Experience for a learner, fragment by fragment: from worlds of this process, and from shards.
 
 A `Collector` returns the next fragment for the learner: the rows of some steps, and the episodes that ended.
 `LocalCollector` steps worlds in this process.
+
+`ShardedCollector` gathers the fragments of shards. Each shard steps some of the worlds with its own copy of
+the policy, in this process or in another one (`ShardPool`). The experience does not depend on where shards
+run, because:
+
+- The worlds of a shard have their own seeds and random streams. The policy of a shard draws from generators
+that are seeded anew for each fragment, with the number of the shard and of the steps before.
+- Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.
+- The collector keeps the start and the actions of each running episode. Another shard can continue from there
+exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import gymnasium as gym
 import numpy as np
 
+from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.spaces import apply_to_parts
@@ -317,3 +330,373 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 def join_observations(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
     """Join observations array by array."""
     return apply_to_parts(lambda *parts: join_arrays(parts), *observations)
+
+
+@dataclass(frozen=True)
+class Order:
+    """A request to a shard for `steps` of each row.
+
+    Attributes:
+        parameters: The parameters of the actor.
+        begun: Steps of the training before the fragment, summed over all rows.
+        next_episode: The number of the next episode of the training, from 1.
+        stage: The number of the present stage of the curriculum.
+        with_masks: Whether the actor uses masks of the allowed options.
+        lesson: The lesson of a script; its `worlds` are counted over all shards.
+    """
+
+    parameters: Mapping[str, Any]
+    steps: int
+    begun: int
+    next_episode: int
+    stage: int
+    with_masks: bool
+    lesson: Lesson | None = None
+
+
+@dataclass(frozen=True)
+class EvaluationOrder:
+    """An evaluation of the policy, which the shards divide among them.
+
+    Attributes:
+        parameters: The parameters of the actor.
+        seeds: The start of each episode.
+        stage: The name of the stage of the curriculum; None without stages.
+    """
+
+    parameters: Mapping[str, Any]
+    seeds: Sequence[int]
+    stage: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The answer of a shard.
+
+    Attributes:
+        notes: Notes for the user, such as lost episodes.
+        cpu_seconds: CPU time, if the shard runs in another process.
+        worker: The number of this process.
+    """
+
+    notes: Sequence[str] = ()
+    cpu_seconds: float = 0.0
+    worker: int = 0
+
+
+@dataclass(frozen=True)
+class Evaluated(Answer):
+    """The episodes of an evaluation that a shard has played, by their numbers."""
+
+    episodes: Mapping[int, Episode]
+
+
+@dataclass(frozen=True)
+class ShardResult(Answer):
+    """The experience that a shard has collected for an order.
+
+    Attributes:
+        fragment: The experience of its rows.
+        memory: The memory of its actor after the fragment.
+        ended: For each ending of the fragment, the stage of the episode, and its drawn values.
+        begun: For each world that has begun another episode, by its number in the shard, the start of this
+            episode, and its stage.
+        seconds: Time by the clock that the fragment took, and the part of it in the worlds.
+    """
+
+    fragment: Fragment
+    memory: Mapping[str, Array]
+    ended: Sequence[tuple[int, Mapping[str, Any]]]
+    begun: Mapping[int, tuple[int | dict[str, Any], int]]
+    seconds: tuple[float, float]
+
+
+class RunningEpisode(NamedTuple):
+    """The running episode of a world, and the stage of the curriculum that it belongs to; `actions` has the
+    shape (steps, ...)."""
+
+    start: int | dict[str, Any]
+    actions: Array
+    stage: int
+
+    @property
+    def history(self) -> EpisodeHistory:
+        return EpisodeHistory(self.start, list(self.actions))
+
+
+class ShardPool(Protocol):
+    """The shards of a training, wherever they run."""
+
+    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
+        """Bring the worlds of each shard to the end of these episodes. Returns the observations of each
+        shard."""
+
+    def collect(
+        self,
+        order: Order,
+        memories: Sequence[Mapping[str, Array]],
+        episodes: Sequence[Sequence[RunningEpisode]],
+    ) -> Callable[[], list[ShardResult]]:
+        """Request the result of each shard, from `episodes` on, which are those after the last result. The
+        returned function waits for the result."""
+
+    def evaluate(
+        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> list[Evaluated]:
+        """Return the part of each shard in an evaluation. `episodes` are those after the last result, and do
+        not change."""
+
+
+class ShardListener(Protocol):
+    """The training, as a listener that counts the experience of shards."""
+
+    def present(self) -> tuple[int, int, int]:
+        """Return the steps so far, the number of the next episode, and the number of the present stage of the
+        curriculum."""
+
+    def on_row(self) -> None:
+        """Called for each row of each step."""
+
+    def on_episode(self, world: int, episode: Episode, stage: int, draws: Mapping[str, Any]) -> None:
+        """Called for each episode with the number of its world, in the order of steps and rows."""
+
+    def on_answer(self, answer: Answer) -> None:
+        """Called with each answer of a shard, before its episodes are counted."""
+
+
+class FetchingCollector(ABC):
+    """A collector whose worlds have acted before its steps are counted: `fetch` returns a fragment, and
+    `step_all` then counts its steps one by one."""
+
+    rows: int
+    times: CollectTimes
+    observation_space: gym.Space[Any]
+    action_space: gym.Space[Any]
+    stale: Mapping[str, Array]
+    agents: Sequence[Any]
+    _replay: Iterator[WorldsStep] = iter(())
+
+    @abstractmethod
+    def begin(self) -> Any:
+        """Return the observations on which the agents act next. The first episodes begin if none has."""
+
+    @abstractmethod
+    def fetch(
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment:
+        """Fetch the next `steps` of every row, which `step_all` then counts one by one."""
+
+    def step_all(self, actions: Any) -> WorldsStep:
+        """Return the next step of the fragment that was fetched. The worlds have acted already."""
+        return next(self._replay)
+
+    def collect(
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep = lambda step: True,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
+    ) -> Fragment | None:
+        """Collect a fragment with a `PolicyActor`; see `Collector.collect`."""
+        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
+        return fragment if all(on_step(step) for step in self._replay) else None
+
+
+class ShardedCollector(FetchingCollector):
+    """Gathers the fragments of shards, and then counts their steps and episodes as if all worlds were in this
+    process.
+
+    Args:
+        pool: The shards.
+        seeds: The seed of the first episode of each world; worlds belong to shards in the order of their
+            numbers.
+        stages: The stage of each world, which is kept up to date.
+        sizes: The number of worlds of each shard.
+        agents: The agents of a world in this process, which computes the rewards of hindsight.
+        listener: The training.
+    """
+
+    def __init__(
+        self,
+        pool: ShardPool,
+        seeds: Sequence[int],
+        stages: list[int],
+        sizes: Sequence[int],
+        agents: Sequence[Any],
+        listener: ShardListener,
+    ) -> None:
+        self._pool = pool
+        self._listener = listener
+        self._sizes = sizes
+        self._stages = stages
+        self.agents = agents
+        self._anew(seeds)
+        self._width = len(agents)
+        self.rows = self._width * len(seeds)
+        self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
+        self.starts = np.ones(self.rows, bool)
+        self.times = CollectTimes()
+        self.stale: Mapping[str, Array] = {}
+        self._requested: Callable[[], list[ShardResult]] | None = None
+        self._observations: Any = None
+
+    def _anew(self, seeds: Sequence[int]) -> None:
+        """Begin new episodes."""
+        self.episodes = [
+            RunningEpisode(seed, np.array([]), stage) for seed, stage in zip(seeds, self._stages, strict=True)
+        ]
+
+    def _by_shard(self, items: Any, width: int = 1) -> list[Any]:
+        """Return items of worlds, or of rows with `width` rows for each world, for each shard."""
+        ends = np.cumsum(self._sizes) * width
+        return [items[end - size * width : end] for size, end in zip(self._sizes, ends, strict=True)]
+
+    def begin(self) -> Any:
+        if self._observations is None:
+            self._observations = self._begun()
+        return self._observations
+
+    def _begun(self) -> Any:
+        self.starts = np.repeat([not len(episode.actions) for episode in self.episodes], self._width)
+        return join_observations(np.concatenate, self._pool.begin(self._by_shard(self.episodes)))
+
+    def fetch(
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment:
+        began = perf_counter()
+        answer = self._requested or self._ask(actor, steps, with_masks, lesson)
+        results = answer()
+        self._requested = None
+        self.stale = {}
+        self._note_times(results, perf_counter() - began)
+        actor.remember(
+            {name: np.concatenate([result.memory[name] for result in results]) for name in results[0].memory}
+        )
+        for result in results:
+            self._listener.on_answer(result)
+        fragment = join([result.fragment for result in results])
+        self._note_episodes(fragment, results)
+        self._replay = self._steps(fragment, _details(results))
+        return fragment
+
+    def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
+        """Request the next fragment, which `fetch` then returns, with the present weights. Workers collect it
+        during the next update."""
+        parameters = actor.parameters().items()
+        # Copies, because the arrays share the memory of the weights, which the update changes.
+        self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
+        self._requested = self._ask(actor, steps, with_masks, None)
+
+    def _ask(
+        self, actor: PolicyActor, steps: int, with_masks: bool, lesson: Lesson | None
+    ) -> Callable[[], list[ShardResult]]:
+        self.begin()
+        memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
+        memories = [
+            {name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))
+        ]
+        begun, next_episode, stage = self._listener.present()
+        # A resumed training has the older weights of its checkpoint here, without a request of its own.
+        order = Order(
+            {**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson
+        )
+        return self._pool.collect(order, memories, self._by_shard(self.episodes))
+
+    def _note_times(self, results: Sequence[ShardResult], seconds: float) -> None:
+        busy: dict[int, float] = {}
+        for result in results:
+            busy[result.worker] = busy.get(result.worker, 0.0) + result.seconds[0]
+        longest = max(busy.values())
+        self.times.worlds += sum(result.seconds[1] for result in results) / len(busy)
+        self.times.waiting += longest - sum(busy.values()) / len(busy)
+        # A fragment that was requested ahead was begun before this wait, and may have taken longer.
+        self.times.transfer += max(0.0, seconds - longest)
+
+    def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
+        """Play an episode of the policy from each seed, in the order of the seeds."""
+        order = EvaluationOrder(actor.parameters(), seeds, stage)
+        episodes_by_number: dict[int, Episode] = {}
+        for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
+            self._listener.on_answer(answer)
+            episodes_by_number.update(answer.episodes)
+        return [episodes_by_number[number] for number in range(len(seeds))]
+
+    def _note_episodes(self, fragment: Fragment, results: Sequence[ShardResult]) -> None:
+        """Keep the start of the running episode of each world, and its actions."""
+        begun = [
+            result.begun.get(world)
+            for result, size in zip(results, self._sizes, strict=True)
+            for world in range(size)
+        ]
+        for world, beginning in enumerate(begun):
+            first = world * self._width
+            actions = (
+                fragment.actions[:, first : first + self._width]
+                if self._width > 1
+                else fragment.actions[:, first]
+            )
+            if beginning is None:
+                before = self.episodes[world]
+                actions = np.concatenate([before.actions, actions]) if len(before.actions) else actions
+                self.episodes[world] = before._replace(actions=actions)
+            else:
+                starts = np.flatnonzero(
+                    np.append(fragment.starts[:, first], fragment.following_starts[first])
+                )
+                self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
+        # The checkpoints of the training write this very list.
+        self._stages[:] = [episode.stage for episode in self.episodes]
+
+    def _steps(
+        self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]
+    ) -> Iterator[WorldsStep]:
+        """Yield the steps of a fragment in their order. Each is counted when it is read."""
+        endings = iter([*zip(fragment.endings, details, strict=True)])
+        upcoming = next(endings, None)
+        for number in range(len(fragment.rewards)):
+            is_last = number + 1 == len(fragment.rewards)
+            step_endings: list[Ending] = []
+            for row in range(self.rows):
+                self._listener.on_row()
+                if upcoming is not None and (upcoming[0][0], upcoming[0][1].row) == (number, row):
+                    (_, ending), (stage, draws) = upcoming
+                    self._listener.on_episode(row // self._width, ending.episode, stage, draws)
+                    step_endings.append(ending)
+                    upcoming = next(endings, None)
+            self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
+            self._observations = (
+                fragment.following
+                if is_last
+                else apply_to_parts(itemgetter(number + 1), fragment.observations)
+            )
+            yield WorldsStep(
+                self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, step_endings
+            )
+
+    def state(self) -> ShardState:
+        return ShardState([episode.history for episode in self.episodes], observation_digest(self.begin()))
+
+    def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
+        for world, history in enumerate(state.episodes):
+            self.episodes[world] = RunningEpisode(
+                history.start, np.array(history.actions), self.episodes[world].stage
+            )
+        self._observations = self._begun()
+        if observation_digest(self._observations) == state.observed:
+            return True
+        self._anew(seeds)
+        self._observations = self._begun()
+        return False
+
+
+def _details(results: Sequence[ShardResult]) -> list[tuple[int, Mapping[str, Any]]]:
+    """Return stage and drawn values of each ending, in the order of the endings of the joined fragment."""
+    details = [
+        (number, shard, ending.row, detail)
+        for shard, result in enumerate(results)
+        for (number, ending), detail in zip(result.fragment.endings, result.ended, strict=True)
+    ]
+    # Without the details in the key: dictionaries have no order.
+    return [detail for *_, detail in sorted(details, key=lambda entry: entry[:3])]

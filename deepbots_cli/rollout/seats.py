@@ -15,9 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.rollout.collector import CollectTimes, Decision, Fragment, Lesson, PolicyActor, join
+from deepbots_cli.rollout.collector import (
+    CollectTimes,
+    Decision,
+    FetchingCollector,
+    Fragment,
+    Lesson,
+    PolicyActor,
+    join,
+)
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.sharded_collector import FetchingCollector
 from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts

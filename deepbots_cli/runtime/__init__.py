@@ -2,18 +2,14 @@
 
 supervisor.py   base of the generated supervisors, a Gymnasium environment
 controllers.py  base of the generated robot controllers; the robots of a supervisor
-endings.py      the end of an episode, in one world and in a batch
-failures.py     messages about an episode that cannot go on
+endings.py      the end of an episode, in one world and in a batch; Python terms of users; failures
 copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
-agents.py       several agents in one world: the seat of each, and the environment of one beside the others
-agent_batch.py  the same in a batch of worlds
+agents.py       several agents in one world or a batch: the seat of each, and the environment of one
 forward_pass.py the actions of a policy for several rows, whatever the number of worlds
 parallel.py     several agents as an environment of PettingZoo, and its window
 spaces.py       action and observation spaces, forms of actions, rewards for other goals
-observations.py the observations of policies while an episode runs
-observing.py    observations from named values, without a world
+observations.py the observations of policies, in an episode and from named values
 formulas.py     functions that generated code calls: pure ones, and ones with memory
-python_terms.py reward terms and endings that are functions of a user's Python module
 messages.py     channels of messages, and their formats
 streams.py      named random streams under one root seed, draws of an episode, values in place of draws
 placement.py    the poses of bodies at the beginning of an episode
@@ -22,11 +18,10 @@ overview.py     a camera that sees the whole scene
 actuation.py    actuators that are more than a motor of the engine, and pushes
 sensing.py      sensors that are sampled once per tick, with their faults
 readers.py      the measurement of each kind of sensor
-batch.py        base of the generated supervisor of a batch of worlds
+batch.py        base of the generated supervisor of a batch; the batch as a vector environment
 batch_parts.py  the controllers, channels and calls of a batch
 columns.py      the functions of a batch
 devices.py      the sensors of a batch
-vector.py       a batch as a vector environment of Gymnasium
 
 Nothing here reads YAML, or depends on an engine beyond the port.
 """
@@ -35,6 +30,7 @@ from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
 from deepbots_cli.runtime.controllers import RobotController
 from deepbots_cli.runtime.copies import make_environment
+from deepbots_cli.runtime.endings import python_function
 from deepbots_cli.runtime.formulas import (
     Accumulate,
     Delta,
@@ -64,5 +60,4 @@ from deepbots_cli.runtime.formulas import (
 )
 from deepbots_cli.runtime.paths import Follower, Ways
 from deepbots_cli.runtime.placement import Arrangement
-from deepbots_cli.runtime.python_terms import python_function
 from deepbots_cli.runtime.supervisor import Supervisor

@@ -1,16 +1,97 @@
-"""The end of an episode: of the task, of one of several agents, or by a limit; in one world, and as columns
-in a batch."""
+"""The end of an episode: of the task, of one of several agents, by a limit, by a function of a user's Python
+module, or by a failure; in one world, and as columns in a batch.
+
+Reward terms and endings that are functions of a user's Python module.
+
+The end of an episode: of the task, of one of several agents, or by a limit; in one world, and as columns
+in a batch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import math
+import traceback
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from numbers import Real
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepbots_cli.errors import EvaluationError, UsageError
+from deepbots_cli.port import Engine
+from deepbots_cli.program import generated
 from deepbots_cli.program.members import AgentEnding
+from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.spaces import Column
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime.supervisor import Supervisor
+
+
+def without_value(error: Exception, engine: Engine, step: int) -> Exception:
+    """Return an `EvaluationError` that shows the generated line, or the error itself where it is a fault of
+    ours."""
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")
+    ]
+    if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
+        return error
+    engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
+    statement = generated.as_written(frames[-1].line or "")
+    return EvaluationError(f"step {step}: no value for `{statement}`: {error}")
+
+
+def infinite_reward(terms: Mapping[str, float]) -> str:
+    """Return the message about the terms that make a reward infinite or NaN."""
+    culprit = next(
+        (f"the reward term '{name}'" for name, value in terms.items() if not math.isfinite(value)), None
+    )
+    return f"{culprit or 'the sum of the reward terms'} is not finite"
+
+
+def without_option(agent: Agent, choice: str) -> str:
+    """Return the message for a choice whose options are all forbidden by conditions of the scenario."""
+    options = next(part.options for part in agent.choices if part.name == choice)
+    return f"every option of '{choice}' is forbidden: {', '.join(option.name for option in options)}"
+
+
+def python_function(
+    noun: str, name: str, module: str, function: str, truth: bool
+) -> Callable[[Supervisor], Any]:
+    """Return the function of a user's module that computes a reward term or an ending from the supervisor.
+
+    The returned function checks each value: a truth value if `truth`, otherwise a number. `noun` and `name`
+    are those of the term or the ending, for messages.
+
+    Raises:
+        UsageError: There is no such function, or its module cannot be imported.
+    """
+    called = f"the {noun} '{name}' in Python ({module}:{function})"
+    try:
+        imported = getattr(import_module(module), function)
+    except Exception as error:  # whatever the module does while it is imported
+        raise UsageError(f"{called} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(imported):
+        raise UsageError(f"{called} is not a function")
+
+    def call(supervisor: Supervisor) -> Any:
+        try:
+            value = imported(supervisor)
+        except Exception as error:  # whatever the function does
+            raise EvaluationError(
+                f"step {supervisor.step_count}: {called} failed: {type(error).__name__}: {error}"
+            ) from error
+        is_truth = isinstance(value, (bool, np.bool_))
+        if is_truth != truth or not (is_truth or isinstance(value, Real)):
+            expected = "True or False" if truth else "a number"
+            raise EvaluationError(
+                f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {expected}"
+            )
+        return bool(value) if truth else float(value)
+
+    return call
 
 
 class EpisodeEnd:

@@ -18,8 +18,7 @@ from deepbots_cli.geometry import Height, ground_height
 from deepbots_cli.port import Engine, View
 from deepbots_cli.program import Program, generated
 from deepbots_cli.runtime.controllers import SupervisedRobots
-from deepbots_cli.runtime.endings import EpisodeEnd
-from deepbots_cli.runtime.failures import infinite_reward, without_option, without_value
+from deepbots_cli.runtime.endings import EpisodeEnd, infinite_reward, without_option, without_value
 from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.messages import excerpt
 from deepbots_cli.runtime.observations import ObservedFrames

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames, geometry
-from deepbots_cli.engines import masses, objects
+from deepbots_cli.engines.mechanics import arena_walls, forms_of, rigid_group
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
@@ -95,7 +95,7 @@ def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     in the frame of this first link."""
     held = {joint.child for joint in model.joints if joint.type == "fixed"}
     heads = [link.name for link in model.links if link.name not in held]
-    return {link: (head, pose) for head in heads for link, pose in masses.rigid_group(model, head).items()}
+    return {link: (head, pose) for head in heads for link, pose in rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
@@ -305,7 +305,7 @@ class WorldScene:
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
         for body in world.objects:
-            self._build_object(body.name, objects.forms_of(body))
+            self._build_object(body.name, forms_of(body))
         line = np.zeros((1, 2, 3), np.float32)
         self._arrows = scene.add_arrows(
             f"{root}/pushes",
@@ -382,7 +382,7 @@ class WorldScene:
                 cast_shadow=False,
             )
         if world.arena:
-            for wall in objects.arena_walls(world.arena):
+            for wall in arena_walls(world.arena):
                 self._add(
                     f"{root}/arena/{wall.name.replace(' ', '_')}",
                     Geometry(wall.shape, wall.pose, wall.color),

@@ -8,31 +8,24 @@ library.py          PROTOs of Webots' own library that deepbots has an equivalen
 scene.py            bodies, joints, geometries and devices
 scene_builder.py    the tree as a scene
 shapes.py           geometries: sizes, volumes, meshes
-looks.py            the geometry and the color of what is seen
-textures.py         the pictures on it
+looks.py            what is seen: geometry, color, and the pictures on it
 model.py            a scene as a model of MuJoCo
-physics.py          its state: steps, bounces, readings
-motors.py           its motors, as constraints
-rays.py             rays through it
+physics.py          its state: steps, bounces, readings; motors as constraints; rays
 simulation.py       time, messages and sampling: what a controller's step does
 device.py           what devices share: sampling, lookup tables
 joints.py           motors, brakes, position sensors
-sensors.py          sensors of motion and of the surroundings
-lidar.py            lidars
-light.py            light sensors
-radar.py            radars
+sensors.py          sensors of motion, light and the surroundings
 cameras.py          cameras and range finders
 rendering.py        the pictures that they take
-radio.py            emitters and receivers
-devices.py          the class of each device
+ranging.py          lidars and radars
+devices.py          emitters, receivers, devices that do little; the class of each device
 tree.py             the classes Node and Field
 supervisor.py       the classes Robot, Supervisor and Keyboard
 unimplemented.py    names of Webots' functions that are not implemented, and their error
 runner.py           controllers as threads of one process, one at a time
 remote/             controllers as processes of their own
 pace.py             when a world may advance: the pace of a clock, pauses, single steps
-viewpoint.py        the viewpoint of a world, and what it follows
-recorder.py         a video of a run
+recorder.py         the viewpoint of a world, and a video of a run from it
 viewer.py           a run in the browser
 project.py          the files of a project: worlds, controllers, PROTOs
 site/               the folder with the module `controller`, on the path of controllers

@@ -279,7 +279,7 @@ def _plain_appearance(fields: Fields) -> str:
 
 
 def _textured(pattern: str) -> Callable[[Fields], str]:
-    """Return the body of an appearance with a pattern of `textures.py`, in place of pictures of Webots."""
+    """Return the body of an appearance with a pattern of `looks.py`, in place of pictures of Webots."""
     body = f'PBRAppearance {{ {_PLAIN} baseColorMap ImageTexture {{ url [ "deepbots:{pattern}" ] }} }}'
     return lambda fields: body
 

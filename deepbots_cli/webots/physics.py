@@ -1,16 +1,22 @@
-"""The state of a world in MuJoCo.
+"""The state of a world in MuJoCo: its steps, its bounces, its motors and rays through it.
+
+A motor is a constraint with a limited force that reaches its velocity at the end of the basic time step. It
+is the dry friction of the joint with a velocity of its own, so that MuJoCo solves it together with the
+contacts.
 
 One basic time step is made of substeps of at most 8 ms. Two things of Webots act between the two halves of a
 substep, where MuJoCo has computed the constraints and not yet solved them:
 
-- a motor (`motors.py`) is a constraint, solved together with the contacts;
+- a motor (`Motors`) is a constraint, solved together with the contacts;
 - a contact that closes faster than `bounceVelocity` leaves with `bounce` times its speed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import ceil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import ceil, inf, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +25,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.model import ModelBuilder
-from deepbots_cli.webots.motors import Motors
-from deepbots_cli.webots.rays import Rays
+from deepbots_cli.webots.nodes import number, numbers
 from deepbots_cli.webots.scene import ORIGIN
 from deepbots_cli.webots.shapes import compose
 
@@ -33,6 +38,209 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.syntax import Node
 
     Floats = NDArray[np.float64]
+
+
+_SKIPPED_GROUP = 5
+_GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
+"""Whether a geometry of each group stops rays."""
+
+
+class Rays:
+    """Casts rays.
+
+    Args:
+        bodies: The body of each geometry.
+        update_positions: Brings the positions of the geometries up to date.
+    """
+
+    def __init__(
+        self, model: Any, data: Any, bodies: Sequence[Body], update_positions: Callable[[], None]
+    ) -> None:
+        self._model, self._data = model, data
+        self._update_positions = update_positions
+        self._robot_geoms: dict[int, list[int]] = {}
+        for index, body in enumerate(bodies):
+            if body.robot is not None:
+                self._robot_geoms.setdefault(body.robot.index, []).append(index)
+
+    @contextmanager
+    def _without(self, skipped: int | None) -> Iterator[None]:
+        """Context in which the robot of an index stops no ray."""
+        self._update_positions()
+        # `mj_ray` can leave out a single body, and a robot has several.
+        groups = self._model.geom_group
+        geoms = [] if skipped is None else self._robot_geoms.get(skipped, [])
+        saved = groups[geoms].copy()
+        groups[geoms] = _SKIPPED_GROUP
+        try:
+            yield
+        finally:
+            groups[geoms] = saved
+
+    def cast(
+        self, start: Triple, directions: Sequence[Triple], reach: float, skipped: int | None
+    ) -> list[tuple[float, int, float]]:
+        """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
+        cosine of its incidence. The robot `skipped` stops no ray."""
+        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
+        results = []
+        origin = np.array(start)
+        with self._without(skipped):
+            for direction in directions:
+                ray = np.array(direction)
+                length = float(
+                    mj.mj_ray(self._model, self._data, origin, ray, _GROUPS, True, -1, geom, normal)
+                )
+                if length < 0 or length > reach:
+                    results.append((reach, -1, 1.0))
+                else:
+                    results.append((length, int(geom[0]), abs(float(normal @ ray))))
+        return results
+
+    def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
+        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
+        directions have the shape (rays, 3). The robot `skipped` stops no ray."""
+        count = len(directions)
+        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
+        rays = np.ascontiguousarray(directions).ravel()
+        model, data = self._model, self._data
+        with self._without(skipped):
+            mj.mj_multiRay(
+                model, data, np.array(start), rays, _GROUPS, True, -1, geoms, lengths, None, count, reach
+            )
+        is_missed = (lengths < 0) | (lengths > reach)
+        return np.where(is_missed, inf, lengths).tolist()  # type: ignore[no-any-return]
+
+
+MAX_TORQUE = 1e8
+
+
+@dataclass(eq=False)
+class MotorState:
+    """The state of a motor: its commands, and its motion in the present basic time step.
+
+    Positions in rad or m, velocities per s, torques in N m or N.
+    """
+
+    joint: Joint
+    dof: int
+    position_address: int
+    max_velocity: float
+    max_torque: float
+    gains: tuple[float, float, float]
+    acceleration: float
+    target_position: float = 0.0
+    target_velocity: float = 0.0
+    available_torque: float = 0.0
+    torque: float | None = None
+    velocity: float = 0.0
+    integral: float = 0.0
+    last_error: float = 0.0
+
+    def reset(self, position: float) -> None:
+        """Set the state in which Webots starts a motor: it keeps its position."""
+        self.target_position, self.target_velocity = position, self.max_velocity
+        self.available_torque, self.torque = self.max_torque, None
+        self.velocity = self.integral = self.last_error = 0.0
+
+    def next_velocity(self, position: float, step: float) -> float:
+        """Return the target velocity in a basic time step of `step` s, from the present position."""
+        velocity = self.target_velocity
+        if not isinf(self.target_position):
+            p, i, d = self.gains
+            error = self.target_position - position
+            self.integral += error * step
+            velocity = p * error + i * self.integral + d * (error - self.last_error) / step
+            self.last_error = error
+            velocity = min(max(velocity, -self.target_velocity), self.target_velocity)
+        if self.acceleration >= 0:
+            max_change = self.acceleration * step
+            velocity = min(max(velocity, self.velocity - max_change), self.velocity + max_change)
+        self.velocity = velocity
+        return velocity
+
+
+class Motors:
+    """The motors of a world, by node. Those without a torque control and with a torque are active."""
+
+    def __init__(self, model: Any, data: Any, joint_ids: Mapping[Joint, int]) -> None:
+        self._model, self._data = model, data
+        self._states = {
+            joint.motor: self._state(joint, joint.motor, index)
+            for joint, index in joint_ids.items()
+            if joint.motor is not None
+        }
+        self._active: list[MotorState] = []
+
+    def __getitem__(self, node: Node) -> MotorState:
+        return self._states[node]
+
+    def _state(self, joint: Joint, node: Node, index: int) -> MotorState:
+        strength = "maxTorque" if node.type == "RotationalMotor" else "maxForce"
+        p, i, d = (*numbers(node, "controlPID"), 0.0, 0.0, 0.0)[:3]
+        return MotorState(
+            joint,
+            int(self._model.jnt_dofadr[index]),
+            int(self._model.jnt_qposadr[index]),
+            max(0.0, number(node, "maxVelocity")),
+            min(max(0.0, number(node, strength)), MAX_TORQUE),
+            (p, i, d),
+            number(node, "acceleration"),
+        )
+
+    def reset(self) -> None:
+        """Let all motors keep the present positions of their joints."""
+        for motor in self._states.values():
+            motor.reset(float(self._data.qpos[motor.position_address]))
+        self.renew()
+
+    def stop(self) -> None:
+        """Set velocities to 0, and the torques of motors under torque control."""
+        for motor in self._states.values():
+            motor.velocity = 0.0
+            if motor.torque is not None:
+                self._data.qfrc_applied[motor.dof] = 0.0
+                motor.torque = 0.0
+
+    def renew(self) -> None:
+        """Apply limits and modes after a change."""
+        self._active = []
+        for motor in sorted(self._states.values(), key=lambda motor: motor.dof):
+            is_active = motor.torque is None and motor.available_torque > 0
+            limit = motor.available_torque if is_active else motor.joint.friction
+            self._model.dof_frictionloss[motor.dof] = limit
+            self._data.qfrc_applied[motor.dof] = motor.torque or 0.0
+            if is_active:
+                self._active.append(motor)
+        # MuJoCo has a row of friction for each of these, in this order, after the rows of equalities (`ne`).
+        rows = np.flatnonzero(self._model.dof_frictionloss > 0).tolist()
+        self._rows = np.array([rows.index(motor.dof) for motor in self._active], np.intp)
+        self._dofs = np.array([motor.dof for motor in self._active], np.intp)
+
+    def target_velocities(self, step: float) -> Floats:
+        """Return the velocity of each active motor at the end of a basic time step of `step` s."""
+        positions = self._data.qpos
+        return np.array(
+            [motor.next_velocity(float(positions[motor.position_address]), step) for motor in self._active]
+        )
+
+    def drive(self, targets: Floats, time: float) -> None:
+        """Let the active motors reach their target velocities in `time` s. The rows of constraints exist
+        after the first half of a substep."""
+        if self._active:
+            # A row of friction exerts at most `dof_frictionloss`; this reference makes it drive, not brake.
+            velocity_change = targets - self._data.qvel[self._dofs]
+            self._data.efc_aref[self._rows + self._data.ne] = velocity_change / time
+
+    def torque(self, motor: MotorState) -> float:
+        """Return the torque or force of a motor in the last substep."""
+        if motor.torque is not None:
+            return motor.torque
+        if motor not in self._active:
+            return 0.0
+        row = int(self._rows[self._active.index(motor)]) + self._data.ne
+        return float(self._data.efc_force[row]) if row < self._data.nefc else 0.0
+
 
 MAX_SUBSTEP_MS = 8.0
 

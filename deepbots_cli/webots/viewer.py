@@ -32,8 +32,7 @@ from deepbots_cli.view.scene import (
     with_edges,
 )
 from deepbots_cli.webots.looks import color_of, sky_color, visible_shape
-from deepbots_cli.webots.recorder import HEIGHT, WIDTH
-from deepbots_cli.webots.viewpoint import Viewpoint
+from deepbots_cli.webots.recorder import HEIGHT, WIDTH, Viewpoint
 
 if TYPE_CHECKING:
     from types import TracebackType

@@ -23,8 +23,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import BatchError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.batch import BatchEnvironment
 from deepbots_cli.runtime.spaces import fitting_rows
-from deepbots_cli.runtime.vector import BatchEnvironment
 from tests.few import few
 from tests.worlds import SCENARIOS
 

@@ -15,7 +15,7 @@ pytest.importorskip("onnxruntime")
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.graph import numbers_read
+from deepbots_cli.insight.export.network import numbers_read
 from deepbots_robot import Bundle
 from tests.bundle.untrained import compare_with_simulation, untrained_bundle
 from tests.few import WORLDS, few

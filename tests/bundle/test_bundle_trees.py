@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, Family, scalar_function
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, State
-from deepbots_cli.insight.export.graph import Graph
+from deepbots_cli.insight.export.network import Graph
 from deepbots_cli.insight.export.trees import Arithmetic, Item, MemoryFormulas, TreePrinter, Value
 from deepbots_cli.runtime import formulas
 from tests.few import every

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.codegen.lines import WIDTH, wrap_line
-from deepbots_cli.codegen.names import Constants
-from deepbots_cli.codegen.text import docstring
+from deepbots_cli.codegen.names import Constants, docstring
 from deepbots_cli.expressions.scalar import NamedFloat
 from tests.few import every
 from tests.worlds import SCENARIOS

@@ -18,7 +18,7 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.engines import create, create_batch
-from deepbots_cli.engines.masses import self_collision_pairs
+from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import CAMERA_RANGE_M, Engine, View
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel

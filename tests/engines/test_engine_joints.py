@@ -19,7 +19,7 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.engines import create, create_batch
-from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.mechanics import Chain
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, quaternion
 from deepbots_cli.program.world import RobotBody, WorldModel

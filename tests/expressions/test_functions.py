@@ -141,7 +141,7 @@ sys.path.insert(0, {str(ROOT / "docs")!r})
 import build_reference
 from deepbots_cli.cli import main
 from deepbots_cli.expressions.functions import Family
-from deepbots_cli.lsp.expression_completion import functions
+from deepbots_cli.lsp.completion import functions
 
 def ran(*words):
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:

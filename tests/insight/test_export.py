@@ -25,7 +25,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export import network
-from deepbots_cli.insight.export.graph import Graph
+from deepbots_cli.insight.export.network import Graph
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.policy import load_policy
 from deepbots_cli.program.task import Network, Training

@@ -78,7 +78,7 @@ from deepbots_cli.program.task import (
     Teacher,
     Training,
 )
-from deepbots_cli.rollout.sharded_collector import Order, RunningEpisode, ShardPool, ShardResult
+from deepbots_cli.rollout.collector import Order, RunningEpisode, ShardPool, ShardResult
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.rollout.worlds import Array, SingleWorlds, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory

@@ -24,8 +24,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name
 from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.bridge.mirror import MirrorEngine
-from deepbots_cli.webots.bridge.plant import Plant
+from deepbots_cli.webots.bridge.plant import MirrorEngine, Plant
 from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.export.files import WebotsProject, prepare, project_files
 from deepbots_cli.webots.project import Files, World, read_world, world_of_source

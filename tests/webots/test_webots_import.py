@@ -34,7 +34,7 @@ from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields.names import Name
 from deepbots_cli.webots.findings import WorldError, WorldFindings
 from deepbots_cli.webots.imports import hints
-from deepbots_cli.webots.imports.names import scenario_name
+from deepbots_cli.webots.imports.world import scenario_name
 from deepbots_cli.webots.library import LIBRARY
 from deepbots_cli.webots.nodes import child, children, node_types, number, numbers, real, text, vector, walk
 from deepbots_cli.webots.project import Files, World, read_world, world_of_source
@@ -1423,9 +1423,9 @@ def test_each_equivalent_of_a_proto_is_named(name: str):
 
 def test_a_function_that_is_missing_is_not_there():
     import deepbots_cli.webots.devices as devices
-    from deepbots_cli.webots import cameras, joints, lidar, light, radar, radio, sensors, supervisor, tree
+    from deepbots_cli.webots import cameras, joints, ranging, sensors, supervisor, tree
 
-    modules = (cameras, devices, joints, lidar, light, radar, radio, sensors, supervisor, tree)
+    modules = (cameras, devices, joints, ranging, sensors, supervisor, tree)
     classes = {name: value for module in modules for name, value in vars(module).items()}
     for owner, names in MISSING.items():
         for name in names.split():

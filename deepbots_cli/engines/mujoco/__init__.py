@@ -3,12 +3,11 @@
 engine.py      the engine: one world
 model.py       ground, walls, objects and robots, as a model of MuJoCo
 state.py       the state of a world and what is derived from it; the values that an episode varies
-motors.py      motors and springs on joints, and forces on links
+motors.py      motors and springs on joints, and forces on links; of one world and of a batch
 surfaces.py    contacts and their forces, distances between surfaces and along rays, lines of sight
 cameras.py     pictures, where OpenGL is
-batch.py       many worlds of one model, stepped by `mujoco.batch`, read and written as columns: its readers
-               in batch_readers.py; its motors in batch_motors.py; its sensors, links, rays and distances in
-               batch_sensors.py
+batch.py       many worlds of one model, stepped by `mujoco.batch`, read and written as columns: its
+               readers, sensors, links, rays and distances in batch_readers.py
 
 Differences between MuJoCo and the port, which this package resolves:
 

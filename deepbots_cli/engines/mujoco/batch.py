@@ -23,20 +23,19 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from mujoco.batch import Batch
 
-from deepbots_cli.engines.curves import torque_curve
+from deepbots_cli.engines.mechanics import torque_curve
 from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.batch_motors import (
+from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, Observer, model_with_sensors
+from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
+from deepbots_cli.engines.mujoco.model import ModelBuilder
+from deepbots_cli.engines.mujoco.motors import (
     MOTOR_FIELDS,
     BatchMotor,
     CurvedMotor,
     Pushes,
     TrackingMotor,
 )
-from deepbots_cli.engines.mujoco.batch_readers import BatchReaders
-from deepbots_cli.engines.mujoco.batch_sensors import Observer, model_with_sensors
-from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
-from deepbots_cli.engines.mujoco.model import ModelBuilder
 from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import EngineProxy

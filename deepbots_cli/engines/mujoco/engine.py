@@ -8,9 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.bodies import Pool, named
-from deepbots_cli.engines.curves import torque_curve
-from deepbots_cli.engines.kinematics import inverse_kinematics
+from deepbots_cli.engines.mechanics import Pool, inverse_kinematics, named, torque_curve
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder

@@ -14,15 +14,19 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.engines.bodies import Pool
-from deepbots_cli.engines.masses import (
+from deepbots_cli.engines.mechanics import (
+    LINK_COLORS,
     ROOT_MASS_FRACTION,
+    Pool,
+    arena_walls,
+    as_robot,
+    forms_of,
+    is_movable,
     rigid_group,
     self_collision_pairs,
     with_explicit_masses,
 )
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.objects import LINK_COLORS, arena_walls, as_robot, forms_of, is_movable
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.bodies import Pool, named
+from deepbots_cli.engines.mechanics import Pool, named
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
 from deepbots_cli.errors import EngineError

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.bodies import named
-from deepbots_cli.engines.curves import torque_curve
-from deepbots_cli.engines.kinematics import inverse_kinematics
+from deepbots_cli.engines.mechanics import inverse_kinematics, named, torque_curve
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -33,7 +31,7 @@ from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.bodies import Pool
+    from deepbots_cli.engines.mechanics import Pool
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (

@@ -12,9 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.bodies import Pool
-from deepbots_cli.engines.masses import self_collision_pairs, with_explicit_masses
-from deepbots_cli.engines.objects import LINK_COLORS, arena_walls, as_robot, forms_of, is_movable
+from deepbots_cli.engines.mechanics import (
+    LINK_COLORS,
+    Pool,
+    arena_walls,
+    as_robot,
+    forms_of,
+    is_movable,
+    self_collision_pairs,
+    with_explicit_masses,
+)
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters

@@ -20,7 +20,7 @@ from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.curves import TorqueCurve
+    from deepbots_cli.engines.mechanics import TorqueCurve
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import JointReader, MotorWriter, Pusher, TorqueReader

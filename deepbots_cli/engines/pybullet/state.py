@@ -11,8 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.bodies import named
-from deepbots_cli.engines.masses import rigid_group
+from deepbots_cli.engines.mechanics import named, rigid_group
 from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
@@ -21,7 +20,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.bodies import Pool
+    from deepbots_cli.engines.mechanics import Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (

@@ -1,12 +1,7 @@
 """The functions of the language: one entry per function, in one table.
 
 record.py      the record of a function and of its arguments; the families, and where each may be called
-arithmetic.py  entries: functions of numbers and vectors
-world.py       entries: poses, distances, paths, contacts, joints and lines
-episode.py     entries: ages of messages, values with a memory, and random draws
-operators.py   the operators, in the same form
-plugins.py     the check of functions of other packages
-table.py       the table of all functions; their intervals, and the same computed on floats
+table.py       entries by family; operators; functions of other packages; the table of all, their intervals
 
 Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the
 entries and nothing else, so one entry makes a function.
@@ -20,7 +15,6 @@ names a `Function` or a list of them:
     FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2 * x")]
 """
 
-from deepbots_cli.expressions.functions.operators import OPERATORS, whole_exponent
 from deepbots_cli.expressions.functions.record import (
     ALLOWED_FAMILIES,
     Family,
@@ -31,11 +25,13 @@ from deepbots_cli.expressions.functions.record import (
 )
 from deepbots_cli.expressions.functions.table import (
     FUNCTIONS,
+    OPERATORS,
     contains_draw,
     function_named,
     interval_of,
     math_names,
     scalar_function,
+    whole_exponent,
 )
 
 __all__ = [

@@ -1,14 +1,11 @@
 """A policy for a robot: a graph of ONNX from the measurements of sensors to the commands of actuators, with
 all facts that are needed to use it.
 
-graph.py      a graph under construction
-trees.py      expressions of a scenario, and the memories of stateful functions, as nodes
-network.py    the networks of a policy as nodes, compared with the learner
+trees.py      expressions of a scenario as nodes, and the values that a control step passes to the next one
+network.py    a graph under construction; the networks of a policy as its nodes, compared with the learner
 readings.py   the inputs: sensors, readings of the world, goals
 actuators.py  the outputs: the command of each actuator, its limits, its safe posture
-memories.py   the values that a control step passes to the next one
-names.py      the meaning of names while the policy observes, and on board a robot
-control.py    a whole control step as one graph
+control.py    a whole control step as one graph; the meaning of names in it
 recording.py  steps of a simulation for an exported policy
 parity.py     the check that an exported policy acts as in the scenario, and the recorded steps of a bundle
 isaac.py      a policy in the form that runners of Isaac Lab read

@@ -56,8 +56,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         import msgspec
 
         from deepbots_cli.insight.export.control import control_step
-        from deepbots_cli.insight.export.graph import numbers_read
-        from deepbots_cli.insight.export.network import check_network
+        from deepbots_cli.insight.export.network import check_network, numbers_read
         from deepbots_cli.insight.export.parity import recorded_parity
         from deepbots_cli.learning import policy
         from deepbots_cli.learning.sb3.algorithms import torch_settings

@@ -9,8 +9,7 @@ import numpy as np
 import yaml
 
 from deepbots_cli.insight.export.deploy import deploy_settings
-from deepbots_cli.insight.export.graph import Graph
-from deepbots_cli.insight.export.network import check_network, decide
+from deepbots_cli.insight.export.network import Graph, check_network, decide
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program
 

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.sharded_collector import FetchingCollector
+from deepbots_cli.rollout.collector import FetchingCollector, LocalCollector
 from deepbots_cli.rollout.worlds import SingleWorlds, WorldsStep
 
 

@@ -50,8 +50,14 @@ from deepbots_cli.learning.sb3.symmetry import mirrored_experience
 from deepbots_cli.learning.teaching.demonstrations import Demonstrations
 from deepbots_cli.learning.teaching.teacher import Plan
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor
-from deepbots_cli.rollout.sharded_collector import FetchingCollector, ShardedCollector
+from deepbots_cli.rollout.collector import (
+    Decision,
+    FetchingCollector,
+    Fragment,
+    LocalCollector,
+    PolicyActor,
+    ShardedCollector,
+)
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64

@@ -2,8 +2,7 @@
 
 names.py    the names of nodes, devices and channels in an exported world
 project.py  the scenario of a project, compiled, with its generated classes
-plant.py    poses, joints and contacts of the world, by the functions of a Webots supervisor
-mirror.py   an engine that follows the world: every reading that poses and velocities determine
+plant.py    poses, joints and contacts of the world in Webots, and an engine that follows it
 task.py     the generated supervisor, whose robots are controllers of their own
 robot.py    a generated robot controller on the devices of a robot in Webots
 

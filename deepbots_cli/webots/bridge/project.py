@@ -67,8 +67,7 @@ class Project:
     def task(self, supervisor: Host) -> Supervisor:
         """Return the environment of the scenario in the world of a Webots supervisor."""
         from deepbots_cli import engines
-        from deepbots_cli.webots.bridge.mirror import MirrorEngine
-        from deepbots_cli.webots.bridge.plant import Plant
+        from deepbots_cli.webots.bridge.plant import MirrorEngine, Plant
 
         engine = engines.create("mujoco", self.world)
         plant = Plant(supervisor, self.world)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from deepbots_cli.port import EngineProxy
 from deepbots_cli.runtime.controllers import SupervisedRobots
 from deepbots_cli.runtime.messages import FieldCodec
-from deepbots_cli.webots.bridge.mirror import MirrorEngine
+from deepbots_cli.webots.bridge.plant import MirrorEngine
 
 if TYPE_CHECKING:
     from deepbots_cli.port import Engine

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.codegen.names import class_name
-from deepbots_cli.codegen.text import docstring
+from deepbots_cli.codegen.names import class_name, docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
 from deepbots_cli.webots.export.gaps import EngineRecorder, Gaps, dynamic_gaps, static_gaps
-from deepbots_cli.webots.export.nodes import world_text
+from deepbots_cli.webots.export.world import world_text
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame

@@ -1,4 +1,4 @@
-"""The world of a scenario as nodes of Webots.
+"""The world of a scenario as nodes of Webots, and their text.
 
 All masses, inertias, friction and sizes are those of the scenario. Each robot is a Robot node whose links are
 Solid nodes, with the devices that its generated controller binds.
@@ -6,7 +6,7 @@ Solid nodes, with the devices that its generated controller binds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf, pi
 from typing import TYPE_CHECKING, Any
@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.masses import with_explicit_masses
-from deepbots_cli.engines.objects import arena_walls, as_robot, is_movable
+from deepbots_cli.engines.mechanics import arena_walls, as_robot, is_movable, with_explicit_masses
 from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Mesh, Sphere
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.plant import axis_angle
-from deepbots_cli.webots.export.nodes import NodeText, Verbatim, node, numbers
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame
@@ -30,6 +28,87 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
     from deepbots_cli.robots.model import Joint, Link, RobotModel, Shape
     from deepbots_cli.webots.bridge.task import RemoteRobot
+
+
+HEADER = "#VRML_SIM R2025a utf8"
+
+
+class Verbatim(str):
+    """A text that is written as it is, without quotes."""
+
+
+@dataclass
+class NodeText:
+    """A node: its type, DEF name and fields. A field that is None is left out."""
+
+    type: str
+    name: str = ""
+    fields: dict[str, Any] = field(default_factory=dict)
+
+    def lines(self, indent: str = "") -> Iterator[str]:
+        """Yield the lines of the node."""
+        head = f"DEF {self.name} {self.type}" if self.name else self.type
+        inner_indent = indent + "  "
+        fields = {name: value for name, value in self.fields.items() if value is not None}
+        if not fields:
+            yield f"{head} {{ }}"
+            return
+        yield f"{head} {{"
+        for name, value in fields.items():
+            first, *later_lines = _value_lines(value, inner_indent)
+            yield f"{inner_indent}{name} {first}"
+            yield from later_lines
+        yield f"{indent}}}"
+
+
+def node(type: str, name: str = "", /, **fields: Any) -> NodeText:
+    return NodeText(type, name, fields)
+
+
+def _value_lines(value: Any, indent: str) -> list[str]:
+    if isinstance(value, NodeText):
+        return list(value.lines(indent))
+    if isinstance(value, list):
+        inner_indent = indent + "  "
+        lines = ["["]
+        for item in value:
+            first, *later_lines = _value_lines(item, inner_indent)
+            lines += [inner_indent + first, *later_lines]
+        return [*lines, f"{indent}]"]
+    return [_scalar(value)]
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, bool):
+        return "TRUE" if value else "FALSE"
+    if isinstance(value, Verbatim):
+        return str(value)
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return number(value)
+    return numbers(value)
+
+
+def number(value: float) -> str:
+    """Return a number with all of its digits."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def numbers(values: Sequence[float]) -> str:
+    return " ".join(number(value) for value in values)
+
+
+def world_text(nodes: Iterable[NodeText]) -> str:
+    """Return the text of a world file."""
+    lines = [HEADER, ""]
+    for node_text in nodes:
+        lines += [*node_text.lines(), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
 
 GROUND_COLOR = (0.83, 0.85, 0.87, 1.0)
 LINK_COLOR = (0.6, 0.62, 0.66, 1.0)

@@ -33,8 +33,8 @@ from deepbots_cli.webots.nodes import numbers, parameters, real, text, walk
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from deepbots_cli.webots.imports.draft import SensorEntry
     from deepbots_cli.webots.imports.reader import Frame, Reader
-    from deepbots_cli.webots.imports.sensors import SensorEntry
     from deepbots_cli.webots.scene import Robot, Scene
     from deepbots_cli.webots.syntax import Node
 

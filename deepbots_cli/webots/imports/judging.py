@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from deepbots_cli.webots.imports.conditions import negated
-from deepbots_cli.webots.imports.names import Names
 from deepbots_cli.webots.imports.reader import Frame, Reader
 from deepbots_cli.webots.imports.task import Entry, Item, Task, Todo, whole
 from deepbots_cli.webots.imports.values import (
@@ -23,8 +21,10 @@ from deepbots_cli.webots.imports.values import (
     Unknown,
     Value,
     is_number,
+    negated,
     number_text,
 )
+from deepbots_cli.webots.imports.world import Names
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.code import ClassCode, Code, ModuleCode

@@ -11,15 +11,8 @@ import ast
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from deepbots_cli.webots.imports.arithmetic import MAX_ITEMS, operated
-from deepbots_cli.webots.imports.conditions import (
-    compared,
-    merged,
-    merged_names,
-    negated,
-    several,
-)
 from deepbots_cli.webots.imports.values import (
+    MAX_ITEMS,
     CodeLocation,
     Condition,
     External,
@@ -34,7 +27,13 @@ from deepbots_cli.webots.imports.values import (
     Unknown,
     Value,
     WorldNode,
+    compared,
     is_number,
+    merged,
+    merged_names,
+    negated,
+    operated,
+    several,
 )
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.webots.imports.calls import Calls
 from deepbots_cli.webots.imports.code import last_name
-from deepbots_cli.webots.imports.names import Names, scenario_name
 from deepbots_cli.webots.imports.reader import Frame, Reader
 from deepbots_cli.webots.imports.values import (
     CodeLocation,
@@ -24,11 +23,12 @@ from deepbots_cli.webots.imports.values import (
     is_number,
     number_text,
 )
+from deepbots_cli.webots.imports.world import Names, scenario_name
 from deepbots_cli.webots.nodes import number, text
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.code import ClassCode, Code, ModuleCode
-    from deepbots_cli.webots.imports.robots import RobotParts
+    from deepbots_cli.webots.imports.world import RobotParts
     from deepbots_cli.webots.scene import Device
 
 MAX_ACTIONS = 64

@@ -1,27 +1,464 @@
-"""The surroundings of robots as entries of a scenario: timestep, gravity, arena, terrain, objects."""
+"""The world of a project: the bodies of its robots as robot models, its surroundings as entries of a
+scenario, and their names.
+
+A link has its origin at the anchor of its joint, as URDF asks for; a body of Webots has it anywhere. Joint
+positions are those of Webots: the world shows a joint at its `position`, and the model has it at 0.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
 import struct
 import zlib
-from dataclasses import dataclass, field
-from math import hypot
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from math import hypot, inf
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.webots.imports.names import scenario_name
-from deepbots_cli.webots.imports.robots import pose_of
-from deepbots_cli.webots.looks import color_of
-from deepbots_cli.webots.nodes import number, numbers, real, rotation, text, vector, walk
+from deepbots_cli.robots import model as urdf
+from deepbots_cli.scenario.fields.names import RESERVED_NAMES, suggested_name
+from deepbots_cli.webots.looks import color_of, visible_shape
+from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, rotation, text, vector, walk
+from deepbots_cli.webots.scene import ORIGIN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from deepbots_cli.frames import Frame
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import World
-    from deepbots_cli.webots.scene import Body, Geometry, Scene
+    from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene, Visual
     from deepbots_cli.webots.shapes import Shape
     from deepbots_cli.webots.syntax import Node
+
+
+_WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
+_RESERVED = _WORDS_OF_YAML.union(*RESERVED_NAMES.values())
+_COMPONENTS = frozenset("xyz")
+_MAX_LENGTH = 40
+
+
+def scenario_name(text: str, fallback: str = "part") -> str:
+    """Return a name of the scenario language for a name of Webots or Python: `polePosSensor` becomes
+    `pole_pos_sensor`."""
+    name = re.sub("__+", "_", suggested_name(text))[:_MAX_LENGTH].strip("_") or fallback
+    is_taken = name in _RESERVED or name in _COMPONENTS
+    return f"{fallback}_{name}" if is_taken or name[0].isdigit() else name
+
+
+class Names:
+    """Gives names that differ from each other."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+
+    def new(self, text: str, fallback: str = "part") -> str:
+        """Return a name that was not returned before."""
+        name = scenario_name(text, fallback)
+        number = 2
+        unused = name
+        while unused in self._taken:
+            unused = f"{name}_{number}"
+            number += 1
+        self._taken.add(unused)
+        return unused
+
+
+_LIGHT = 1e-3  # kg; the mass of a link that has none, as of a solid without physics at the end of a joint
+_SMALL = 0.01  # m; the radius of the ball that stands for it
+_LINK_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
+_MAX_FACES = 20_000  # triangles of the visible meshes of a link
+_EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
+
+
+@dataclass
+class Built:
+    """A robot model with what the scenario says about it.
+
+    `joints` maps joints of the scene to names, `starts` joint names to positions (rad or m) other than 0, and
+    `meshes` paths of mesh files to their content.
+    """
+
+    model: urdf.RobotModel
+    joints: dict[int, str] = field(default_factory=dict)
+    starts: dict[str, float] = field(default_factory=dict)
+    meshes: dict[str, bytes] = field(default_factory=dict)
+
+
+@dataclass
+class RobotParts:
+    """The bodies of one robot, and names for its links and joints."""
+
+    name: str
+    bodies: list[Body]
+    links: dict[Node, str]
+    """Names of links by solid: of bodies, and of solids fixed to them."""
+    joints: dict[int, str]
+    """Names of joints by `id` of the joint of the scene."""
+
+    @property
+    def root(self) -> Body:
+        return self.bodies[0]
+
+    def link_of(self, body: Body) -> str:
+        return self.links[body.node]
+
+    def frame_in_link(self, body: Body, frame: Frame) -> Frame:
+        """Return a frame of a body in the frame of its link."""
+        return frames.compose(_inverse(_link_frame(body)), frame)
+
+
+def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
+    """Return the bodies below a root, parents first, with names for their links and joints."""
+    bodies, members = [root], {root.index}
+    for body in scene.bodies:
+        if body.parent is not None and body.parent.index in members:
+            bodies.append(body)
+            members.add(body.index)
+    names = Names()
+    links: dict[Node, str] = {}
+    joints: dict[int, str] = {}
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    for body in bodies:
+        links[body.node] = names.new(labels.get(body.node) or text(body.node, "name"), "link")
+        for joint in body.joints:
+            joints[id(joint)] = names.new(_joint_label(joint, links[body.node]), "joint")
+    fixed = [(node, body) for node, (body, _) in scene.attachments.items() if body.index in members]
+    for node, _ in fixed:
+        if node not in links and is_a(node, "Solid") and labels.get(node):
+            links[node] = names.new(labels[node], "link")
+    return RobotParts(name, bodies, links, joints)
+
+
+def _joint_label(joint: Joint, link: str) -> str:
+    if joint.motor is not None and text(joint.motor, "name"):
+        return f"{text(joint.motor, 'name')}_joint"
+    return f"{link}_joint"
+
+
+def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: WorldFindings) -> Built:
+    """Return the model of a robot; the solids of `split`, which are fixed to a body, become links."""
+    built = Built(urdf.RobotModel(parts.name, (), (), parts.link_of(parts.root)))
+    links: list[urdf.Link] = []
+    joints: list[urdf.Joint] = []
+    for body in parts.bodies:
+        if body.parent is not None:
+            middle, more = _joints(parts, body, built, findings)
+            links += middle
+            joints += more
+        apart = [node for node in split if node in parts.links and scene.attachments[node][0] is body]
+        apart = [node for node in apart if node is not body.node]
+        links.append(_link(parts, body, apart, scene, built, findings))
+        for node in apart:
+            links.append(_fixed_link(parts, body, node, scene, built, findings))
+            frame = parts.frame_in_link(body, scene.attachments[node][1])
+            joints.append(
+                urdf.Joint(
+                    f"{parts.links[node]}_fixed",
+                    "fixed",
+                    parts.link_of(body),
+                    parts.links[node],
+                    _pose(frame),
+                )
+            )
+    built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
+    return built
+
+
+# Links
+
+
+def _link(
+    parts: RobotParts, body: Body, apart: list[Node], scene: Scene, built: Built, findings: WorldFindings
+) -> urdf.Link:
+    geometries = [geometry for geometry in body.geometries if geometry.owner not in apart]
+    origin = _inverse(_link_frame(body))
+    nodes_of_solids = [node for solid in apart for node in walk([solid])]
+    visuals = [visual for visual in _visuals(scene, body) if visual.node not in nodes_of_solids]
+    masses = [
+        _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix)
+        for inertia in body.inertias
+    ]
+    link = _link_of(parts.link_of(body), geometries, origin, masses, built, scene, findings, body.parent)
+    return _as_seen(link, visuals, origin, built, scene)
+
+
+def _fixed_link(
+    parts: RobotParts, body: Body, node: Node, scene: Scene, built: Built, findings: WorldFindings
+) -> urdf.Link:
+    geometries = [geometry for geometry in body.geometries if geometry.owner is node]
+    origin = _inverse(scene.attachments[node][1])
+    nodes_of_solid = list(walk([node]))
+    visuals = [visual for visual in _visuals(scene, body) if visual.node in nodes_of_solid]
+    link = _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
+    return _as_seen(link, visuals, origin, built, scene)
+
+
+def _visuals(scene: Scene, body: Body) -> Iterator[Visual]:
+    return (visual for visual in scene.visuals if visual.body is body)
+
+
+def _as_seen(
+    link: urdf.Link, visuals: Sequence[Visual], origin: Frame, built: Built, scene: Scene
+) -> urdf.Link:
+    """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
+    shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
+    drawn = [(visual, shape) for visual, shape in shapes if shape is not None and shape.kind in _LINK_SHAPES]
+    if not drawn or sum(len(shape.faces) for _, shape in drawn) > _MAX_FACES:
+        return link
+    geometries = []
+    for visual, shape in drawn:
+        geometry = _shape(shape, built, f"{link.name}_visual")
+        if geometry is not None:
+            red, green, blue, opacity = map(_unit, color_of(visual.node, scene.files))
+            pose = _pose(frames.compose(origin, visual.frame))
+            geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
+    return replace(link, visuals=tuple(geometries))
+
+
+def _link_of(
+    name: str,
+    geometries: list[Geometry],
+    origin: Frame,
+    masses: list[urdf.Inertial],
+    built: Built,
+    scene: Scene,
+    findings: WorldFindings,
+    parent: Body | None,
+) -> urdf.Link:
+    shapes: list[urdf.Geometry] = []
+    for geometry in geometries:
+        pose = _pose(frames.compose(origin, geometry.frame))
+        shape = _shape(geometry.shape, built, name)
+        if shape is None:
+            findings.warning(geometry.owner.span, f"a {geometry.shape.kind} of a robot is left out")
+            continue
+        color = _color(geometry.owner)
+        shapes.append(urdf.Geometry(shape, pose, color))
+        if geometry.mass > 0:
+            masses.append(_homogeneous(geometry.shape, shape, geometry.mass, pose))
+    if not masses and parent is not None:
+        moment = 0.4 * _LIGHT * _SMALL**2
+        masses = [urdf.Inertial(_LIGHT, ixx=moment, iyy=moment, izz=moment)]
+    friction = urdf.Friction(lateral=_friction(geometries, scene))
+    return urdf.Link(name, _sum(masses), tuple(shapes), tuple(shapes), friction)
+
+
+def _friction(geometries: list[Geometry], scene: Scene) -> float | None:
+    """Return the friction of a material with the default one, if the world names it."""
+    for geometry in geometries:
+        contact = scene.contact(geometry.material, "default")
+        if contact.friction != 1.0:
+            return contact.friction
+    return None
+
+
+def _color(owner: Node) -> urdf.Color | None:
+    for node in walk([owner]):
+        if node.type in ("PBRAppearance", "Material"):
+            red, green, blue = vector(node, "baseColor" if node.type == "PBRAppearance" else "diffuseColor")
+            return (_unit(red), _unit(green), _unit(blue), 1.0)
+    return None
+
+
+def _unit(value: float) -> float:
+    return round(min(max(value, 0.0), 1.0), 3)
+
+
+def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
+    match shape.kind:
+        case "box":
+            x, y, z = shape.size
+            return urdf.Box((x, y, z))
+        case "sphere":
+            return urdf.Sphere(shape.size[0])
+        case "cylinder":
+            return urdf.Cylinder(*shape.size)
+        case "capsule":
+            return urdf.Capsule(*shape.size)
+        case "mesh":
+            content = _stl(shape)
+            path = f"{built.model.name}_{link}_{len(built.meshes)}.stl"
+            built.meshes[path] = content
+            return urdf.Mesh(path, hashlib.sha256(content).hexdigest())
+    return None
+
+
+def _stl(shape: Shape) -> bytes:
+    """Return the triangles of a mesh as a binary STL file."""
+    parts = [b"\0" * 80, struct.pack("<I", len(shape.faces))]
+    for face in shape.faces:
+        corners = [coordinate for index in face for coordinate in shape.vertices[index]]
+        parts.append(struct.pack("<12fH", 0.0, 0.0, 0.0, *corners, 0))
+    return b"".join(parts)
+
+
+# Masses
+
+
+def _homogeneous(shape: Shape, urdf_shape: urdf.Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
+    exact = urdf.homogeneous_inertial(urdf_shape, mass, pose)
+    if exact is not None:
+        return exact
+    # A mesh has the inertia of the box around it; its convex hull collides.
+    low = tuple(min(point[axis] for point in shape.vertices) for axis in range(3))
+    high = tuple(max(point[axis] for point in shape.vertices) for axis in range(3))
+    size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
+    center = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, (high[2] + low[2]) / 2)
+    frame = frames.compose(frames.frame(pose), (center, frames.IDENTITY_ROTATION))
+    box = urdf.homogeneous_inertial(urdf.Box(size), mass, _pose(frame))
+    assert box is not None
+    return box
+
+
+def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
+    xx, yy, zz, xy, xz, yz = matrix
+    return urdf.Inertial(mass, _pose(frame), xx, xy, xz, yy, yz, zz)
+
+
+def _sum(inertials: list[urdf.Inertial]) -> urdf.Inertial | None:
+    """Return masses as one, about their common center, by Steiner's theorem."""
+    if len(inertials) < 2:
+        return inertials[0] if inertials else None
+    mass = sum(inertial.mass for inertial in inertials)
+    center = tuple(
+        sum(inertial.mass * inertial.origin.xyz[axis] for inertial in inertials) / mass for axis in range(3)
+    )
+    total = [[0.0] * 3 for _ in range(3)]
+    for inertial in inertials:
+        rotation = frames.rotation_matrix(inertial.origin.rpy)
+        tensor = frames.rotate_tensor(inertial.matrix, rotation)
+        away = [inertial.origin.xyz[axis] - center[axis] for axis in range(3)]
+        square = sum(value * value for value in away)
+        for row in range(3):
+            for column in range(3):
+                steiner = inertial.mass * ((square if row == column else 0.0) - away[row] * away[column])
+                total[row][column] += tensor[row][column] + steiner
+    return urdf.Inertial(
+        mass,
+        urdf.Pose((_rounded(center[0]), _rounded(center[1]), _rounded(center[2]))),
+        total[0][0],
+        total[0][1],
+        total[0][2],
+        total[1][1],
+        total[1][2],
+        total[2][2],
+    )
+
+
+# Joints
+
+
+def _joints(
+    parts: RobotParts, body: Body, built: Built, findings: WorldFindings
+) -> tuple[list[urdf.Link], list[urdf.Joint]]:
+    """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
+    assert body.parent is not None
+    above = parts.link_of(body.parent)
+    frame = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
+    links: list[urdf.Link] = []
+    joints: list[urdf.Joint] = []
+    if body.joints and body.joints[0].kind == "ball":
+        findings.error(body.node.span, "a BallJoint in a robot has no counterpart in URDF")
+    for position, joint in enumerate(body.joints):
+        is_last = position == len(body.joints) - 1
+        below = parts.link_of(body) if is_last else f"{parts.joints[id(joint)]}_link"
+        if not is_last:
+            moment = 0.4 * _LIGHT * _SMALL**2
+            links.append(urdf.Link(below, urdf.Inertial(_LIGHT, ixx=moment, iyy=moment, izz=moment)))
+        name = parts.joints[id(joint)]
+        built.joints[id(joint)] = name
+        if abs(joint.position) > 1e-6:
+            built.starts[name] = joint.position
+        joints.append(_joint(name, joint, above, below, _at_zero(frame, joint)))
+        above, frame = below, ORIGIN
+    return links, joints
+
+
+def _at_zero(frame: Frame, joint: Joint) -> Frame:
+    """Return the frame of a joint at the position 0."""
+    if joint.kind == "hinge":
+        rotation = frames.from_axis_angle(joint.axis, -joint.position)
+        return frames.compose(frame, ((0.0, 0.0, 0.0), rotation))
+    back = frames.scaled(joint.axis, -joint.position)
+    return frames.compose(frame, (back, frames.IDENTITY_ROTATION))
+
+
+def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
+    low, high = _limits(joint)
+    velocity = effort = None
+    if joint.motor is not None:
+        is_linear = joint.motor.type == "LinearMotor"
+        velocity = number(joint.motor, "maxVelocity")
+        effort = number(joint.motor, "maxForce" if is_linear else "maxTorque")
+    kind: urdf.JointType = "prismatic"
+    if joint.kind != "slide":
+        kind = "continuous" if low is None else "revolute"
+    limit = urdf.Limit(low, high, velocity, effort if effort != -1 else None)
+    return urdf.Joint(
+        name,
+        kind,
+        above,
+        below,
+        _pose(frame),
+        _axis(joint.axis),
+        limit,
+        damping=joint.damping,
+        friction=joint.friction,
+    )
+
+
+def _limits(joint: Joint) -> tuple[float | None, float | None]:
+    """Return the stops of a joint, or else the positions of its motor; None for a joint without limits."""
+    low, high = joint.limits
+    if low == high == 0.0 and joint.motor is not None:
+        low, high = number(joint.motor, "minPosition"), number(joint.motor, "maxPosition")
+    if low == high == 0.0 or abs(low) == inf or low >= high:
+        return None, None
+    return low, high
+
+
+# Frames
+
+
+def _link_frame(body: Body) -> Frame:
+    """Return the frame of the link of a body, in the body."""
+    if body.parent is None or not body.joints:
+        return ORIGIN
+    return body.joints[0].anchor, frames.IDENTITY_ROTATION
+
+
+def _inverse(frame: Frame) -> Frame:
+    rotation = frames.inverse(frame[1])
+    return frames.rotate(rotation, frames.scaled(frame[0], -1.0)), rotation
+
+
+def _pose(frame: Frame) -> urdf.Pose:
+    (x, y, z), rotation = frame
+    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
+    return urdf.Pose(
+        (_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw))
+    )
+
+
+def _axis(axis: Triple) -> Triple:
+    return _rounded(axis[0]), _rounded(axis[1]), _rounded(axis[2])
+
+
+def _rounded(value: float) -> float:
+    return round(value, _EXACT) + 0.0
+
+
+def pose_of(frame: Frame) -> urdf.Pose:
+    """Return a frame as a pose: m, and rad about fixed axes."""
+    return _pose(frame)
+
+
+def has_physics(body: Body) -> bool:
+    return child(body.node, "physics") is not None
+
 
 MAX_OBJECTS = 60
 LARGEST_SUBSTEP = 8  # ms; the largest at which physics is within 1 % of its closed forms

@@ -11,10 +11,7 @@ from deepbots_cli.webots import (
     cameras,
     devices,
     joints,
-    lidar,
-    light,
-    radar,
-    radio,
+    ranging,
     sensors,
     supervisor,
     tree,
@@ -32,7 +29,7 @@ from deepbots_cli.webots.remote.messages import (
 )
 from deepbots_cli.webots.unimplemented import missing_attribute
 
-_MODULES = (cameras, devices, joints, lidar, light, radar, radio, sensors, supervisor, tree)
+_MODULES = (cameras, devices, joints, ranging, sensors, supervisor, tree)
 
 
 class Session:

@@ -17,8 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.bodies import named
-from deepbots_cli.engines.objects import as_robot, is_movable
+from deepbots_cli.engines.mechanics import as_robot, is_movable, named
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.robots.model import with_mass

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli import frames
-from deepbots_cli.engines.masses import rigid_group
+from deepbots_cli.engines.mechanics import rigid_group
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
 from deepbots_cli.robots.model import RobotModel

@@ -6,17 +6,16 @@ from deepbots_cli.webots.devices import (
     LED,
     Connector,
     Display,
+    Emitter,
     Microphone,
     Pen,
+    Receiver,
     Skin,
     Speaker,
     VacuumGripper,
 )
 from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
-from deepbots_cli.webots.lidar import Lidar, LidarPoint
-from deepbots_cli.webots.light import LightSensor
-from deepbots_cli.webots.radar import Radar, RadarTarget
-from deepbots_cli.webots.radio import Emitter, Receiver
+from deepbots_cli.webots.ranging import Lidar, LidarPoint, Radar, RadarTarget
 from deepbots_cli.webots.sensors import (
     GPS,
     Accelerometer,
@@ -25,6 +24,7 @@ from deepbots_cli.webots.sensors import (
     DistanceSensor,
     Gyro,
     InertialUnit,
+    LightSensor,
     TouchSensor,
 )
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor

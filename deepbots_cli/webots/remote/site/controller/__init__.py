@@ -1,7 +1,6 @@
 """Webots' module `controller`, in the process of a controller."""
 
-from deepbots_cli.webots.lidar import LidarPoint
-from deepbots_cli.webots.radar import RadarTarget
+from deepbots_cli.webots.ranging import LidarPoint, RadarTarget
 from deepbots_cli.webots.remote.client import CLASSES
 from deepbots_cli.webots.tree import ContactPoint
 from deepbots_cli.webots.unimplemented import MISSING_CLASSES

@@ -1,0 +1,494 @@
+"""Bodies of an engine by name, objects as robots of one link, masses, the torque of DC motors, and inverse
+kinematics.
+
+Inverse kinematics (`Chain`) follows the rule of Levenberg and Marquardt on the error of position (m) and
+attitude (rad, counted as `METERS_PER_RAD` m each): a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after
+steps that do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import atan2, inf
+from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, Protocol, TypeVar
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple
+from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOR, Arena, ObjectBody
+from deepbots_cli.robots.model import (
+    Box,
+    Friction,
+    Geometry,
+    Inertial,
+    Link,
+    Pose,
+    RobotModel,
+    homogeneous_inertial,
+    with_link,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.port import Engine, Kinematics, Part
+    from deepbots_cli.robots.model import Joint
+
+    FloatArray = NDArray[np.float64]
+
+
+Entry = TypeVar("Entry")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def named(table: Mapping[str, Entry], name: str, message: str) -> Entry:
+    """Return the entry called `name`.
+
+    Raises:
+        EngineError: There is none. It begins with `message`, and lists the existing names.
+    """
+    try:
+        return table[name]
+    except KeyError:
+        raise EngineError(f"{message} '{name}'; there are {', '.join(table)}") from None
+
+
+class BodyForm(Protocol):
+    """A body in an engine."""
+
+    def deactivate(self) -> None:
+        """Make the body absent: touched and seen by nothing."""
+
+    def activate(self) -> None:
+        """Make the body present."""
+
+
+Body = TypeVar("Body", bound=BodyForm)
+
+
+class Pool(Generic[Body]):
+    """The forms of one name. A body that is not pooled has one form and is always present."""
+
+    def __init__(self, name: str, forms: Sequence[tuple[str, Body]], pooled: bool) -> None:
+        self.name = name
+        self.pooled = pooled
+        self.present = not pooled
+        self.current = forms[0][1]
+        self._forms = dict(forms)
+
+    def __iter__(self) -> Iterator[Body]:
+        return iter(self._forms.values())
+
+    def choose(self, form: str) -> None:
+        self.current = named(self._forms, form, f"'{self.name}' has no variant")
+
+    def deactivate(self) -> None:
+        """Make the body absent, in the first form."""
+        if self.pooled:
+            self.present = False
+            self.current = next(iter(self))
+            for body in self:
+                body.deactivate()
+
+    def activate(self) -> Body:
+        """Make the body present, in the chosen form."""
+        self.present = True
+        self.current.activate()
+        return self.current
+
+    def bind_current(
+        self, bind: Callable[[Body], Callable[Arguments, Result]]
+    ) -> Callable[Arguments, Result]:
+        """Bind a function to the form that is present when it is called. A body with a single form is bound
+        directly, without a look-up."""
+        if len(self._forms) == 1:
+            return bind(self.current)
+        table = {id(body): bind(body) for body in self}
+
+        def call_current(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+            return table[id(self.current)](*args, **kwargs)
+
+        return call_current
+
+
+ROOT_MASS_FRACTION = 1e-6
+"""The mass of a root without mass, as a share of the mass that is attached to it. Its inertia is that of this
+mass at a distance of 1 m."""
+
+
+def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
+    """Return the links that fixed joints attach to `first`, itself included, and their frames in its
+    frame."""
+    members = {first: IDENTITY_FRAME}
+    waiting = [first]
+    while waiting:
+        parent = waiting.pop()
+        for joint in model.joints:
+            if joint.parent == parent and joint.type == "fixed":
+                members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
+                waiting.append(joint.child)
+    return members
+
+
+def self_collision_pairs(model: RobotModel) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of links of a robot that may touch each other: no rigid group has both, and no joint
+    joins their groups."""
+    group = {link.name: link.name for link in model.links}
+    for joint in model.joints:
+        if not joint.moves:
+            members = rigid_group(model, group[joint.parent])
+            group |= dict.fromkeys(members, group[joint.parent])
+    joined = {frozenset((group[joint.parent], group[joint.child])) for joint in model.joints}
+    for first, second in combinations(group, 2):
+        if group[first] != group[second] and frozenset((group[first], group[second])) not in joined:
+            yield first, second
+
+
+def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
+    """Return the model with a mass on each link: 0 where the file states none, for which a loader would
+    invent 1 kg.
+
+    Raises:
+        EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not
+            supported.
+    """
+    subtree_mass = model.subtree_mass()
+    for joint in model.joints:
+        if joint.type in ("floating", "planar"):
+            raise EngineError(
+                f"the engine does not support {joint.type} joints, such as '{joint.name}' of '{name}'"
+            )
+        if joint.moves and subtree_mass[joint.child] <= 0.0:
+            raise EngineError(
+                f"joint '{joint.name}' of '{name}' moves no mass; add an <inertial> with a mass to link"
+                f" '{joint.child}'"
+            )
+    root = model.link(model.root).inertial
+    if not fixed_base and (root is None or root.mass <= 0.0):
+        model = _with_trace_mass_at_root(name, model)
+    return replace(
+        model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links)
+    )
+
+
+def _with_trace_mass_at_root(name: str, model: RobotModel) -> RobotModel:
+    """Return the model whose root is a mere frame, as `base_footprint` is, with a trace of the mass that
+    fixed joints attach to it.
+
+    The engine would take a free root without mass for one that is bolted to the world.
+
+    Raises:
+        EngineError: No link that is rigidly attached to the root has a mass.
+    """
+    links = [model.link(link).inertial for link in rigid_group(model, model.root)]
+    mass = sum(link_mass.mass for link_mass in links if link_mass)
+    if mass <= 0.0:
+        raise EngineError(
+            f"root link '{model.root}' of '{name}' has no mass; add an <inertial>, or write `base: fixed`"
+        )
+    trace = ROOT_MASS_FRACTION * mass
+    return with_link(
+        model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace))
+    )
+
+
+LINK_COLORS = (
+    (0.84, 0.44, 0.24, 1.0),
+    (0.27, 0.45, 0.66, 1.0),
+    (0.30, 0.32, 0.36, 1.0),
+    (0.86, 0.70, 0.32, 1.0),
+    (0.42, 0.60, 0.46, 1.0),
+)
+"""The colors that links without a color of their own get, in turn."""
+
+
+def is_movable(body: ObjectBody) -> bool:
+    """Return whether physics moves the object. One without mass, or that is only seen, stays where it is
+    put."""
+    return body.solid and not body.fixed and body.mass > 0.0
+
+
+def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
+    """Return the object in each of its variants, by their names; by its own if it has none."""
+    fields = ("shape", "mass", "color", "friction", "fixed")
+    forms = {
+        variant.name: replace(body, variants=(), **{field: getattr(variant, field) for field in fields})
+        for variant in body.variants
+    }
+    return forms or {body.name: body}
+
+
+def as_robot(body: ObjectBody) -> RobotModel:
+    """Return the object as a robot of one link with the object's name; the inertia of a mesh is 0, for the
+    engine to find."""
+    geometry = Geometry(body.shape, color=body.color)
+    link = Link(
+        name=body.name,
+        inertial=homogeneous_inertial(body.shape, body.mass) or Inertial(body.mass),
+        visuals=(geometry,),
+        collisions=(geometry,) if body.solid else (),
+        friction=Friction(body.friction, body.spinning_friction, body.rolling_friction, body.restitution),
+    )
+    return RobotModel(name=body.name, links=(link,), joints=(), root=body.name)
+
+
+def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
+    """Return four fixed boxes around the inner size of the arena. They are not one body of four parts, since
+    an engine discards distant boxes cheaply."""
+    x, y = arena.size
+    height = arena.wall_height
+    thick = arena.wall_thickness
+    sides = (
+        ((x + thick) / 2, 0.0, thick, y + 2 * thick),
+        (-(x + thick) / 2, 0.0, thick, y + 2 * thick),
+        (0.0, (y + thick) / 2, x, thick),
+        (0.0, -(y + thick) / 2, x, thick),
+    )
+    return tuple(
+        ObjectBody(
+            name=name,
+            shape=Box((along_x, along_y, height)),
+            pose=Pose((at_x, at_y, height / 2)),
+            color=arena.color or WALL_COLOR,
+            friction=arena.friction,
+            fixed=True,
+        )
+        for name, (at_x, at_y, along_x, along_y) in zip(ARENA_WALLS, sides, strict=True)
+    )
+
+
+class TorqueCurve(NamedTuple):
+    """The stall torques (N m or N) and no-load speeds (rad/s or m/s) of the motors of several joints.
+
+    The largest torque falls linearly from the stall torque at rest to 0 at the no-load speed; a motor that
+    brakes exerts more than its stall torque. Both are cut off at a limit.
+    """
+
+    stall_torques: Sequence[float]
+    no_load_speeds: Sequence[float]
+
+    def bounds(self, velocities: Sequence[float], limits: Sequence[float]) -> list[tuple[float, float]]:
+        """Return the smallest and the largest torque of each motor (N m or N), at velocities in rad/s or m/s
+        and limits in N m or N."""
+        bounds = []
+        for stall, fastest, velocity, limit in zip(*self, velocities, limits, strict=True):
+            share = velocity / fastest
+            low, high = stall * (1.0 + share), stall * (1.0 - share)
+            bounds.append((-min(max(low, 0.0), limit), min(max(high, 0.0), limit)))
+        return bounds
+
+
+def torque_curve(
+    stall_torque: Sequence[float] | None, no_load_speed: Sequence[float] | None
+) -> TorqueCurve | None:
+    """Return the curve of the arguments of a motor; None where there is none."""
+    if stall_torque is None or no_load_speed is None:
+        return None
+    return TorqueCurve(tuple(stall_torque), tuple(no_load_speed))
+
+
+METERS_PER_RAD = 0.3  # m; the weight of an error of 1 rad
+TOLERANCE_M = 1e-7  # m; an error to stop at
+MAX_ITERATIONS = 100
+STALL_RATIO = 0.99  # a round that leaves more than this share of the square of the error has not helped
+MAX_STALLED_ITERATIONS = 12  # in a row, after which the search gives up
+MAX_STEP = 0.5  # rad or m; of a joint in one round
+
+
+class Segment(NamedTuple):
+    """The step from one link to the next: a fixed frame, then a joint, at `place` among all moving joints of
+    the chain, or None."""
+
+    frame: Frame
+    axis: Triple
+    turns: bool
+    place: int | None
+
+
+class _Drive(NamedTuple):
+    """The axis of a moving joint in the frame of the root: its direction, a point of it, and whether the
+    joint turns about it or slides along it."""
+
+    axis: Triple
+    pivot: Triple
+    turns: bool
+
+    def movement_of(self, point: Triple) -> Triple:
+        """Return the movement of a point per rad, or m, of the joint."""
+        return frames.cross(self.axis, frames.subtract(point, self.pivot)) if self.turns else self.axis
+
+    @property
+    def rotation(self) -> Triple:
+        """The rotation per rad, or m, of the joint, counted as `METERS_PER_RAD` m per rad."""
+        return frames.scaled(self.axis, METERS_PER_RAD) if self.turns else IDENTITY_FRAME[0]
+
+
+class Chain:
+    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, of
+    which `driven` may be solved for."""
+
+    def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
+        path = _path(model, link)
+        self.moving_joints = tuple(joint.name for joint in path if joint.moves)
+        strange = [name for name in driven if name not in self.moving_joints]
+        if strange:
+            raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
+        self._segments = [
+            Segment(
+                frames.frame(j.origin),
+                j.axis,
+                j.type != "prismatic",
+                self.moving_joints.index(j.name) if j.moves else None,
+            )
+            for j in path
+        ]
+        self._driven = [self.moving_joints.index(name) for name in driven]
+        self._followers = [
+            (index, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)
+            for index, name in enumerate(self.moving_joints)
+            if (mimic := model.followers.get(name)) is not None and mimic.joint in driven
+        ]
+        """The followers of driven joints: their place, that of the leader among the driven joints, and their
+        linear relation."""
+        ranges = [model.joint(name).ends(inf) for name in driven]
+        self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
+
+    def solve(
+        self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None
+    ) -> list[float]:
+        """Return positions of the driven joints that bring the link's origin to a position, or as near as the
+        search gets.
+
+        `root` is the pose of the root link, `positions` are the positions of all `moving_joints`. The search
+        begins there, and once more in the middle of the ranges if it misses the target: from a stretched arm
+        it does not find a way to bend.
+        """
+        inward = frames.inverse(root[1])
+        goal = frames.rotate(inward, frames.subtract(target, root[0]))
+        local_attitude = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
+        solution, missing = self._search(list(positions), goal, local_attitude)
+        if missing > TOLERANCE_M * TOLERANCE_M:
+            second_solution, still_missing = self._search(self._middle(positions), goal, local_attitude)
+            if still_missing < missing:
+                solution = second_solution
+        return [solution[index] for index in self._driven]
+
+    def _middle(self, positions: Sequence[float]) -> list[float]:
+        """Return these positions, with the driven joints in the middle of their ranges, if they have any."""
+        middle = list(positions)
+        for index, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
+            if low > -inf and high < inf:
+                middle[index] = (low + high) / 2
+        return middle
+
+    def _search(
+        self, joints: list[float], goal: Triple, local_attitude: Quaternion | None
+    ) -> tuple[list[float], float]:
+        """Return the end of the search from these positions, and the square of the error that is left."""
+        error, jacobian = self._linearized(joints, goal, local_attitude)
+        damping = 1e-4
+        missing = float(error @ error)
+        idle = 0
+        for _ in range(MAX_ITERATIONS):
+            if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
+                break
+            now = np.array([joints[index] for index in self._driven])
+            normal = jacobian.T @ jacobian + damping * np.eye(len(now))
+            # Damping keeps the matrix invertible where a stretched chain makes the Jacobian lose rank.
+            step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
+            tried = list(joints)
+            for index, value in zip(
+                self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True
+            ):
+                tried[index] = value
+            new_error, new_jacobian = self._linearized(tried, goal, local_attitude)
+            left = float(new_error @ new_error)
+            idle = idle + 1 if left > STALL_RATIO * missing else 0
+            if left < missing:
+                joints = tried
+                error = new_error
+                jacobian = new_jacobian
+                missing = left
+                damping = max(damping * 0.2, 1e-9)
+            else:
+                damping *= 10.0
+        return joints, missing
+
+    def _linearized(
+        self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the error at these positions, and how it shrinks with each driven joint."""
+        end_frame, drives = self._forward(joints)
+        error = list(frames.subtract(goal, end_frame[0]))
+        columns = [drive.movement_of(end_frame[0]) for drive in drives]
+        if attitude is None:
+            return np.array(error), self._with_followers(np.array(columns)).T
+        error += frames.scaled(
+            _rotation_vector(frames.multiply(attitude, frames.inverse(end_frame[1]))), METERS_PER_RAD
+        )
+        full = [(*column, *drive.rotation) for column, drive in zip(columns, drives, strict=True)]
+        return np.array(error), self._with_followers(np.array(full)).T
+
+    def _forward(self, joints: Sequence[float]) -> tuple[Frame, list[_Drive]]:
+        """Return the frame of the part at these positions, and the axes of the driven joints and of their
+        followers in the world."""
+        joints = list(joints)
+        for follower, leader, mimic in self._followers:
+            joints[follower] = mimic.position(joints[self._driven[leader]])
+        end_frame = IDENTITY_FRAME
+        drives = [_Drive(IDENTITY_FRAME[0], IDENTITY_FRAME[0], True)] * len(joints)
+        for frame, axis, turning, index in self._segments:
+            end_frame = frames.compose(end_frame, frame)
+            if index is not None:
+                drive = drives[index] = _Drive(frames.rotate(end_frame[1], axis), end_frame[0], turning)
+                if turning:
+                    end_frame = (
+                        end_frame[0],
+                        frames.multiply(end_frame[1], frames.from_axis_angle(axis, joints[index])),
+                    )
+                else:
+                    end_frame = (
+                        frames.add(end_frame[0], frames.scaled(drive.axis, joints[index])),
+                        end_frame[1],
+                    )
+        indices = [*self._driven, *(follower for follower, _, _ in self._followers)]
+        return end_frame, [drives[index] for index in indices]
+
+    def _with_followers(self, rows: FloatArray) -> FloatArray:
+        """Return a row for each driven joint, from its own row and those of its followers."""
+        count = len(self._driven)
+        for row, (_, leader, mimic) in zip(rows[count:], self._followers, strict=True):
+            rows[leader] += mimic.multiplier * row
+        return rows[:count]
+
+
+def inverse_kinematics(engine: Engine, model: RobotModel, part: Part, joints: Sequence[str]) -> Kinematics:
+    """Return `Engine.inverse_kinematics` for a robot of this model."""
+    chain = Chain(model, part[1] or model.root, joints)
+    root = engine.pose(part[0])
+    read = engine.joint_states(part[0], chain.moving_joints)
+    return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+
+
+def _path(model: RobotModel, link: str) -> list[Joint]:
+    """Return the joints from the root to a link, in this order."""
+    above = {joint.child: joint for joint in model.joints}
+    path = []
+    while link in above:
+        path.append(above[link])
+        link = above[link].parent
+    return path[::-1]
+
+
+def _rotation_vector(q: Quaternion) -> Triple:
+    """Return the axis of a rotation times its angle (rad), at most half a turn."""
+    # q and -q are the same rotation; the one with w >= 0 is the shorter way.
+    x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    length = float(np.hypot(np.hypot(x, y), z))
+    # 2 is the limit of the ratio for small angles.
+    return frames.scaled((x, y, z), 2.0 * atan2(length, w) / length if length > 0.0 else 2.0)
