@@ -61,6 +61,7 @@ from deepbots_cli.scenario.evaluation import Expectation
 from deepbots_cli.scenario.evaluation import ScenarioTest as TestSpec
 from deepbots_cli.scenario.fields.names import REFERENCE_KINDS
 from deepbots_cli.scenario.fields.training import read_schedule, read_until
+from deepbots_cli.scenario.keys import listed
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
@@ -238,8 +239,7 @@ def _hindsight(hindsight: HindsightSpec | str | None, namespace: Namespace) -> H
 
 
 def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) -> None:
-    refusal = _refusal(type(train), train, action, namespace)
-    if refusal is None:
+    if (refusal := _refusal(type(train), train, action, namespace)) is None:
         return
     headline, help = refusal
     accepted = next(
@@ -251,7 +251,13 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
         None,
     )
     if accepted is not None and train.acts_by == {"ranges"} and isinstance(action[0], Choices):
-        help = f"to keep the choices, write `algorithm: {accepted}`; to keep {train.algorithm}, {help}"
+        keys = [
+            key
+            for key in entries_at(namespace.values.root, "train")
+            if key not in type(train).model_fields and key in ALGORITHMS[accepted].model_fields
+        ]
+        also = f", which uses {listed(keys)}" if keys else ""
+        help = f"to keep the choices, write `algorithm: {accepted}`{also}; to keep {train.algorithm}, {help}"
     elif accepted is not None:
         help = f"use {accepted}, or {help}"
     namespace.values.add("DB612", ("train", "algorithm"), headline, help)

@@ -375,18 +375,17 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         prize = total_range(reward.terms, at_success).high
         if pay * steps + fine > prize and pay * min(steps, horizon(reward)) > MIN_WORTH * prize:
             last = total_range(final, at_success).high
-            prizes = f"pays {prize:.3g} only once" if last > 0.0 else "pays nothing"
             raised = f"`{success.name}` pay more than {pay * steps + fine - prize + last:.4g}"
             best, node = max(ordinary, key=lambda term: paid[term[0]])
             once = at_success.of(node).high
-            gain = paid[best] * steps - once
-            room = prize - once - fine - (pay - paid[best]) * steps
-            lowered = _lowered(best.text, room / gain) if 0.0 < room < gain else ""
+            share = (prize - once - fine - (pay - paid[best]) * steps) / (paid[best] * steps - once or INF)
+            lowered = _lowered(best.text, share) if 0.0 < share < 1.0 else ""
             yield Finding(
                 "DB708",
                 best.span,
                 f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
-                f" {pay * steps:.4g} in all, but `{success.name}` {prizes}",
+                f" {pay * steps:.4g} in all, but `{success.name}` pays"
+                f" {f'{prize:.3g} only once' if last > 0.0 else 'nothing'}",
                 f"{lower_help(best, lowered, raised)}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
                 fix=Fix.replacing(best.span, best.text, lowered, safe=False) if lowered else None,
