@@ -455,7 +455,7 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_refused_in_one_sentence(
         (json.dumps(record | {"format": record["format"] + 1}), "but this version of deepbots reads format"),
         (
             json.dumps(record | {"seed": "zero"}),
-            "mine/run.json is damaged: 'seed': Input should be a valid integer",
+            "mine/run.json is damaged: 'seed': Expected `int`, got `str`",
         ),
         ("", "mine/run.json is damaged: it is not valid JSON"),
     ):

@@ -79,7 +79,8 @@ def fitting_text(content: bytes, model: type[BaseModel]) -> bytes:
 def _reason(error: ValueError) -> str:
     """Return the field that does not fit, and the reason."""
     match = _AT.fullmatch(str(error))
-    reason, field = (str(error), "") if match is None else (match[1], match[2] or "")
+    text, field = (str(error), "") if match is None else (match[1], match[2] or "")
+    reason = text.replace(" | null`", "`")
     name = re.search(r"(?:unknown|required) field `(.*)`", reason, re.DOTALL)
     if name is not None:
         field = f"{field}.{name[1][:40]}".lstrip(".")
