@@ -462,8 +462,9 @@ def test_a_file_that_leads_back_to_itself_is_reported(tmp_path: Path, word: str)
     path = write(tmp_path, a=f"{word}b.yaml\n", b=f"{word}a.yaml\n")
     document = load(path)
     (finding,) = document.findings
-    assert ((finding.code, finding.span.text), finding.notes) == (
-        ("DB204", "a.yaml"),
+    assert (finding.code, finding.span.text, finding.notes) == (
+        "DB204",
+        "a.yaml",
         ("a.yaml -> b.yaml -> a.yaml",),
     )
 

@@ -611,8 +611,10 @@ def test_a_draw_may_be_repeated_and_nothing_else(bench):
 )
 def test_where_is_refused_and_the_whole_expression_is_written_with_if(bench, text, new):
     finding = bench.only(text)
-    assert ((finding.code, finding.piece, finding.help), bench.codes(new)) == (
-        ("DB402", "where", f"write `{new}`"),
+    assert (finding.code, finding.piece, finding.help, bench.codes(new)) == (
+        "DB402",
+        "where",
+        f"write `{new}`",
         [],
     )
 

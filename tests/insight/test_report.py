@@ -218,7 +218,7 @@ def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
     above, side = trajectories(
         report.episodes, report.moving, episode.shown.run.program.world, (), "light"
     ).axes
-    assert ((side.get_xlabel(), side.get_ylabel()), above.get_xlabel()) == (("y, m", "z, m"), "x, m")
+    assert (side.get_xlabel(), side.get_ylabel(), above.get_xlabel()) == ("y, m", "z, m", "x, m")
     assert [0.2, 0.3] in side.lines[0].get_xydata().tolist()
 
 

@@ -74,8 +74,9 @@ def only_finding(probed: SimulationFindings) -> Finding:
 
 def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None:
     finding = only_finding(simulate(checked("crash"), limits=TIGHT))
-    assert ((finding.code, finding.span.text), finding.headline) == (
-        ("DB309", "cart"),
+    assert (finding.code, finding.span.text, finding.headline) == (
+        "DB309",
+        "cart",
         "the physics engine crashes (SIGSEGV)",
     )
     assert "in step 1 (0.032 s) of the episode with seed 0 (random actions)" in finding.notes

@@ -88,7 +88,7 @@ def test_a_sound_robot_is_read_without_a_word(read_text):
     assert model.link("hand").collisions[0].origin == Pose((0.0, 0.0, 0.5), (0.1, 0.0, 0.0))
     assert model.link("hand").friction == Friction(lateral=0.7)
     elbow = model.joint("elbow")
-    assert (elbow.axis, (elbow.damping, elbow.friction)) == (pytest.approx((0, 0.6, 0.8)), (0.1, 0.2))
+    assert (elbow.axis, elbow.damping, elbow.friction) == (pytest.approx((0, 0.6, 0.8)), 0.1, 0.2)
 
 
 def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):

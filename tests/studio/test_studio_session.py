@@ -333,8 +333,9 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
             robot.show(folder / "other.yaml", "zero")
             assert (robot.state, robot.address) == (None, address)
             await running.runs()
-            assert ((robot.state.driver, robot.state.changed), robot.state.parameters) == (
-                ("zero", {}),
+            assert (robot.state.driver, robot.state.changed, robot.state.parameters) == (
+                "zero",
+                {},
                 {"fall_angle": "20 deg"},
             )
 
@@ -344,7 +345,7 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
 
             session.shown.show_robot(folder / "other.yaml")
             await running.runs()
-            assert ((running.robot_pid, robot.address), robot.state.driver) == ((pid, address), "random")
+            assert (running.robot_pid, robot.address, robot.state.driver) == (pid, address, "random")
 
             session.shown.show_robot(folder / "runs" / "gone")
             await running.until(lambda: robot.problem)

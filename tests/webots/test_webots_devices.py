@@ -371,7 +371,7 @@ def exchange(emitter: str = "", receiver: str = "", message: object = b"hello"):
 
 def test_a_message_needs_one_basic_step():
     inbox, sent = exchange()
-    assert ((sent, inbox.getQueueLength(), inbox.getDataSize()), inbox.getString()) == ((1, 1, 5), "hello")
+    assert (sent, inbox.getQueueLength(), inbox.getDataSize(), inbox.getString()) == (1, 1, 5, "hello")
     assert (inbox.getBytes(), inbox.getData()) == (b"hello", b"hello")
     inbox.nextPacket()
     assert inbox.getQueueLength() == 0
