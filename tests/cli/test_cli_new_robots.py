@@ -12,7 +12,7 @@ import pytest
 
 from deepbots_cli import api, frames
 from deepbots_cli.cli.starters.build import Build
-from deepbots_cli.cli.starters.draft import Draft
+from deepbots_cli.cli.starters.first_scenario import Draft
 from tests.few import few
 
 pytestmark = pytest.mark.usefixtures("simulated_here")

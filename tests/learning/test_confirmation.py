@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from deepbots_cli.learning.confirmations import CONFIRMATION_PART
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES
 from deepbots_cli.learning.runs.confirmation_rule import (
     COST_SHARE,
@@ -23,6 +22,7 @@ from deepbots_cli.learning.runs.confirmation_rule import (
     may_begin,
     required_successes,
 )
+from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 

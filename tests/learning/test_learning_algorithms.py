@@ -27,9 +27,8 @@ from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models, networks
-from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
-from deepbots_cli.learning.sb3.rollouts import ExplorationActor
+from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment, ExplorationActor
 from deepbots_cli.learning.sb3.schedules import DecayingNoise, DivergenceRate
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, AdaptiveRate, Hindsight, Network, Schedule, Training

@@ -15,7 +15,6 @@ from stand_in import hyper
 
 from deepbots_cli.learning import (
     TrainingResult,
-    confirmations,
     evaluate,
     evaluate_trained,
     learner,
@@ -321,7 +320,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = confirmations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = training_evaluations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
     shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 

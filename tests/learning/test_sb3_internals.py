@@ -11,7 +11,7 @@ import pytest
 from stable_baselines3.common.vec_env import VecNormalize
 
 from deepbots_cli.learning.sb3 import algorithms, internals
-from deepbots_cli.learning.sb3.environment import spaces_only
+from deepbots_cli.learning.sb3.rollouts import spaces_only
 from deepbots_cli.program.task import Hindsight, Training
 from tests.private_members import private_members
 

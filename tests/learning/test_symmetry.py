@@ -12,7 +12,7 @@ from stable_baselines3 import PPO
 
 from deepbots_cli import api
 from deepbots_cli.learning import resume, train
-from deepbots_cli.learning.sb3.symmetry import (
+from deepbots_cli.learning.sb3.networks import (
     mirrored_actions,
     mirrored_experience,
     mirrored_observations,

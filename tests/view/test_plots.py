@@ -25,7 +25,7 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, TaskRecord, write_record
 from deepbots_cli.rollout import Episode
 from deepbots_cli.view import plots, training_logs
-from deepbots_cli.view.panel_html import training_rows
+from deepbots_cli.view.panel import training_rows
 
 
 def _events(folder, **scalars):

@@ -12,9 +12,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document.load import load
-from deepbots_cli.geometry import ground_height
+from deepbots_cli.geometry import ground_height, tile_heights, tile_terrain_heights
 from deepbots_cli.program.world import TILE_MARGIN_M, Tile, Tiles
-from deepbots_cli.tiles import heights, tile_heights
 
 SIDE, PLATFORM, CELL, LEVELS = 8.0, 1.6, 0.1, 5
 
@@ -107,7 +106,7 @@ def test_stones_and_gaps_have_their_widths() -> None:
 def test_kinds_stand_along_x_and_levels_along_y() -> None:
     kinds = tuple(Tile(kind, tuple((name, *ends) for name, ends in KINDS[kind].items())) for kind in KINDS)
     terrain = Tiles(kinds, LEVELS, SIDE, 2.0, PLATFORM, CELL, 3)
-    whole = heights(terrain)
+    whole = tile_terrain_heights(terrain)
     assert whole.shape == (5 * 80 + 41, 7 * 80 + 41)
     assert terrain.size == (60.0, 44.0)
     assert np.array_equal(whole[20 + 160 : 20 + 241, 20 + 80 : 20 + 161], tile_heights(terrain, 1, 2))
