@@ -41,23 +41,22 @@ if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
 
-    Heights = NDArray[np.float64]
     Column = NDArray[np.float64]
 
 
 class _Square(NamedTuple):
     """The points of a tile: x and y (m) from its middle, and the larger of both distances."""
 
-    x: Heights
-    y: Heights
-    distance: Heights
+    x: Column
+    y: Column
+    distance: Column
     half: float
     platform: float
     """Half the side of the platform, m."""
     random: np.random.Generator
 
     @property
-    def inside(self) -> Heights:
+    def inside(self) -> Column:
         """1 within the margin, and down to 0 at the edge."""
         return np.clip((self.half - self.distance) / TILE_MARGIN_M, 0.0, 1.0)
 
@@ -66,12 +65,12 @@ class _Square(NamedTuple):
         return self.distance > self.platform
 
 
-def _slope(square: _Square, angle: float, inverted: float) -> Heights:
-    rise: Heights = np.tan(angle) * (square.half - np.maximum(square.distance, square.platform))
+def _slope(square: _Square, angle: float, inverted: float) -> Column:
+    rise: Column = np.tan(angle) * (square.half - np.maximum(square.distance, square.platform))
     return -rise if inverted else rise
 
 
-def _stairs(square: _Square, height: float, tread: float, inverted: float) -> Heights:
+def _stairs(square: _Square, height: float, tread: float, inverted: float) -> Column:
     """Steps from the edge to the platform, which is reached by the last one."""
     into = square.half - np.maximum(square.distance, square.platform)
     # 1e-9: rounding must not take a step from a whole number of treads.
@@ -79,13 +78,13 @@ def _stairs(square: _Square, height: float, tread: float, inverted: float) -> He
     return (-height if inverted else height) * steps
 
 
-def _waves(square: _Square, height: float, length: float) -> Heights:
+def _waves(square: _Square, height: float, length: float) -> Column:
     # The sum of both cosines goes from -2 to 2, the height from 0 to `height`.
     along = np.cos(2.0 * np.pi * square.x / length) + np.cos(2.0 * np.pi * square.y / length)
     return height * (along + 2.0) / 4.0 * square.inside
 
 
-def _rough(square: _Square, height: float, grain: float) -> Heights:
+def _rough(square: _Square, height: float, grain: float) -> Column:
     """Random heights `grain` apart, with straight lines between them."""
     count = max(2, int(np.ceil(2.0 * square.half / grain)) + 1)
     values = square.random.random((count, count))
@@ -95,11 +94,11 @@ def _rough(square: _Square, height: float, grain: float) -> Heights:
     part = at - first
     along = values[:, first] * (1 - part) + values[:, first + 1] * part
     whole = along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None]
-    rough: Heights = height * whole * square.inside
+    rough: Column = height * whole * square.inside
     return rough
 
 
-def _blocks(square: _Square, height: float, side: float) -> Heights:
+def _blocks(square: _Square, height: float, side: float) -> Column:
     """Boxes of random height side by side."""
     count = max(1, int(np.ceil(2.0 * square.half / side)))
     values = square.random.random((count, count))
@@ -110,7 +109,7 @@ def _blocks(square: _Square, height: float, side: float) -> Heights:
     return np.where(is_inside, height * values[row, column], 0.0)
 
 
-def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> Heights:
+def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> Column:
     """Stones of one height, with gaps between them."""
     pitch = side + gap
     on_stone = np.ones(square.x.shape, bool)
@@ -121,7 +120,7 @@ def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> 
     return np.where(is_inside & ~on_stone, -depth, 0.0)
 
 
-def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Heights:
+def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Column:
     """Trenches around the platform, one after the other."""
     out = square.distance - square.platform
     # 1e-9: the near edge of a trench is ground, the far edge is part of the trench.
@@ -129,7 +128,7 @@ def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Height
     return np.where(in_gap & (square.half - square.distance >= TILE_MARGIN_M), -depth, 0.0)
 
 
-_SHAPES: Mapping[str, Callable[..., Heights]] = {
+_SHAPES: Mapping[str, Callable[..., Column]] = {
     "slope": _slope,
     "stairs": _stairs,
     "waves": _waves,
@@ -140,7 +139,7 @@ _SHAPES: Mapping[str, Callable[..., Heights]] = {
 }
 
 
-def tile_heights(tiles: Tiles, kind: int, level: int) -> Heights:
+def tile_heights(tiles: Tiles, kind: int, level: int) -> Column:
     """Heights (m) of one tile; shape (n, n), rows along y and columns along x."""
     tile = tiles.tiles[kind]
     share = level / max(1, tiles.levels - 1)
@@ -155,7 +154,7 @@ def tile_heights(tiles: Tiles, kind: int, level: int) -> Heights:
     return _SHAPES[tile.kind](square, **measures)
 
 
-def tile_terrain_heights(tiles: Tiles) -> Heights:
+def tile_terrain_heights(tiles: Tiles) -> Column:
     """Heights (m) of the whole terrain: kinds side by side along x, levels along y, and a flat border."""
     cells, border = round(tiles.side / tiles.cell), round(tiles.border / tiles.cell)
     rows, columns = (count * cells + 2 * border + 1 for count in (tiles.levels, len(tiles.tiles)))
