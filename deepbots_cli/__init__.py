@@ -22,8 +22,7 @@ port.py             the interface of engines
 engine_kinds.py     the names of engines and their requirements
 frames.py           rotations and frames
 footprint.py        footprints, link frames, bounding boxes
-geometry.py         terrain and meshes at simulation time
-tiles.py            heights of a terrain of tiles
+geometry.py         terrain, also of tiles, and meshes at simulation time
 arrays.py           expressions over arrays
 api.py              from scenario to environment
 envs.py             shipped scenarios for Gymnasium

@@ -3,8 +3,7 @@
 `Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and
 sensors to the facts that they measure. It says what a value depends on.
 
-analysis.py    what a value is defined by and depends on
-identities.py  which values are the same quantity
+analysis.py    what a value is defined by and depends on; which values are the same quantity
 ranges.py      the interval of a value, in any step and right after a reset; intervals as text
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
 deployment.py  the readings of the world that a policy needs on a real robot

@@ -1,4 +1,4 @@
-"""The analysis of a program: definitions, sensors and what a value depends on."""
+"""The analysis of a program: definitions, sensors, dependencies, and equal quantities."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import cast
 from weakref import proxy
 
 from deepbots_cli.analysis.conditions import shadowed_endings
-from deepbots_cli.analysis.identities import Identities
 from deepbots_cli.analysis.ranges import Ranges, StartRanges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
-from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import (
     ComponentSelection,
@@ -441,3 +440,44 @@ def _reads_in(node: TypedNode) -> Iterator[TypedNode]:
         case _:
             for part in typed_parts(node):
                 yield from _reads_in(part)
+
+
+class Identities:
+    """Numbers the quantities of a program."""
+
+    def __init__(self, analysis: Analysis) -> None:
+        self._analysis = analysis
+        self._identities: dict[int, tuple[Scalar, int]] = {}
+        self._numbers: dict[tuple[object, ...], int] = {}
+
+    def of(self, node: Scalar) -> int:
+        """Return a number that two trees share if they mean the same quantity."""
+        cached = self._identities.get(id(node))
+        if cached is None:
+            # The tree is kept, so that no other tree gets its id.
+            cached = self._identities[id(node)] = (node, self._identity(node))
+        return cached[1]
+
+    def _identity(self, node: Scalar) -> int:
+        match node:
+            case Name():
+                meaning = self._analysis.resolve_aliases(node)
+                return (
+                    self._number("name", meaning.name, meaning.component)
+                    if isinstance(meaning, Name)
+                    else self.of(meaning)
+                )
+            case Const(value):
+                return self._number("const", value)
+            case EngineRead(function, subjects, component):
+                return self._number("world", function, subjects, component)
+            case Op(op, args):
+                return self._number(op, *map(self.of, args))
+            # Two calls with the same arguments have the same value, so the slot is left out.
+            case State(function, args, _):
+                return self._number(function, *map(self.of, args))
+            case Draw(_, _, stream):
+                return self._number("draw", stream)
+
+    def _number(self, *key: object) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))

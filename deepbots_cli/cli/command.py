@@ -156,7 +156,7 @@ def _whole(text: str) -> int | None:
     try:
         return int(text)
     except ValueError:
-        from deepbots_cli.scenario.fields.numbers import count_replacement
+        from deepbots_cli.scenario.fields.quantities import count_replacement
 
         replacement = count_replacement(text)
     try:
@@ -202,7 +202,7 @@ def names(texts: Sequence[str] | None) -> tuple[str, ...]:
 
 def fraction(text: str) -> float:
     """Parse a number from 0 to 1, written as `0.8` or `80%`."""
-    from deepbots_cli.scenario.fields.numbers import read_fraction
+    from deepbots_cli.scenario.fields.quantities import read_fraction
 
     try:
         value = read_fraction(text)

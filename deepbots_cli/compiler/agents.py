@@ -23,7 +23,7 @@ from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
 from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
-from deepbots_cli.scenario.fields.words import choices_help
+from deepbots_cli.scenario.fields.names import choices_help
 from deepbots_cli.scenario.validate import validate
 
 AGENTS = "agents"

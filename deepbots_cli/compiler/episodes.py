@@ -52,9 +52,9 @@ from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.episode import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.episode import JointState
 from deepbots_cli.scenario.episode import Truncation as TruncationSpec
+from deepbots_cli.scenario.fields.names import choices_help
 from deepbots_cli.scenario.fields.quantities import Quantity
 from deepbots_cli.scenario.fields.training import read_until
-from deepbots_cli.scenario.fields.words import choices_help
 from deepbots_cli.scenario.robots import Route as RouteSpec
 
 _PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})

@@ -16,7 +16,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.draws import EpisodeDraw
 from deepbots_cli.program.levels import LIMITS, SUCCESS, Levels
 from deepbots_cli.program.values import Expression
-from deepbots_cli.scenario import curriculum as curriculum_spec
+from deepbots_cli.scenario.training import Levels as LevelsSpec
 
 _TOLERANCE = 1e-9
 """The tolerance for whole numbers, and for values beyond their interval, as a share of the interval."""
@@ -30,7 +30,7 @@ def levels(namespace: Namespace, program: Program) -> Levels | None:
 
 
 class _LevelsReader(NamespaceReader):
-    def __init__(self, namespace: Namespace, program: Program, spec: curriculum_spec.Levels) -> None:
+    def __init__(self, namespace: Namespace, program: Program, spec: LevelsSpec) -> None:
         super().__init__(namespace)
         self._program = program
         self._levels = spec

@@ -51,7 +51,7 @@ from deepbots_cli.program.task import (
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
 from deepbots_cli.scenario.agent import AgentOfSeveral
-from deepbots_cli.scenario.fields.words import choices_help
+from deepbots_cli.scenario.fields.names import choices_help
 
 Named = TypeVar("Named", Robot, RobotBody)
 

@@ -3,8 +3,7 @@ kinematics.
 
 Inverse kinematics (`Chain`) follows the rule of Levenberg and Marquardt on the error of position (m) and
 attitude (rad, counted as `METERS_PER_RAD` m each): a step is (J^T J + c 1)^-1 J^T e, and c falls after steps
-that help and grows after
-steps that do not.
+that help and grows after steps that do not.
 """
 
 from __future__ import annotations

@@ -3,14 +3,11 @@
 training.py              train and resume: joins all of the below
 training_loop.py         a training from its last checkpoint to its end
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
-active.py                the parts of a training that runs in this process
-callbacks.py             the callback of a training, and when to stop
-training_evaluations.py  the evaluations of a training, and the choice of its best model
-confirmations.py         the confirmations of a training
+callbacks.py             the callback of a training, when to stop, and the scalars that it logs
+training_evaluations.py  the evaluations of a training, their confirmations, and the choice of its best model
 checkpoints.py           the whole state of a training, from which it continues to the bit
 checkpoint_files.py      the files of a checkpoint, and their valid content
 model_files.py           the files of models: their archive, and the steps after which they were saved
-scalars.py               the scalars that a training logs
 report.py                the progress of a training and of a group
 signals.py               Ctrl-C and SIGTERM
 

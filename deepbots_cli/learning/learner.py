@@ -41,9 +41,8 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.runs.records import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
-    from deepbots_cli.learning.teaching.demonstrations import Demonstrations
     from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-    from deepbots_cli.learning.teaching.teacher import Plan
+    from deepbots_cli.learning.teaching.teacher import Demonstrations, Plan
 
 # By whether the algorithm is on-policy; imported when it is used.
 _SB3_LEARNERS = {

@@ -44,8 +44,8 @@ from deepbots_cli.learning.runs.records import (
 )
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER, ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
-from deepbots_cli.learning.teaching.demonstrations import demonstrate, read_recording
 from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher, copy_teacher
+from deepbots_cli.learning.teaching.teacher import demonstrate, read_recording
 from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
 from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity

@@ -16,11 +16,9 @@ from deepbots_cli.errors import DeepbotsError, PluginError, RunError, StorageErr
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
-from deepbots_cli.learning.active import ActiveTraining
 from deepbots_cli.learning.callbacks import OnEvaluation, TrainingCallback
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
-from deepbots_cli.learning.confirmations import Confirmed
 from deepbots_cli.learning.environments import WorldFactory, stepping_text
 from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import Executor
@@ -44,10 +42,9 @@ from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.signals import signals_handled
-from deepbots_cli.learning.teaching.demonstrations import Demonstrations, demonstrate
 from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-from deepbots_cli.learning.teaching.teacher import Teaching
-from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE
+from deepbots_cli.learning.teaching.teacher import Demonstrations, Teaching, demonstrate
+from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE, ActiveTraining, Confirmed
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout import Episode

@@ -30,19 +30,25 @@ from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, ValueType
-from deepbots_cli.lsp.choices import Choice, unique
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.hover import describe_function, describe_key, describe_shape, describe_symbol, summary
-from deepbots_cli.lsp.lookup import ignore_finding, section_of, shapes_at
+from deepbots_cli.lsp.lookup import (
+    VALUE_ON_BOARD,
+    Choice,
+    defines,
+    ignore_finding,
+    names_in_text,
+    section_of,
+    shapes_at,
+    unique,
+)
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
-from deepbots_cli.lsp.written_names import VALUE_ON_BOARD, defines, names_in_text
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, section_fields
 from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
+from deepbots_cli.scenario.fields.names import COLORS, ColorValue, FilePath, Flag, Pattern, Reference, Word
 from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Expression, Quantity, Range
-from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Flag, Word
 from deepbots_cli.scenario.scenario import VERSION
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")

@@ -1,17 +1,20 @@
 """Look-ups by path and cursor: the shapes that the schema allows; the expression, key or value under the
-cursor and its definition; document symbols."""
+cursor and its definition; document symbols; names that the current text defines, and choices of a
+completion.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from lsprotocol import types
+from lsprotocol.types import CompletionItemKind
 
-from deepbots_cli.compiler.inventory import definition, names_at
+from deepbots_cli.compiler.inventory import action_at, definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ScopedExpression
@@ -26,18 +29,84 @@ from deepbots_cli.expressions.types import Kind, ValueType, walk
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
-from deepbots_cli.scenario.base import (
-    Forms,
-    Kinds,
-    ListOf,
-    MappingOf,
-    Section,
-    Shape,
-    section_fields,
-)
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
 from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import FilePath, Pattern, Reference
+from deepbots_cli.scenario.fields.names import REFERENCE_KINDS, FilePath, Pattern, Reference, ReferenceKind
 from deepbots_cli.scenario.scenario import Scenario
+
+
+class Choice(NamedTuple):
+    """A completion: its text, what it is in a few words (`detail`), and its documentation in Markdown."""
+
+    text: str
+    kind: CompletionItemKind
+    detail: str
+    doc: str = ""
+
+
+def unique(choices: Iterable[Choice]) -> Iterable[Choice]:
+    """Return the first choice of each text."""
+    first: dict[str, Choice] = {}
+    for choice in choices:
+        first.setdefault(choice.text, choice)
+    return first.values()
+
+
+VALUE_ON_BOARD = "value on board"
+"""The kind of the names in expressions of a robot controller, beside those of `REFERENCE_KINDS`."""
+_ON_BOARD = ReferenceKind({("parameters",): "a parameter", ("action",): "an action"}, ("sensors", "receive"))
+_WRITTEN_PARTS = ("sensors", "actuators", "receive")
+"""The sections of a robot whose keys are names, not names or patterns of parts of its file."""
+
+
+def names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
+    """Yield the names in `data` that a reference of this kind may name at `path`."""
+    for section in _section_paths(kind, path):
+        value = value_at(data, section)
+        if isinstance(value, dict):
+            yield from (name for name in value if not defines(path, name))
+        elif isinstance(value, list):
+            names = (value_at(item, ("name",)) for item in value)
+            yield from (name for name in names if isinstance(name, str) and name)
+    if kind == "value":
+        yield from _sent(data)
+    if kind == "message field":
+        yield from (name for name in _sent(data) if not name.startswith(f"{path[1]}."))
+    if kind == "letter":
+        cells = dict.fromkeys(str(value_at(data, (*path[:3], "map"))).split())
+        yield from (letter for letter in cells if letter != ".")
+
+
+def defines(path: NodePath, name: str) -> bool:
+    """Return whether `path` is the definition of the name, which cannot refer to itself."""
+    return path[:-1] in REFERENCE_KINDS["value"].sections and path[-1] == name
+
+
+def _sent(data: Any) -> Iterator[str]:
+    """Yield the full names of what robots send."""
+    robots = value_at(data, ("robots",))
+    for robot in robots if isinstance(robots, dict) else ():
+        sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
+        if isinstance(sent, (dict, list)):
+            yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
+
+
+def _section_paths(kind: str, path: NodePath) -> Iterator[NodePath]:
+    if kind in ("choice", "option"):
+        if action := action_at(path):
+            yield ("action", action, "choices")
+        return
+    if kind == "value" and path[:1] == ("observation",):
+        yield ("augment",)
+        return
+    reference = _ON_BOARD if kind == VALUE_ON_BOARD else REFERENCE_KINDS[kind]
+    robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
+    if robot:
+        yield from ((*robot, part) for part in reference.parts if part in _WRITTEN_PARTS)
+    yield from reference.sections
+    if path[:1] == ("agents",) and len(path) > 1:
+        yield from ((*path[:2], *section) for section in reference.sections)
+
 
 _OPTION = Reference("option")
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")

@@ -1,8 +1,6 @@
 """Comparison of programs: canonical JSON with digests, the interfaces of agents, item by item, and the
 values that a value is made of.
 
-Comparison of programs: canonical JSON with digests, and the interfaces of agents, item by item.
-
 Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose
 key `is` holds the class name. Texts and places in files are left out: an expression is written as its name
 and its scalar trees, a file as its suffix and the digest of its content. The JSON is written and never read

@@ -103,7 +103,7 @@ class Tile:
 class Tiles:
     """Square tiles around the origin: kinds along x, levels along y, with a flat `border`; lengths in m.
 
-    `side` and `border` are multiples of `cell`, the distance between heights. `deepbots_cli.tiles` has the
+    `side` and `border` are multiples of `cell`, the distance between heights. `deepbots_cli.geometry` has the
     shapes.
     """
 

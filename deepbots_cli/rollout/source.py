@@ -1,8 +1,6 @@
 """The one place that resolves a name, path or object to a scenario: `Source.open`; and hints about a path
 that is not one.
 
-The one place that resolves a name, path or object to a scenario: `Source.open`.
-
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
     runs/cartpole-seeds-1                    a group of runs: a folder with group.json

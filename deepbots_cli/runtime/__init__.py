@@ -19,9 +19,8 @@ actuation.py    actuators that are more than a motor of the engine, and pushes
 sensing.py      sensors that are sampled once per tick, with their faults
 readers.py      the measurement of each kind of sensor
 batch.py        base of the generated supervisor of a batch; the batch as a vector environment
-batch_parts.py  the controllers, channels and calls of a batch
+batch_parts.py  the parts of a batch: calls, channels, controllers, sensors
 columns.py      the functions of a batch
-devices.py      the sensors of a batch
 
 Nothing here reads YAML, or depends on an engine beyond the port.
 """

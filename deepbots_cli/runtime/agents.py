@@ -4,7 +4,7 @@ for all of them.
 One generated supervisor steps the world. Its action and its observation are those of all agents in a row
 (`program/members.py`); a `Seat` has the part of one agent.
 
-A batch of worlds of several agents, as one of them has it: the others act by themselves.
+In a batch, one agent acts on the worlds and the others act by themselves.
 """
 
 from __future__ import annotations

@@ -5,8 +5,6 @@ Each world of a batch is a single world with its supervisor, which resets it. Ge
 computes each step over columns, arrays with one number per world. When an episode begins, the batch copies
 the state of the single world into the columns: memories of functions, drawn parameters, readings. A function
 without a form over columns is called in each single world in turn (`PerWorldCall`).
-
-A batch of worlds as a vector environment of Gymnasium.
 """
 
 from __future__ import annotations

@@ -1,10 +1,5 @@
 """The end of an episode: of the task, of one of several agents, by a limit, by a function of a user's Python
 module, or by a failure; in one world, and as columns in a batch.
-
-Reward terms and endings that are functions of a user's Python module.
-
-The end of an episode: of the task, of one of several agents, or by a limit; in one world, and as columns
-in a batch.
 """
 
 from __future__ import annotations

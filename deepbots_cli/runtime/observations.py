@@ -1,8 +1,5 @@
 """The observations of policies while an episode runs: frames in a ring, stacks of pictures, goals; in one
 world, as columns in a batch, and from named values without a world.
-
-The observation of a policy from named values in SI units, without a world, as an environment computes it
-in each step.
 """
 
 from __future__ import annotations

@@ -9,8 +9,7 @@ search.py         the search spaces of `tune`
 world.py          the sections of the world
 sensors.py        the sections of sensors
 actuators.py      the sections of actuators
-curriculum.py     the sections of a curriculum: stages, levels
-training.py       the sections of training
+training.py       the sections of training and of its curriculum: stages, levels
 agent.py          what an agent does, sees and is rewarded for; several agents
 robots.py         robots and their messages
 episode.py        how an episode begins, is disturbed and ends

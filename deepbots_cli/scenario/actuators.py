@@ -36,7 +36,7 @@ from deepbots_cli.scenario.base import (
     kind_parameters,
 )
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import JointName, JointNames, LinkName, LinkNames, Pattern
+from deepbots_cli.scenario.fields.names import JointName, JointNames, LinkName, LinkNames, Pattern, PlainText
 from deepbots_cli.scenario.fields.quantities import (
     Length,
     Quantity,
@@ -44,7 +44,6 @@ from deepbots_cli.scenario.fields.quantities import (
     RandomizableFactor,
     Range,
 )
-from deepbots_cli.scenario.fields.words import PlainText
 
 MaxTorque = Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0)]
 Stiffness = Annotated[Scalar, Quantity("stiffness", known="episode", minimum=0)]

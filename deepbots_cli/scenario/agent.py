@@ -4,11 +4,9 @@ from typing import Annotated, ClassVar
 
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import LocalName, Reference, SharedName
-from deepbots_cli.scenario.fields.numbers import SmallInt
-from deepbots_cli.scenario.fields.quantities import Expression, Quantity, Range, Signal
+from deepbots_cli.scenario.fields.names import Bool, LocalName, Reference, SharedName, Text
+from deepbots_cli.scenario.fields.quantities import Expression, Quantity, Range, Signal, SmallInt
 from deepbots_cli.scenario.fields.training import Solved
-from deepbots_cli.scenario.fields.words import Bool, Text
 from deepbots_cli.scenario.training import AnyTraining
 
 PYTHON_PATH = Text(

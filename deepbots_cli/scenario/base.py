@@ -36,9 +36,8 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields.base import FieldType, error, error_at, mismatch, with_article
-from deepbots_cli.scenario.fields.numbers import Number, WholeNumber
-from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Quantity, Range
-from deepbots_cli.scenario.fields.words import Flag, Text, Word, choices_help, word_replacement
+from deepbots_cli.scenario.fields.names import Flag, Text, Word, choices_help, word_replacement
+from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Number, Quantity, Range, WholeNumber
 from deepbots_cli.scenario.synonyms import key_for
 from deepbots_cli.words import counted
 

@@ -5,10 +5,17 @@ from typing import Annotated, ClassVar
 from deepbots_cli.scenario.agent import AgentNames, Condition
 from deepbots_cli.scenario.base import FORMS, KeyCount, Section, Size
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import BodyName, Reference, SharedName
-from deepbots_cli.scenario.fields.numbers import PositiveInt, WholeNumber
-from deepbots_cli.scenario.fields.quantities import Expression, Length, Quantity, Range, Share, Thickness
-from deepbots_cli.scenario.fields.words import PlainText
+from deepbots_cli.scenario.fields.names import BodyName, PlainText, Reference, SharedName
+from deepbots_cli.scenario.fields.quantities import (
+    Expression,
+    Length,
+    PositiveInt,
+    Quantity,
+    Range,
+    Share,
+    Thickness,
+    WholeNumber,
+)
 from deepbots_cli.scenario.world import Pose
 
 

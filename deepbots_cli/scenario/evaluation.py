@@ -4,13 +4,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from deepbots_cli.scenario.agent import AgentName, Choice
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size
-from deepbots_cli.scenario.curriculum import EndingNames, Settings
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import LocalName, Reference
-from deepbots_cli.scenario.fields.numbers import PositiveInt, WholeNumber
-from deepbots_cli.scenario.fields.quantities import Bounds, Expression, Quantity
-from deepbots_cli.scenario.fields.words import Bool
+from deepbots_cli.scenario.fields.names import Bool, LocalName, Reference
+from deepbots_cli.scenario.fields.quantities import Bounds, Expression, PositiveInt, Quantity, WholeNumber
 from deepbots_cli.scenario.search import SearchField
+from deepbots_cli.scenario.training import EndingNames, Settings
 
 
 class Case(Section):

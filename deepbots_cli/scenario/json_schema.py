@@ -44,9 +44,8 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
 from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import FilePath, Name, Pattern, Reference
+from deepbots_cli.scenario.fields.names import COLORS, ColorValue, FilePath, Name, Pattern, Reference, Word
 from deepbots_cli.scenario.fields.quantities import Expression, Range
-from deepbots_cli.scenario.fields.words import COLORS, ColorValue, Word
 from deepbots_cli.scenario.robots import Robot
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 

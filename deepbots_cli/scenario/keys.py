@@ -35,7 +35,7 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.documentation import example_of, key_description
 from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.words import Word
+from deepbots_cli.scenario.fields.names import Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 from deepbots_cli.scenario.walk import shape_at, walk_sections

@@ -8,7 +8,15 @@ from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import FilePath, JointPattern, LocalName, Pattern, Reference
+from deepbots_cli.scenario.fields.names import (
+    Color,
+    FilePath,
+    JointPattern,
+    LocalName,
+    Pattern,
+    Reference,
+    Word,
+)
 from deepbots_cli.scenario.fields.quantities import (
     Expression,
     Quantity,
@@ -17,7 +25,6 @@ from deepbots_cli.scenario.fields.quantities import (
     RandomizableShare,
     Range,
 )
-from deepbots_cli.scenario.fields.words import Color, Word
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.world import Pose
 

@@ -21,17 +21,22 @@ from deepbots_cli.scenario.agent import (
     Script,
 )
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
-from deepbots_cli.scenario.curriculum import Levels, Stage
 from deepbots_cli.scenario.episode import Disturbance, Reset, Termination, Truncation
 from deepbots_cli.scenario.evaluation import Evaluation, ScenarioTest, Tune
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import FilePath, LocalName, Reference, SharedName
-from deepbots_cli.scenario.fields.numbers import PositiveInt
-from deepbots_cli.scenario.fields.quantities import Expression, Signal
+from deepbots_cli.scenario.fields.names import (
+    FilePath,
+    LocalName,
+    PlainText,
+    Reference,
+    SharedName,
+    Text,
+    Word,
+)
+from deepbots_cli.scenario.fields.quantities import Expression, PositiveInt, Signal
 from deepbots_cli.scenario.fields.training import Solved
-from deepbots_cli.scenario.fields.words import PlainText, Text, Word
 from deepbots_cli.scenario.robots import Messages, Robot
-from deepbots_cli.scenario.training import AnyTraining
+from deepbots_cli.scenario.training import AnyTraining, Levels, Stage
 from deepbots_cli.scenario.walk import visit_values
 from deepbots_cli.scenario.world import AnyObject, World
 

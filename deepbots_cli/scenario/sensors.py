@@ -47,11 +47,17 @@ from deepbots_cli.scenario.fields.names import (
     LinkName,
     LinkNames,
     LocalName,
+    PlainText,
     Reference,
 )
-from deepbots_cli.scenario.fields.numbers import WholeNumber
-from deepbots_cli.scenario.fields.quantities import Column, Quantity, RandomizableDelay, Range, Timestep
-from deepbots_cli.scenario.fields.words import PlainText
+from deepbots_cli.scenario.fields.quantities import (
+    Column,
+    Quantity,
+    RandomizableDelay,
+    Range,
+    Timestep,
+    WholeNumber,
+)
 from deepbots_cli.scenario.world import SensorFrame
 
 _READERS = "deepbots_cli.runtime.readers"

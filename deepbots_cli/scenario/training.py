@@ -1,22 +1,25 @@
-"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3
-and sb3-contrib.
+"""Training of the policy, and its curriculum: stages for all worlds, or a level for each world.
 
-A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
+Each algorithm has one model, whose hyperparameters have the names of Stable-Baselines3 and sb3-contrib. A test
+compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
 `SET_ELSEWHERE_HELP` has the places where they are set instead.
 """
 
+from __future__ import annotations
+
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
 from deepbots_cli.plugins import PluginTable
-from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model, kind_of
+from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, Size, check_kind_model, kind_of
 from deepbots_cli.scenario.fields.base import Scalar, error
-from deepbots_cli.scenario.fields.numbers import Fraction, Number, PositiveInt, WholeNumber
-from deepbots_cli.scenario.fields.training import Schedule
-from deepbots_cli.scenario.fields.words import Bool, PlainText, Text
+from deepbots_cli.scenario.fields.names import Bool, LocalName, PlainText, Reference, Text
+from deepbots_cli.scenario.fields.quantities import Bounds, Fraction, Number, PositiveInt, Range, WholeNumber
+from deepbots_cli.scenario.fields.training import Schedule, Setting, Until
 
 MAX_SHARDS = 256
 AUTO = "auto"
@@ -493,3 +496,63 @@ _GONE = {
 AnyTraining = Annotated[
     Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO, gone=_GONE)
 ]
+
+
+MAX_LEVELS = 100
+
+EndingName = Annotated[str, Reference("ending")]
+EndingNames = Annotated[Annotated[Many[EndingName], Size(1, "ending")] | EndingName, FORMS]
+
+
+@dataclass(frozen=True)
+class FirstLevels(Bounds):
+    """A level, or the lowest and the highest of several."""
+
+    noun = "a level or a range of levels"
+    example = "0 .. 2"
+
+
+Settings = dict[
+    Annotated[str, Reference("setting")],
+    Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()],
+]
+
+
+class Stage(Section):
+    """A stage of the curriculum."""
+
+    name: LocalName
+    """Name of the stage."""
+    set: Settings = {}
+    """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
+    until: Annotated[str, Until()] | None = None
+    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7
+    in evaluation` (without exploration), or `50_000 steps` (of this stage). `mean_return` can replace
+    `success_rate`."""
+
+
+class Levels(Section):
+    """A level for each world of a training, from 0, the easiest, up. A world is one level higher or lower
+    after an episode, by how the episode ended."""
+
+    set: Annotated[
+        dict[Annotated[str, Reference("parameter")], Annotated[str, Range("any")]], Size(1, "parameter")
+    ]
+    """Parameters, each with its value in the lowest and in the highest level, such as `0 .. 9`. The levels
+    divide the range evenly. The scenario draws the parameter at random, such as `integer(0 .. 9)`: an
+    evaluation has all levels."""
+    levels: Annotated[int, WholeNumber(2, MAX_LEVELS)]
+    """Number of levels."""
+    per_world: Annotated[str, Reference("parameter")] | None = None
+    """A parameter that has one value in each world for the whole training, such as the kind of a tile: hard
+    kinds do not hold back easy ones. The scenario draws it from whole numbers or choices, such as
+    `integer(0 .. 5)`, and the worlds have these values in turn. Default: each episode draws it."""
+    start: Annotated[Scalar, FirstLevels()] = 0
+    """The level in which each world begins, or a range that the worlds divide evenly, such as `0 .. 2`."""
+    up: EndingNames
+    """Endings after which the next episode of the world is one level higher: names of endings and limits, or
+    `success`, `failure`, `termination`, `truncation` for all of them."""
+    down: EndingNames | None = None
+    """Endings after which it is one level lower. After all other endings the level stays. Default: none."""
+    at_top: Literal["stay", "random"] = "stay"
+    """The level after `up` in the highest one. `stay`: the same. `random`: one of all levels, at random."""

@@ -8,8 +8,16 @@ from pydantic import Field
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.scenario.base import KeyCount, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import FilePath, LocalName, MeshFile, SharedName
-from deepbots_cli.scenario.fields.numbers import WholeNumber
+from deepbots_cli.scenario.fields.names import (
+    Bool,
+    Color,
+    FilePath,
+    LocalName,
+    MeshFile,
+    PlainText,
+    SharedName,
+    Word,
+)
 from deepbots_cli.scenario.fields.quantities import (
     Area,
     Expression,
@@ -25,8 +33,8 @@ from deepbots_cli.scenario.fields.quantities import (
     Share,
     Thickness,
     Timestep,
+    WholeNumber,
 )
-from deepbots_cli.scenario.fields.words import Bool, Color, PlainText, Word
 
 
 class Ground(Section):

@@ -2,8 +2,7 @@
 plots of trainings.
 
 frames.py           the drawn values of an environment at one moment, read by the engine port
-episodes.py         the opened source, the driver, and the frames of an episode
-batch.py            a batch of worlds, of which one is shown
+episodes.py         the opened source, the driver, and the frames of an episode, of one world or a batch
 players.py          the choice of the player for a source
 scene.py            the world in viser's scene, and the cameras of the browsers
 manual_input.py     driving by keys, gamepad, buttons and sliders
@@ -12,12 +11,10 @@ server.py           viser's web server behind checks
 viser_internals.py  the private members of viser that deepbots uses
 page.py             the page, its reloads, and the loop that steps and draws
 playback.py         the worlds of the page in time: players, episodes, steps
-panel.py            the panel of the page and its tabs
-panel_html.py       the tables and notices of the panel
+panel.py            the panel of the page, its tabs, tables and notices
 pictures.py         PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py       episodes as MCAP files, written and read
-logs.py             playing the log of a robot
-replay.py           playing a recording, and running it again to compare
+replay.py           playing a recording, running it again to compare, and playing the log of a robot
 trajectories.py     the moving parts of an episode, and their paths
 training_logs.py    the logs of trainings as curves
 plots.py            the plots of these curves

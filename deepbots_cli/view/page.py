@@ -24,10 +24,10 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
-from deepbots_cli.view import access, panel_html, server
+from deepbots_cli.view import access, server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.manual_input import ManualInput, turns_left
-from deepbots_cli.view.panel import Panel, set_theme
+from deepbots_cli.view.panel import Panel, notice, set_theme
 from deepbots_cli.view.playback import MAX_STEPPING_S, Playback, ShownWorld
 from deepbots_cli.view.players import open_player
 from deepbots_cli.view.recordings import DrivenEpisodes
@@ -346,7 +346,7 @@ class Page:
         self.playback.stop(title, text)
         if self.player is None:
             self._clear()
-            self.banner = self.server.gui.add_html(panel_html.notice(title, text, "#D55E00"))
+            self.banner = self.server.gui.add_html(notice(title, text, "#D55E00"))
         else:
             self.panel.update_texts()
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout.drivers import HAND, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
-from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import Player
+from deepbots_cli.view.episodes import BatchPlayer, Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.players import open_player

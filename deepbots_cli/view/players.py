@@ -7,10 +7,8 @@ from contextlib import closing
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.robot_logs import RobotLog
-from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import Player, Showing, ShowingState
-from deepbots_cli.view.logs import LogPlayer
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.episodes import BatchPlayer, Player, Showing, ShowingState
+from deepbots_cli.view.replay import LogPlayer, ReplayPlayer
 
 
 def open_player(opened: ShowingState, driver: str | None = None) -> Player:

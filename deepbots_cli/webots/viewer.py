@@ -20,9 +20,9 @@ from deepbots_cli import frames
 from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
-from deepbots_cli.view import panel_html, server
+from deepbots_cli.view import server
 from deepbots_cli.view.manual_input import RELEASE_TIMEOUT_S
-from deepbots_cli.view.panel import set_theme
+from deepbots_cli.view.panel import heading, hint, notice, set_theme
 from deepbots_cli.view.scene import (
     MAX_CELLS,
     add_shape,
@@ -233,7 +233,7 @@ class Viewer:
                 "restart", hint="end all controllers, read the files again, and start again"
             )
             restart.on_click(lambda _: pace.restart())
-        gui.add_html(panel_html.hint("Keys that you press on this page are those of each Keyboard."))
+        gui.add_html(hint("Keys that you press on this page are those of each Keyboard."))
         self._output = gui.add_html("")
         self._speed, self._since = 0.0, (time.monotonic(), self._simulation.ticks)
 
@@ -245,13 +245,13 @@ class Viewer:
             self._speed = (simulation.ticks - self._since[1]) / 1000 / seconds
             self._since = now, simulation.ticks
         speed = f"{self._speed:.2g} times real time" if state == "running" else ""
-        self._state.content = panel_html.notice(
+        self._state.content = notice(
             state, f"{simulation.time / 1000:.3f} s of simulated time<br>{speed}", "#0072B2"
         )
         printed = list(self._lines.items())
         output = "".join(_lines_of(name, list(lines)) for name, lines in printed[:_MAX_ROBOTS])
         if len(printed) > _MAX_ROBOTS:
-            output += panel_html.hint(f"and {len(printed) - _MAX_ROBOTS} more robots")
+            output += hint(f"and {len(printed) - _MAX_ROBOTS} more robots")
         if output != self._output.content:
             self._output.content = output
 
@@ -286,4 +286,4 @@ def _lines_of(robot: str, lines: list[str]) -> str:
     """Return the lines that the controller of a robot printed, as HTML."""
     style = "margin:0 1.2em;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.75em"
     text = html.escape("\n".join(lines))
-    return f"{panel_html.heading(robot)}<pre style='{style}'>{text}</pre>"
+    return f"{heading(robot)}<pre style='{style}'>{text}</pre>"

@@ -18,7 +18,7 @@ from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
 from deepbots_cli.learning.held_out import EvaluationWorlds
-from deepbots_cli.learning.sb3.environment import CollectorEnvironment
+from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.batch_worlds import BatchWorlds

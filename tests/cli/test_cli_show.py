@@ -38,7 +38,7 @@ from deepbots_cli.program.identity import digest
 from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view import panel_html
+from deepbots_cli.view.panel import agent_rows, message_rows
 from deepbots_cli.view.episodes import Player, Showing
 from tests.commands import Deepbots, Ran
 from tests.few import few
@@ -576,8 +576,8 @@ def test_the_page_of_view_shows_degrees_and_centimeters_where_the_file_writes_th
     with closing(Player(Showing(str(walker)).open(), ZERO)) as player:
         frame = player.begin(0, 0)
         layout = player.reader.layout
-        rows = "".join(panel_html.agent_rows(layout, frame.agents["agent"]))
-        messages = "".join(panel_html.message_rows(layout, frame, ()))
+        rows = "".join(agent_rows(layout, frame.agents["agent"]))
+        messages = "".join(message_rows(layout, frame, ()))
     assert " rad" not in rows + messages
     assert "title='-20 deg .. 20 deg'" in rows
     assert "title='-40 cm .. 40 cm'" in rows

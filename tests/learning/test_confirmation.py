@@ -39,7 +39,7 @@ from deepbots_cli.learning import (
     training_evaluations,
 )
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.confirmations import CONFIRMATION_PART
+from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.confirmation_rule import (

@@ -36,7 +36,7 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.overview import overview
 from deepbots_cli.view import plots, training_logs, trajectories
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.panel_html import training_rows
+from deepbots_cli.view.panel import training_rows
 from deepbots_cli.view.pictures import (
     PaintedPath,
     Viewpoint,

@@ -44,7 +44,8 @@ from deepbots_cli.program.world import (
 )
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.tiles import heights, tile_heights
+from deepbots_cli.geometry import tile_terrain_heights
+from deepbots_cli.geometry import tile_heights
 from tests.worlds import Make
 
 PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
@@ -411,7 +412,7 @@ def test_stones_and_gaps_have_their_widths() -> None:
 def test_kinds_stand_along_x_and_levels_along_y() -> None:
     kinds = tuple(Tile(kind, tuple((name, *ends) for name, ends in KINDS[kind].items())) for kind in KINDS)
     terrain = Tiles(kinds, LEVELS, SIDE, 2.0, PLATFORM, CELL, 3)
-    whole = heights(terrain)
+    whole = tile_terrain_heights(terrain)
     assert (whole.shape, terrain.size) == ((5 * 80 + 41, 7 * 80 + 41), (60.0, 44.0))
     assert np.array_equal(whole[20 + 160 : 20 + 241, 20 + 80 : 20 + 161], tile_heights(terrain, 1, 2))
 

@@ -6,14 +6,11 @@ internals.py     the private members of the library that deepbots uses
 algorithms.py    algorithms created for a scenario
 schedules.py     hyperparameters and noise that change during a training
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
-environment.py   the worlds of a collector as a vector environment
-rollouts.py      the actor of on-policy algorithms, and rollout buffers filled from fragments
+rollouts.py      actors and their buffers; the worlds of a collector as a vector environment
 imitation.py     the imitation loss of on-policy algorithms with a teacher
 models.py        models as zip files of the library, read without unpickling
 state.py         the state in a checkpoint beside the model
-asymmetric.py    policies whose critic sees more
-symmetry.py      experience and its mirror image
-networks.py      the layers of a policy, and the values of its critic
+networks.py      the layers of a policy, the values of its critic; mirror images of experience
 logs.py          scalars for TensorBoard and other loggers
 plugins.py       callbacks and loggers of other packages
 """

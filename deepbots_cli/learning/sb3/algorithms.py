@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import limits
 from deepbots_cli.learning.sb3 import defaults, internals
-from deepbots_cli.learning.sb3.asymmetric import asymmetric
+from deepbots_cli.learning.sb3.networks import asymmetric
 from deepbots_cli.learning.sb3.schedules import DecayingNoise, value_of
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ACTIVATIONS, Training

@@ -32,8 +32,6 @@ from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, internals, models, networks, rollouts, state
-from deepbots_cli.learning.sb3.asymmetric import widened
-from deepbots_cli.learning.sb3.environment import CollectorEnvironment, spaces_only, with_library_infos
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
     agreement,
@@ -45,10 +43,10 @@ from deepbots_cli.learning.sb3.imitation import (
     only_imitating,
 )
 from deepbots_cli.learning.sb3.logs import encoded, number_of
+from deepbots_cli.learning.sb3.networks import mirrored_experience, widened
+from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment, spaces_only, with_library_infos
 from deepbots_cli.learning.sb3.schedules import DivergenceRate
-from deepbots_cli.learning.sb3.symmetry import mirrored_experience
-from deepbots_cli.learning.teaching.demonstrations import Demonstrations
-from deepbots_cli.learning.teaching.teacher import Plan
+from deepbots_cli.learning.teaching.teacher import Demonstrations, Plan
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import (
     Decision,

@@ -2,5 +2,4 @@
 
 teacher.py         a script, a recording or a policy as teacher: when the policy imitates it, and how much
 policy_teacher.py  a policy of another run as teacher
-demonstrations.py  the episodes of a recording, run again to teach
 """

@@ -6,10 +6,8 @@ a finding. `scenario.base.visit_values` passes it to the compiler, which reads u
 inside a text. A value is kept as it is written.
 
 base.py        FieldType, the base of all; errors
-numbers.py     numbers without a unit: bounds, percentages, whole numbers
-words.py       texts, truth values, words of the language, colors
-quantities.py  texts of the expression language: quantities, ranges, expressions
-names.py       names that a scenario defines, references to them, files
+names.py       texts, truth values, words of the language, colors; names, references to them, files
+quantities.py  numbers without a unit; texts of the expression language: quantities, ranges, expressions
 training.py    schedules, criteria of stages and of a solved task
 
 A module imports only modules above it. Aliases at the end of a module are the field types that several

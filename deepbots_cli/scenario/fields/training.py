@@ -6,7 +6,7 @@ import re
 from typing import Annotated, Any, Literal, NamedTuple
 
 from deepbots_cli.scenario.fields.base import FieldType, JsonSchema, Scalar
-from deepbots_cli.scenario.fields.numbers import (
+from deepbots_cli.scenario.fields.quantities import (
     MAX_MAGNITUDE,
     NUMBER_PATTERN,
     Number,

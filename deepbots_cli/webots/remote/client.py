@@ -7,15 +7,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 from weakref import WeakValueDictionary
 
-from deepbots_cli.webots import (
-    cameras,
-    devices,
-    joints,
-    ranging,
-    sensors,
-    supervisor,
-    tree,
-)
+from deepbots_cli.webots import cameras, devices, joints, ranging, sensors, supervisor, tree
 from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.remote.messages import (
     SUPERVISOR,
