@@ -465,5 +465,3 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
         )
         restriction = (ranges.analysis.identity(threshold.quantity), side)
     return _StillRanges(ranges.analysis, ranges.assumed, ranges.steps, restriction)
-
-

@@ -38,8 +38,8 @@ from deepbots_cli.program.identity import digest
 from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.panel import agent_rows, message_rows
 from deepbots_cli.view.episodes import Player, Showing
+from deepbots_cli.view.panel import agent_rows, message_rows
 from tests.commands import Deepbots, Ran
 from tests.few import few
 

@@ -29,7 +29,6 @@ from deepbots_cli.engine_kinds import PHYSICS
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import (
     TrainingResult,
-    confirmations,
     evaluate,
     evaluate_trained,
     learner,
@@ -39,7 +38,6 @@ from deepbots_cli.learning import (
     training_evaluations,
 )
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.confirmation_rule import (
@@ -58,6 +56,7 @@ from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
 from deepbots_cli.learning.signals import Interruption
+from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode, Start
@@ -722,7 +721,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = confirmations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = training_evaluations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
     shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 

@@ -108,7 +108,11 @@ MISTAKES = [
     ("robots.spinner.sensors.pulses.spacng=1 deg", "DB101", "spacng"),
     ("messages.format=pipes", "DB104", "unknown word `pipes`"),
     ("truncation.max_steps=5", "ACME1", "episodes of 5 steps"),
-    ("evaluation={cases: {a: {set: {truncation.max_steps: 5}}}}", "ACME1", "in case `a`, episodes of 5 steps"),
+    (
+        "evaluation={cases: {a: {set: {truncation.max_steps: 5}}}}",
+        "ACME1",
+        "in case `a`, episodes of 5 steps",
+    ),
     ("train.algorithm=ChoicePPO", "DB612", "`ChoicePPO` supports only discrete actions"),
 ]
 ACTUATOR_MISTAKES = [

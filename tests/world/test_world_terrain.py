@@ -30,7 +30,14 @@ from deepbots_cli.document.load import load
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
-from deepbots_cli.geometry import RIM_RADIUS_PER_SIGMA, ground_height, height_grid, picture_pixels
+from deepbots_cli.geometry import (
+    RIM_RADIUS_PER_SIGMA,
+    ground_height,
+    height_grid,
+    picture_pixels,
+    tile_heights,
+    tile_terrain_heights,
+)
 from deepbots_cli.program.world import (
     TILE_MARGIN_M,
     Formula,
@@ -44,8 +51,6 @@ from deepbots_cli.program.world import (
 )
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.geometry import tile_terrain_heights
-from deepbots_cli.geometry import tile_heights
 from tests.worlds import Make
 
 PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
