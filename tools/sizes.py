@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import ast
 import io
+import shutil
 import subprocess
 import sys
 import tokenize
@@ -106,7 +107,9 @@ def _grown(package: str, sizes: Mapping[str, int]) -> list[tuple[str, int]]:
 
 
 def _git(*words: str) -> str:
-    """Return the output of git; empty if it fails, such as for a file that the commit does not have."""
+    """Return the output of git; empty without git, and for a file that the commit does not have."""
+    if shutil.which("git") is None:
+        return ""
     return subprocess.run(["git", *words], capture_output=True, text=True, check=False).stdout
 
 
