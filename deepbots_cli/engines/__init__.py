@@ -1,6 +1,6 @@
 """Physics engines behind the port.
 
-mechanics.py   bodies by name, objects as robots of one link, masses, the torque of DC motors, inverse kinematics
+mechanics.py   bodies by name, objects as robots, masses, the torque of DC motors, inverse kinematics
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 

@@ -1,7 +1,7 @@
 """Training of the policy, and its curriculum: stages for all worlds, or a level for each world.
 
-Each algorithm has one model, whose hyperparameters have the names of Stable-Baselines3 and sb3-contrib. A test
-compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
+Each algorithm has one model, whose hyperparameters have the names of Stable-Baselines3 and sb3-contrib. A
+test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
 `SET_ELSEWHERE_HELP` has the places where they are set instead.
 """
 
