@@ -76,7 +76,7 @@ def fitting_text(content: bytes, model: type[BaseModel]) -> bytes:
     return b"{%b}" % b",".join(b'"%b":%b' % (name.encode(), part) for name, part in parts if part)
 
 
-def _reason(error: ValueError) -> str:
+def _reason(error: Exception) -> str:
     """Return the field that does not fit, and the reason."""
     match = _AT.fullmatch(str(error))
     text, field = (str(error), "") if match is None else (match[1], match[2] or "")
