@@ -522,18 +522,18 @@ class TrainingTab:
     def __init__(self, gui: viser.GuiApi, run: Run) -> None:
         self.text = gui.add_html("")
         self.mean_returns: tuple[float, ...] = ()
-        self._path: Path | None = None
+        self._run: Run | None = None
         self._read_at = 0.0
         self._stamps: Mapping[Path, object] = {}
         self.read(run)
 
     def read(self, run: Run) -> None:
-        """Read the logs of a run if they have changed; those of the same run at most once in
-        `_TRAINING_INTERVAL_S`."""
+        """Read the logs of a run if they have changed; those of a run that was not opened again at most once
+        in `_TRAINING_INTERVAL_S`."""
         now = time.monotonic()
-        if run.path == self._path and now - self._read_at < _TRAINING_INTERVAL_S:
+        if run is self._run and now - self._read_at < _TRAINING_INTERVAL_S:
             return
-        self._path, self._read_at = run.path, now
+        self._run, self._read_at = run, now
         stamps = file_stamps([run.path / RECORD_NAME, run.monitor])
         if stamps == self._stamps:
             return

@@ -761,6 +761,11 @@ class Walk:
         for act in acts:
             self.done.append(act.__name__)
             act(self)
+            if act in self.COSTLY:
+                await self.running.until(lambda: not self.session.commands.tasks.running, 120)
+                # Without a browser, no further episode begins by itself.
+                await self.running.until(self._has_come)
+                self.session.robot.restart()
             await self.settle()
 
     # What is shown
@@ -801,6 +806,10 @@ class Walk:
             drawn = [value for _, value in training.curves.evaluations]
             facts["drawn evaluations"] = (drawn, pytest.approx(evaluations(self.curve)))
         return [f"{name}: {one}, not {other}" for name, (one, other) in facts.items() if one != other]
+
+    def _has_come(self) -> bool:
+        state = self.session.robot.state
+        return state is not None and (self.world is None or state.reference == str(self.world.reference))
 
     async def settle(self) -> None:
         """Wait until all that is shown agrees with the files."""
