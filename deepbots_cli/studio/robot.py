@@ -20,8 +20,8 @@ _FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
 """The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
 both cores, and a letter typed in the text was shown after a second."""
 _START_S, _PATIENCE_S = 40.0, 10.0
-"""The times in s after which a process that has not started, or has not read its files, is late: the next save
-or *Restart* ends it."""
+"""The times in s after which a process that has not started, or has not read its files, is late: the next
+save or *Restart* ends it."""
 _MAX_CRASHES = 3
 """The number of crashes without a reload in between after which the process is not started again."""
 

@@ -36,7 +36,7 @@ _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _CLOSING_MS = 300
 _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
 _STATES = {
-    "outdated": "the saved file has errors; until they are corrected, the robot is that of {name} as it was before",
+    "outdated": "the saved file has errors; until they are corrected, the robot is {name} as it was before",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
 }

@@ -44,8 +44,8 @@ class Command(BaseModel, strict=True, frozen=True):
     """A command to the process.
 
     `show` shows the scenario or run `name`, driven by `value`, or by its default if that is empty. `reload`
-    reads the files of `name`, after the parameters `names` have returned to the values of the file; while they
-    have errors, the world before stays.
+    reads the files of `name`, after the parameters `names` have returned to the values of the file; while
+    they have errors, the world before stays.
     """
 
     verb: Literal["show", "reload", "driver", "parameter", "restart", "frame_rate"]
