@@ -279,7 +279,7 @@ def _refusal(
         return f"{name} supports only a single discrete action", "define one action with `choices`"
     if "ranges" not in acts_by and intervals:
         return f"`{name}` supports only discrete actions", "define one action with `choices`"
-    if acts_by == {"ranges"} and not intervals:
+    if acts_by == {"ranges"} and len(intervals) < len(action):
         ranged = f"make every action a range: `{action[0].name}: -1 .. 1`"
         return f"{name} supports only continuous actions", ranged
     if not kind.uses_masks and any(

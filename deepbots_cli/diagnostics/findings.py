@@ -420,7 +420,8 @@ def suppress(
     """Return the findings that no comment suppresses, and a DB901 for each comment in `sources` that
     suppresses nothing.
 
-    A comment on a rule that did not run, in preview or for want of a simulation, is not reported.
+    A comment on a rule that did not run, in preview, for want of a simulation or because of errors, is not
+    reported.
     """
     suppressions: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
@@ -432,7 +433,9 @@ def suppress(
                 suppressions.setdefault((source, entry.line, entry.code), entry)
     remaining = []
     used = set()
+    has_errors = False
     for finding in findings:
+        has_errors = has_errors or finding.severity == "error"
         key = (finding.span.source, finding.span.start_position.line, finding.code)
         if finding.severity == "warning" and key in suppressions:
             used.add(key)
@@ -441,7 +444,7 @@ def suppress(
     unused += [
         _unused(entry)
         for key, entry in suppressions.items()
-        if key not in used and _could_be_found(entry.code, preview, deep, exploits)
+        if key not in used and _could_be_found(entry.code, preview, deep, exploits, has_errors)
     ]
     return remaining, sorted(unused, key=lambda finding: finding.sort_key)
 
@@ -468,11 +471,13 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
 
 
-def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool) -> bool:
+def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool, has_errors: bool) -> bool:
     """Return whether every part of the rule has run."""
     rule = RULES.get(code)
-    if rule is None:
+    if rule is None or rule.severity == "error":
         return True
+    if has_errors:
+        return False
     if rule.deep == "exploits":
         return exploits
     return (preview or not rule.preview) and (

@@ -9,7 +9,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import check
-from deepbots_cli.diagnostics import RULES, Findings
+from deepbots_cli.diagnostics import RULES, Finding, Findings, Span
 from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.diagnostics.registry import RETIRED
 from deepbots_cli.document import loads
@@ -145,6 +145,12 @@ def test_a_comment_about_a_retired_rule_says_that_it_is_gone_and_what_finds_the_
         finding.headline == "the rule DB716 is gone; `deepbots lint --exploits` finds such rewards by playing"
     )
     assert finding.fix is not None
+
+
+def test_a_comment_about_a_warning_is_not_called_needless_beside_an_error_that_hides_the_warning() -> None:
+    source = Source("a.yaml", "a: 1 # deepbots: ignore[DB703]\n")
+    error = Finding("DB101", Span(source, 0, 1), "unknown key")
+    assert (suppress([error], [source])[1], len(suppress([], [source])[1])) == ([], 1)
 
 
 def test_a_comment_about_a_rule_in_preview_is_of_use_where_previews_do_not_run() -> None:
