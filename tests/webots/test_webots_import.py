@@ -672,6 +672,11 @@ def test_nothing_outside_the_project_is_read(tmp_path: Path) -> None:
 # Damage
 
 
+def test_a_robot_that_returns_no_message_is_imported(tmp_path: Path) -> None:
+    _, text = imported(tmp_path, cart=CART.replace("return [str(self.arm.getValue())]", "self.arm.getValue()"))
+    assert "emit" not in text
+
+
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_python_and_worlds_end_in_a_scenario_or_one_sentence(

@@ -185,8 +185,8 @@ def read_messages(task: Task, robot: Controller, name: str, names: dict[str, str
         return []
     returned, value = result
     if not isinstance(value, list):
-        location = value.location if isinstance(value, Unknown) else returned[-1].location
-        task.emit.append(Todo(location, "the values of the message"))
+        locations = [value.location] if isinstance(value, Unknown) else [part.location for part in returned]
+        task.emit += [Todo(location, "the values of the message") for location in locations[-1:]]
         return []
     received: list[Value] = []
     for position, item in enumerate(value):
