@@ -673,7 +673,9 @@ def test_nothing_outside_the_project_is_read(tmp_path: Path) -> None:
 
 
 def test_a_robot_that_returns_no_message_is_imported(tmp_path: Path) -> None:
-    _, text = imported(tmp_path, cart=CART.replace("return [str(self.arm.getValue())]", "self.arm.getValue()"))
+    _, text = imported(
+        tmp_path, cart=CART.replace("return [str(self.arm.getValue())]", "self.arm.getValue()")
+    )
     assert "emit" not in text
 
 
