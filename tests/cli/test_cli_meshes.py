@@ -60,7 +60,11 @@ def project(
     "project",
     [
         pytest.param(
-            way, id=name, marks=() if "--allow-path" in name or "the project" in name else pytest.mark.slow
+            way,
+            id=name,
+            marks=()
+            if name in ("the folder of the project", "two folders of --allow-path")
+            else pytest.mark.slow,
         )
         for name, way in WAYS.items()
     ],
