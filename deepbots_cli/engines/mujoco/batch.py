@@ -24,7 +24,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli.engines.mechanics import torque_curve
-from deepbots_cli.engines.mujoco import motors
+from deepbots_cli.engines.mujoco import motors, sliding
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, Observer, model_with_sensors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
@@ -170,6 +170,7 @@ class MuJoCoBatch(BatchReaders):
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
+        sliding.install()
         self.builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self.builder)
         self._world = self.single._world

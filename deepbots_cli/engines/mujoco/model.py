@@ -27,6 +27,7 @@ from deepbots_cli.engines.mechanics import (
     with_explicit_masses,
 )
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco import sliding
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
@@ -76,8 +77,9 @@ sinks as deep as both.
 
 A contact gives way by (1 - impedance) / impedance.
 """
-AXLE_TOLERANCE = 1e-6
-"""The tolerance of the axis of a wheel against that of its joint: as a part of the radius, and in rad."""
+AXLE_TOLERANCE = 1e-3
+"""The tolerance of the axis of a wheel against that of its joint: as a part of the radius, and in rad. Files
+round a right angle to 1.571."""
 MAX_HULL_VERTICES = 10_000
 """The maximum number of vertices of the hull of a mesh. On a ball with a radius of 20 cm, 10,000 are within
 0.03 mm. A hull of 1,900,000 vertices took 33 s."""
@@ -144,9 +146,7 @@ class ModelBuilder:
         spec.option.timestep = step
         spec.option.gravity = world.gravity
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
-        # With elliptic cones, the first row of a contact is its normal force, which
-        # `MujocoWorld.forces` reads; the rows of a pyramid are its edges.
-        spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
+        sliding.prepare(spec)
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET
         spec.compiler.degree = False  # rad; MuJoCo's own default is degrees
         spec.compiler.autolimits = False
@@ -637,7 +637,7 @@ class ModelBuilder:
                 margin=0.0,
                 gap=0.0,
                 solref=self._response,
-                solreffriction=(0.0, 0.0),
+                solreffriction=(0.0, -1.0 / self.spec.option.timestep),
                 solimp=TIRE_IMPEDANCE if self._tires & {first.name, second.name} else CONTACT_IMPEDANCE,
             )
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco import sliding
 from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
@@ -108,7 +109,7 @@ class WrenchMonitor:
         """Advance by one engine step, and compute its wrenches: with the velocities at its start, to which
         the positions and accelerations of MuJoCo belong."""
         before = data.qvel.copy()
-        mj.mj_step(model, data)
+        sliding.advance(model, data)
         after = data.qvel.copy()
         data.qvel[:] = before
         # `mj_step` computes `cfrc_int` only if the model has sensors that need it.

@@ -1,0 +1,162 @@
+"""`sliding.correct`, compiled by Numba to a callback of MuJoCo. The only module that imports Numba, and that
+depends on the layout of MuJoCo's structures."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import mujoco
+import numba
+import numpy as np
+from mujoco.introspect import ast_nodes, structs
+from numba import types
+from numba.extending import intrinsic
+
+from deepbots_cli.engines.mujoco import sliding
+
+_NUMBERS = {
+    "int": ctypes.c_int,
+    "mjtBool": ctypes.c_bool,
+    "mjtByte": ctypes.c_ubyte,
+    "mjtNum": ctypes.c_double,
+    "mjtSize": ctypes.c_int64,
+    "size_t": ctypes.c_size_t,
+    "uintptr_t": ctypes.c_size_t,
+    "uint64_t": ctypes.c_uint64,
+    "float": ctypes.c_float,
+}
+SPARSE, AUTOMATIC = int(mujoco.mjtJacobian.mjJAC_SPARSE), int(mujoco.mjtJacobian.mjJAC_AUTO)
+AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse matrices itself
+
+_project, _correct = numba.njit(cache=True)(sliding.project), numba.njit(cache=True)(sliding.correct)
+
+
+def _c_type(kind: Any) -> Any:
+    """Return the type of a field of a structure for ctypes."""
+    if isinstance(kind, ast_nodes.PointerType):
+        return ctypes.c_void_p
+    if isinstance(kind, ast_nodes.ArrayType):
+        inner = _c_type(kind.inner_type)
+        for extent in kind.extents:
+            inner = inner * extent
+        return inner
+    return _NUMBERS.get(kind.name) or layout(kind.name)
+
+
+def layout(name: str, last: str | None = None) -> Any:
+    """Return a structure of MuJoCo for ctypes, up to the field `last`."""
+    fields = []
+    for field in structs.STRUCTS[name].fields:
+        fields.append((field.name, _c_type(field.type)))
+        if field.name == last:
+            break
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
+
+
+@intrinsic
+def _numbers_at(typing_context: Any, address: Any) -> Any:
+    """Return a pointer to floating-point numbers."""
+    return _pointer(types.float64)
+
+
+@intrinsic
+def _integers_at(typing_context: Any, address: Any) -> Any:
+    """Return a pointer to integers of 32 bits."""
+    return _pointer(types.int32)
+
+
+@intrinsic
+def _words_at(typing_context: Any, address: Any) -> Any:
+    """Return a pointer to integers of 64 bits, such as addresses."""
+    return _pointer(types.int64)
+
+
+def _pointer(element: Any) -> Any:
+    signature = types.CPointer(element)(types.intp)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+    return signature, generate
+
+
+def build() -> Any:
+    """Return the callback, as a pointer that MuJoCo takes."""
+    data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
+    option = layout("mjOption")
+    # Numba caches the machine code by the values of these variables. The text of `correct` is one of them:
+    # Numba does not notice that it has changed.
+    text = crc32(Path(sliding.__file__).read_bytes())
+    user_data, degrees = model.nuserdata.offset, model.nv.offset
+    no_slip = model.opt.offset + option.noslip_iterations.offset
+    jacobian = model.opt.offset + option.jacobian.offset
+    contact_count, row_count = data.ncon.offset, data.nefc.offset
+    contacts, contact_size = data.contact.offset, ctypes.sizeof(contact)
+    address, dimension, friction = contact.efc_address.offset, contact.dim.offset, contact.friction.offset
+    time_step = model.opt.offset + option.timestep.offset
+    reference, distance, velocity, springs, softness, acceleration = (
+        getattr(data, name).offset
+        for name in ("efc_aref", "efc_pos", "efc_vel", "efc_KBIP", "efc_R", "qacc_warmstart")
+    )
+    rows = [
+        tuple(getattr(data, f"{name}{part}").offset for part in ("", "_rownnz", "_rowadr", "_colind"))
+        for name in ("efc_J", "efc_AR")
+    ]
+    (j_values, j_sizes, j_starts, j_columns), (a_values, a_sizes, a_starts, a_columns) = rows
+
+    @numba.cfunc(types.void(types.intp, types.intp), cache=True)  # type: ignore[untyped-decorator]
+    def callback(m: Any, d: Any) -> None:
+        count = _integers_at(d + contact_count)[0]
+        if (
+            text < 0
+            or count == 0
+            or _words_at(m + user_data)[0] != sliding.USER_DATA
+            or _integers_at(m + no_slip)[0] == 0
+        ):
+            return
+        total, width = _integers_at(d + row_count)[0], _words_at(m + degrees)[0]
+        first = _words_at(d + contacts)[0]
+        addresses, dimensions = np.empty(count, np.int32), np.empty(count, np.int32)
+        frictions = np.empty(count)
+        for index in range(count):
+            at = first + index * contact_size
+            addresses[index] = _integers_at(at + address)[0]
+            dimensions[index] = _integers_at(at + dimension)[0]
+            frictions[index] = _numbers_at(at + friction)[0]
+        kind = _integers_at(m + jacobian)[0]
+        is_sparse = kind == SPARSE or (kind == AUTOMATIC and width >= AUTOMATIC_SPARSE)
+        # No less than what the functions read; Numba checks no bounds.
+        largest = total * max(width, total)
+        accelerations, mobility = np.zeros(total), np.zeros(total)
+        _project(
+            accelerations,
+            mobility,
+            numba.carray(_numbers_at(_words_at(d + acceleration)[0]), width),
+            0 if is_sparse else width,
+            numba.carray(_numbers_at(_words_at(d + j_values)[0]), largest),
+            numba.carray(_integers_at(_words_at(d + j_sizes)[0]), total),
+            numba.carray(_integers_at(_words_at(d + j_starts)[0]), total),
+            numba.carray(_integers_at(_words_at(d + j_columns)[0]), largest),
+            numba.carray(_numbers_at(_words_at(d + a_values)[0]), largest),
+            numba.carray(_integers_at(_words_at(d + a_sizes)[0]), total),
+            numba.carray(_integers_at(_words_at(d + a_starts)[0]), total),
+            numba.carray(_integers_at(_words_at(d + a_columns)[0]), largest),
+        )
+        _correct(
+            numba.carray(_numbers_at(_words_at(d + reference)[0]), total),
+            addresses,
+            dimensions,
+            frictions,
+            _numbers_at(m + time_step)[0],
+            numba.carray(_numbers_at(_words_at(d + distance)[0]), total),
+            numba.carray(_numbers_at(_words_at(d + velocity)[0]), total),
+            numba.carray(_numbers_at(_words_at(d + springs)[0]), 4 * total),
+            numba.carray(_numbers_at(_words_at(d + softness)[0]), total),
+            accelerations,
+            mobility,
+        )
+
+    return callback.ctypes
