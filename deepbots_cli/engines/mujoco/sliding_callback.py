@@ -118,7 +118,16 @@ def build() -> Any:
         ):
             return
         total, width = _integers_at(d + row_count)[0], _words_at(m + degrees)[0]
+        references = numba.carray(_numbers_at(_words_at(d + reference)[0]), total)
         first = _words_at(d + contacts)[0]
+        largest_wanted = 0.0
+        for index in range(count):
+            row = _integers_at(first + index * contact_size + address)[0]
+            if row >= 0 and _integers_at(first + index * contact_size + dimension)[0] >= 3:
+                x, y = references[row + 1], references[row + 2]
+                largest_wanted = max(largest_wanted, x * x + y * y)
+        if largest_wanted < (sliding.LEAST_REFERENCE / 2) ** 2:
+            return
         addresses, dimensions = np.empty(count, np.int32), np.empty(count, np.int32)
         frictions = np.empty(count)
         for index in range(count):
@@ -146,7 +155,7 @@ def build() -> Any:
             numba.carray(_integers_at(_words_at(d + a_columns)[0]), largest),
         )
         _correct(
-            numba.carray(_numbers_at(_words_at(d + reference)[0]), total),
+            references,
             addresses,
             dimensions,
             frictions,
