@@ -155,7 +155,7 @@ class Engines(Mapping[str, EngineKind]):
 
 
 DEFAULT_ENGINE = "pybullet"
-PHYSICS = 1
+PHYSICS = 2
 """The version of the simulated physics. It is raised when the same scenario moves differently."""
 OTHER_ENGINES = "use the engine `pybullet` or `mujoco`"
 ENGINES = Engines(

@@ -23,6 +23,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco import sliding
 from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.model import ModelBuilder
 from deepbots_cli.webots.nodes import number, numbers
@@ -259,7 +260,7 @@ class Physics:
         self.substep = scene.basic_step / 1000 / self.substeps
         builder = ModelBuilder(scene, self.substep)
         try:
-            self.model = model = builder.spec.compile()
+            self.model = model = builder.compile()
         except ValueError as error:
             message = " ".join(str(error).split())[:200]
             raise WorldError([WorldFinding("error", span, f"MuJoCo refuses the world: {message}")]) from error
@@ -325,6 +326,7 @@ class Physics:
         targets = self.motors.target_velocities(self.substep * count)
         for left in range(count, 0, -1):
             step1(model, data)
+            sliding.correct_contacts(model, data)
             self.motors.drive(targets, self.substep * left)
             if bounces and data.ncon:
                 self._bounces.apply(data, self.substep)
@@ -393,13 +395,10 @@ class Physics:
     def center_of_mass(self, body: Body) -> Triple:
         """Return the center of mass of a body; its origin if it has no mass."""
         self.update_positions()
-        weld = self.model.body_weldid
-        # A stated inertia is a body of its own, welded to the one that it belongs to.
-        parts = np.flatnonzero(weld == weld[self.bodies[body.index]])
-        masses = self.model.body_mass[parts]
-        if not masses.sum() > 0:
+        index = self.bodies[body.index]
+        if not self.model.body_mass[index] > 0:
             return self.frame(body)[0]
-        x, y, z = (masses @ self.data.xipos[parts] / masses.sum()).tolist()
+        x, y, z = self.data.xipos[index].tolist()
         return x, y, z
 
     def radius(self, owner: Node) -> float:
@@ -463,6 +462,7 @@ class Physics:
         at = self._free_dofs[body]
         self.data.qvel[at : at + 3] = linear
         self.data.qvel[at + 3 : at + 6] = frames.rotate_back(self._rotation(body), angular)
+        self.data.qacc_warmstart[at : at + 6] = 0.0  # of the motion before
         self._has_velocities = False
 
     def stop_body(self, body: Body) -> None:
@@ -547,9 +547,12 @@ class _BounceTable:
         fast = speeds < -np.maximum(self._speed[ones, others], 1e-6)
         if fast.any():
             fast_rows = rows[fast]
-            impedance = data.efc_KBIP[fast_rows, 2]  # stiffness, damping, impedance and its derivative
+            # Columns of stiffness, damping, impedance and its derivative.
+            stiffness, damping, impedance, _ = data.efc_KBIP[fast_rows].T
             shares = 1.0 + self._bounce[ones, others][fast]
-            data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
+            # What `sliding` has taken from the reference stays.
+            usual = -damping * speeds[fast] - stiffness * impedance * data.efc_pos[fast_rows]
+            data.efc_aref[fast_rows] += -shares * speeds[fast] / (step * impedance) - usual
 
 
 def _damped_bodies(scene: Scene) -> list[tuple[Body, float, float]]:

@@ -159,6 +159,8 @@ class MuJoCoEngine:
                 *velocity,
                 *frames.rotate_back(rotation, angular_velocity),
             )
+            # The accelerations are those of the motion before.
+            data.qacc_warmstart[form.velocity_index : form.velocity_index + 6] = 0.0
         self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:

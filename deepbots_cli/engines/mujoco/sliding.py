@@ -192,7 +192,7 @@ def correct(
         friction = frictions[contact]
         x, y = references[x_row], references[y_row]
         wanted = sqrt(x * x + y * y)
-        if wanted <= max(LEAST_REFERENCE, friction * LEAST_LOAD):
+        if wanted <= LEAST_REFERENCE:
             continue
         x, y = x / wanted, y / wanted
         slip = -(x * velocities[x_row] + y * velocities[y_row])
@@ -202,12 +202,15 @@ def correct(
         # The force of the spring of the contact at its depth, and of its damper against both bodies alone.
         impact = max(0.0, -springs[4 * normal + 1] * velocities[normal])
         load = max(0.0, references[normal] - impact) / softness[normal] + impact / mobility[normal]
-        estimate = friction * max(LEAST_LOAD, load * (mobility_along - LIGHT * mobility[normal]))
+        estimate = friction * load * max(0.0, mobility_along - LIGHT * mobility[normal])
         if distances[normal] - step * velocities[normal] >= 0.0:
             # A new contact: friction comes on top of what has moved the bodies so far.
             deceleration = min(0.0, deceleration) + estimate
-        elif slip + step * deceleration <= step * friction * LEAST_LOAD or accelerations[normal] == 0.0:
-            # It stuck in the step before, or there was none.
+        elif accelerations[normal] == 0.0:
+            # No step before: the body was placed with a speed.
+            deceleration = max(estimate, friction * LEAST_LOAD)
+        elif slip + step * deceleration <= step * LEAST_REFERENCE:
+            # It did not slide in the step before.
             deceleration = estimate
         else:
             largest = LARGEST_RATIO * friction * max(LEAST_LOAD, load * mobility_along)
