@@ -56,31 +56,19 @@ def layout(name: str, last: str | None = None) -> Any:
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
-@intrinsic
-def _numbers_at(typing_context: Any, address: Any) -> Any:
-    """Return a pointer to floating-point numbers."""
-    return _pointer(types.float64)
-
-
-@intrinsic
-def _integers_at(typing_context: Any, address: Any) -> Any:
-    """Return a pointer to integers of 32 bits."""
-    return _pointer(types.int32)
-
-
-@intrinsic
-def _words_at(typing_context: Any, address: Any) -> Any:
-    """Return a pointer to integers of 64 bits, such as addresses."""
-    return _pointer(types.int64)
-
-
 def _pointer(element: Any) -> Any:
-    signature = types.CPointer(element)(types.intp)
+    """Return a function for compiled code that returns a pointer to elements at an address."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+    def at(typing_context: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
-    return signature, generate
+        return types.CPointer(element)(types.intp), generate  # type: ignore[no-untyped-call]
+
+    return intrinsic(at)
+
+
+_numbers_at, _integers_at, _words_at = map(_pointer, (types.float64, types.int32, types.int64))
 
 
 def build() -> Any:
@@ -107,7 +95,7 @@ def build() -> Any:
     ]
     (j_values, j_sizes, j_starts, j_columns), (a_values, a_sizes, a_starts, a_columns) = rows
 
-    @numba.cfunc(types.void(types.intp, types.intp), cache=True)  # type: ignore[untyped-decorator]
+    @numba.cfunc(types.void(types.intp, types.intp), cache=True)
     def callback(m: Any, d: Any) -> None:
         count = _integers_at(d + contact_count)[0]
         if (
