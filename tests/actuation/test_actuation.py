@@ -779,7 +779,6 @@ def test_pushes_that_end_within_a_substep_lose_nothing_over_many():
 
 
 GRAVITY = 9.81
-TURNING = 2.2e-5
 LEVEL = "reset={place: {drone: {z: 1 m}}}"
 PERFECT = (
     "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N,"
@@ -798,14 +797,6 @@ def fly(environment: Supervisor, ticks: int, pushes: tuple[float, ...] = (0.0,) 
     environment.reset(seed=seed)
     for _ in range(ticks):
         environment.step(np.array(pushes, np.float32))
-
-
-def test_drag_turns_the_body_about_its_axis_in_the_sense_of_the_spin(drone: Make):
-    turning = drone(PERFECT, EXACT_HOVER)
-    fly(turning, 10)
-    _, (_, _, rate) = turning.engine.velocity("drone")()
-    inertia = TURNING + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
-    assert rate == pytest.approx(0.016 * MASS * GRAVITY / inertia * 10 * DRONE_TICK, rel=2e-2)
 
 
 def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):

@@ -317,18 +317,6 @@ def mimics(engine: str) -> tuple[float, float]:
     return 1000 * np.abs(one - (0.2 - 0.5 * arm)).max(), 1000 * np.abs(two - (2 * one - 0.1)).max()
 
 
-def carried(engine: str) -> tuple[float, float]:
-    """The forces by which a hinge carries a rod: at rest, and while it turns weightless at 4 rad/s."""
-    forces = []
-    for gravity, rate in (((0.0, 0.0, -G), 0.0), (WEIGHTLESS, 4.0)):
-        with opened(engine, hinged(rod("arm"), gravity)) as bench:
-            wrench = bench.read("joint_wrench", ("robot", "arm"))
-            started(bench, arm=(0.0, rate))
-            bench.step(50)
-            forces.append(float(np.linalg.norm(wrench()[0])))
-    return forces[0], forces[1]
-
-
 # The table
 
 T = 1.0 + H
@@ -499,13 +487,5 @@ CASES = (
         "a joint follows another one, and a third one follows it",
         mimics,
         (most("error of the second", 5.0, "mrad"), most("error of the third", 5.0, "mrad")),
-    ),
-    Case(
-        "a hinge carries a rod of 0.3 kg",
-        carried,
-        (
-            near("force at rest, m g", 0.3 * G, "N", 0.5),
-            near("turning at 4 rad/s, m ω² L/2", 0.3 * 16 / 2, "N", 0.5),
-        ),
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import atan, cos, hypot, pi, radians, sin, tan
+from math import asin, atan, cos, degrees, hypot, inf, pi, radians, sin, tan
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from deepbots_cli.robots.model import (
 from tests.physics.case import Array, Bench, Case, G, most, near, opened, trial
 from tests.physics.contacts import CUBE
 from tests.physics.motion import H, joint, robot
+from tests.webots.exported_projects import FLOOR, device, node, run, simulate
 
 DOCS = Path(__file__).parents[2] / "docs"
 RADIUS, LENGTH, TRACK = 0.04, 0.2, 0.24
@@ -154,6 +155,23 @@ def rover(left: float, engine: str) -> tuple[float, float]:
     with trial(engine, see, robot=robot_text, reset=start, substeps=8) as running:
         rows = running.run(100, push=1.0)[50:]
     return float(np.mean(np.hypot(rows[:, 0], rows[:, 1]))), float(np.mean(rows[:, 5]))
+
+
+def epuck(x: float, y: float, _engine: str) -> tuple[float, float]:
+    """Speed (m/s) and largest pitch (deg) of the e-puck of Webots, whose wheels turn at 5 rad/s, from 1 to
+    3 s."""
+    simulation = simulate(f"{FLOOR} DEF ROBOT E-puck {{ translation {x} {y} 0 }}", 32)
+    for side in ("left", "right"):
+        motor = device(simulation, f"{side} wheel motor")
+        motor.setPosition(inf)
+        motor.setVelocity(5)
+    run(simulation, 1.024)
+    body, places, pitches = node(simulation, "ROBOT"), [], []
+    for _ in range(63):
+        places.append(body.getPosition())
+        pitches.append(degrees(asin(body.getOrientation()[6])))
+        simulation.run_step()
+    return hypot(*np.subtract(places[-1], places[0])[:2]) / (62 * 0.032), float(np.abs(pitches).max())
 
 
 def starts(urdf: str, files: Mapping[str, str], engine: str) -> tuple[float, float]:
@@ -344,6 +362,15 @@ CASES = (
             engine,
         )[:1],
         (near("timesteps in contact", 100.0, "%", 2),),
+    ),
+    *(
+        Case(
+            f"an e-puck of Webots drives at 5 rad/s from ({x:g}, {y:g})",
+            partial(epuck, x, y),
+            (near("speed, ω r", 0.1, "m/s", 2), most("pitch", 0.5, "deg")),
+            ("webots",),
+        )
+        for x, y in ((0.0, 0.0), (0.2, 0.1), (-1.0, 0.0), (-4.0, 2.0))
     ),
     *(
         Case(
