@@ -779,7 +779,6 @@ def test_pushes_that_end_within_a_substep_lose_nothing_over_many():
 
 
 GRAVITY = 9.81
-TURNING = 2.2e-5
 LEVEL = "reset={place: {drone: {z: 1 m}}}"
 PERFECT = (
     "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N,"
@@ -798,33 +797,6 @@ def fly(environment: Supervisor, ticks: int, pushes: tuple[float, ...] = (0.0,) 
     environment.reset(seed=seed)
     for _ in range(ticks):
         environment.step(np.array(pushes, np.float32))
-
-
-@pytest.mark.parametrize("substeps", [1, 2, 8])
-def test_a_thrust_that_balances_gravity_keeps_the_height_whatever_the_substeps(drone: Make, substeps: int):
-    hovering = drone(BALANCED, EXACT_HOVER, f"world.substeps={substeps}")
-    fly(hovering, 100)
-    (x, y, z), orientation = hovering.engine.pose("drone")()
-    assert ((x, y, z), orientation) == (
-        pytest.approx((0, 0, 1), abs=1e-6),
-        pytest.approx((0, 0, 0, 1), abs=1e-6),
-    )
-
-
-@pytest.mark.parametrize("substeps", [1, 4])
-def test_what_is_left_of_the_thrust_accelerates(drone: Make, substeps: int):
-    rising = drone(PERFECT, EXACT_HOVER, f"world.substeps={substeps}")
-    fly(rising, 20, (1.0,) * 4)
-    (_, _, speed), _ = rising.engine.velocity("drone")()
-    assert speed == pytest.approx(4 * 0.03 / MASS * 20 * DRONE_TICK, rel=1e-3)
-
-
-def test_drag_turns_the_body_about_its_axis_in_the_sense_of_the_spin(drone: Make):
-    turning = drone(PERFECT, EXACT_HOVER)
-    fly(turning, 10)
-    _, (_, _, rate) = turning.engine.velocity("drone")()
-    inertia = TURNING + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
-    assert rate == pytest.approx(0.016 * MASS * GRAVITY / inertia * 10 * DRONE_TICK, rel=2e-2)
 
 
 def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):

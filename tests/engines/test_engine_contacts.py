@@ -118,32 +118,6 @@ def test_links_of_a_robot_have_contacts_of_their_own(engine_name, worlds, build)
     assert body()
 
 
-def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(engine_name, build):
-    heavy = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
-    engine = build(engine_name, things(heavy, ball("ball", (0, 0, 0.15), 0.5)))
-    forces = {name: engine.contact_force((name, None)) for name in ("ground", "crate", "ball")}
-    assert {name: read() for name, read in forces.items()} == dict.fromkeys(forces, 0.0)
-    for _ in range(100):
-        engine.step(4)
-    expected = {"ground": 3.5 * 9.81, "crate": 4.0 * 9.81, "ball": 0.5 * 9.81}
-    assert {name: read() for name, read in forces.items()} == pytest.approx(expected, rel=0.01)
-
-
-def test_the_force_on_a_body_is_the_sum_of_those_from_above_and_below(engine_name, build):
-    heavy, light = (
-        ObjectBody(name, Box((0.2, 0.2, 0.1)), Pose((0, 0, height)), mass)
-        for name, height, mass in (("heavy", 0.05, 3.0), ("light", 0.15, 0.5))
-    )
-    engine = build(engine_name, things(heavy, light))
-    forces = {name: engine.contact_force_vector((name, None)) for name in ("ground", "heavy", "light")}
-    assert {name: read() for name, read in forces.items()} == dict.fromkeys(forces, (0.0, 0.0, 0.0))
-    for _ in range(100):
-        engine.step(4)
-    expected = {"ground": -3.5 * 9.81, "heavy": 3.0 * 9.81, "light": 0.5 * 9.81}
-    for name, read in forces.items():
-        assert read() == pytest.approx((0.0, 0.0, expected[name]), rel=0.01, abs=0.02)
-
-
 @pytest.mark.parametrize(("angle", "friction"), [(0.3, 0.6), (0.5, 0.2)])
 def test_friction_is_part_of_the_force_on_a_crate_on_a_slope(engine_name, worlds, angle, friction, build):
     """It holds the crate at rest, or else is the normal force times its coefficient."""

@@ -192,7 +192,15 @@ def places_in(folder: Path) -> Places:
     return Places(
         *(
             folder / name
-            for name in ("records", "page.md", "measurements.md", "pictures", "runs", "benchmark.md")
+            for name in (
+                "records",
+                "page.md",
+                "measurements.md",
+                "pictures",
+                "runs",
+                "benchmark.md",
+                "engines.md",
+            )
         )
     )
 
@@ -256,6 +264,7 @@ def test_a_stretch_bar_is_reached_or_not():
 
 def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
     places = places_in(tmp_path)
+    places.engines.touch()
     chosen = {
         "cartpole": Experiment(
             "cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),)
@@ -392,6 +401,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     assert entry["steps"] >= 6_000
     assert entry["evaluations"]["held_out"]["episodes"] == record["baselines"]["random"]["episodes"] == 3
 
+    places.engines.touch()
     page.write(places, {"rail": TINY})
     text = places.card("rail").read_text(encoding="utf-8")
     assert "| mean return, held out | at least 301 |" in text

@@ -21,14 +21,6 @@ ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
 """About the hinge, kg m^2."""
 
 
-@pytest.mark.parametrize("step", [8, 32])
-def test_a_body_falls(step: int):
-    simulation = simulate(solid("Sphere { radius 0.1 }", "translation 0 0 100"), step)
-    run(simulation, 1.6)
-    assert 100 - node(simulation, "BODY").getPosition()[2] == pytest.approx(9.81 * 1.6**2 / 2, rel=0.01)
-    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-9.81 * 1.6, rel=0.001)
-
-
 def test_gravity_is_a_number_of_the_world():
     simulation = simulate(solid("Box { }"), gravity=1)
     run(simulation, 2)
@@ -69,16 +61,6 @@ def test_a_pendulum_swings_with_its_period():
     assert period == pytest.approx(small * (1 + 0.1**2 / 16), rel=0.01)
 
 
-@pytest.mark.parametrize("friction", [0.2, 0.6])
-def test_a_block_slides_to_a_stop(friction: float):
-    text = FLOOR + solid("Box { size 0.2 0.2 0.1 }", "translation 0 0 0.05 linearVelocity 6 0 0")
-    simulation = simulate(
-        text, contactProperties=f"[ ContactProperties {{ coulombFriction {friction} bounce 0 }} ]"
-    )
-    run(simulation, 6 / (friction * 9.81) + 0.5)
-    assert node(simulation, "BODY").getPosition()[0] == pytest.approx(6**2 / (2 * friction * 9.81), rel=0.01)
-
-
 def test_two_materials_have_the_friction_of_their_pair():
     text = (
         'Solid { contactMaterial "ice" boundingObject Plane { } }'
@@ -110,13 +92,6 @@ def test_a_ball_bounces_with_its_share_of_the_speed(bounce: float):
         simulation.run_step()
         fast = max(fast, node(simulation, "BODY").getVelocity()[2])
     assert fast == pytest.approx(bounce * math.sqrt(2 * 9.81 * 1.0), rel=0.04)
-
-
-def test_a_box_rests_on_the_ground():
-    simulation = simulate(FLOOR + solid("Box { size 0.2 0.2 0.2 }", "translation 0 0 0.1"))
-    run(simulation, 2)
-    assert node(simulation, "BODY").getPosition() == pytest.approx([0, 0, 0.1], abs=1e-3)
-    assert node(simulation, "BODY").getVelocity() == pytest.approx([0.0] * 6, abs=1e-4)
 
 
 def test_a_motor_at_its_limit_accelerates_its_load():

@@ -1,20 +1,13 @@
-"""How far experiments come out from what their closed forms say, in percent.
+"""How true the simulation is: the numbers of tests/physics in each engine, beside those of mechanics, as JSON.
 
-    python -m tools.benchmarks.physics [--json]
-
-Each is a scenario, from its text to what the policy sees; tests/physics holds them.
+python -m tools.benchmarks.physics
 """
 
 from __future__ import annotations
 
-from tests.physics.closed_forms import EXPERIMENTS
-from tools.benchmarks.report import options, show
+import json
 
-
-def main() -> None:
-    arguments = options(__doc__)
-    show((row for experiment in EXPERIMENTS.values() for row in experiment()), as_json=arguments.json)
-
+from tests.physics.table import rows
 
 if __name__ == "__main__":
-    main()
+    print(json.dumps(list(rows()), indent=2))

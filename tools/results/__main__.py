@@ -1,5 +1,5 @@
 """Measures what is missing or stale of docs/results, and renders the pages: docs/results.md,
-docs/benchmark.md, docs/reference/measurements.md and docs/results/*.md.
+docs/benchmark.md, docs/reference/measurements.md, docs/results/*.md and a table of docs/engines.md.
 
     python -m tools.results                     everything
     python -m tools.results pit_escape costs    a scenario and a part

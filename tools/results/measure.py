@@ -69,6 +69,7 @@ class Places:
     pictures: Path = ROOT / "docs" / "images" / "results"
     runs: Path = ROOT / "runs" / "results"
     benchmark: Path = ROOT / "docs" / "benchmark.md"
+    engines: Path = ROOT / "docs" / "engines.md"
 
     def record(self, name: str) -> Path:
         return self.records / f"{name}.json"

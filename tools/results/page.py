@@ -1,4 +1,4 @@
-"""The pages of results: docs/results.md, docs/reference/measurements.md and a card for each scenario, from
+"""The pages of results: docs/results.md, docs/reference/measurements.md, docs/engines.md and a card for each scenario, from
 the records alone.
 
 What is compiled anew is only compared by its digest.
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from deepbots_cli.learning.runs.directories import write_text
-from tools.results import measure, picture
+from tools.results import measure, physics_page, picture
 from tools.results.card import (
     NOTE,
     card,
@@ -56,8 +56,8 @@ METHOD = """\
 - **Seeds** that are reported, from 101 on, chose nothing.
 - **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
-- **Simulated hours** count the steps of all environments.
-- **CPU** covers training and evaluation on two cores, and varies by a fifth.
+- **Simulated hours** count all environments.
+- **CPU** covers training and evaluation on two cores, ± a fifth.
 - [**Webots**](webots.md#measured): projects. [**Studio**](studio.md#measured).\
 """
 
@@ -81,7 +81,12 @@ def pages(places: Places, experiments: Experiments) -> dict[Path, str]:
     """The text of each page by its path."""
     standings, tables = _measured(places, experiments)
     cards = {places.card(standing.experiment.name): card(standing) for standing in standings}
-    return {places.page: _results(standings, tables), places.measurements: _measurements(tables), **cards}
+    return {
+        places.page: _results(standings, tables),
+        places.measurements: _measurements(tables),
+        places.engines: physics_page.filled(places.engines.read_text(encoding="utf-8"), tables["physics"]),
+        **cards,
+    }
 
 
 def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing], dict[str, Entry]]:
@@ -177,7 +182,9 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
     for part in PARTS:
         met = _met(tables[part.name])
         words.update("met" if one else "**missed**" for one in met)
-        missed += [f"[{part.title}](reference/measurements.md#{slug(part.title)})"] * (not all(met))
+        missed += [f"[{part.title}]({part.page or 'reference/measurements.md'}#{slug(part.title)})"] * (
+            not all(met)
+        )
     where = f" ({', '.join(missed)})" if linked and missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
     text += f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
@@ -225,7 +232,8 @@ def _measurements(tables: Mapping[str, Entry]) -> str:
     )
     lines = [NOTE, "", "# Measurements", "", *wrapped(intro), ""]
     for part in PARTS:
-        lines += _lines_of_part(part, tables[part.name])
+        if not part.page:
+            lines += _lines_of_part(part, tables[part.name])
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -236,7 +244,7 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
     ]
     if all(isinstance(table, Holding) for table in part.tables):
         rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in entries]
-        lines += table(("what", part.figure, "command"), rows)
+        lines += table(("what", "measured", "command"), rows)
     else:
         words = {None: "", True: "yes", False: "**no**"}
         rows_of_bars = [
@@ -248,7 +256,7 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
             )
             for _, row in entries
         ]
-        lines += table(("what", "bar", part.figure, "met"), rows_of_bars)
+        lines += table(("what", "bar", "measured", "met"), rows_of_bars)
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
         lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]

@@ -1,4 +1,4 @@
-"""The parts of docs/reference/measurements.md: costs, physics, channel, lint, and what holds.
+"""The parts of docs/reference/measurements.md: costs, channel, lint, and what holds; physics is in docs/engines.md.
 
 A table is measured again when anything has changed that it could depend on: the package, the scenarios and
 robots, the tests, the tools.
@@ -41,14 +41,13 @@ class Holding:
 
 @dataclass(frozen=True)
 class Part:
-    """A section of docs/reference/measurements.md with its tables; `figure` heads the column of what was
-    measured."""
+    """A section of a page of docs with its tables; without `page`, of docs/reference/measurements.md."""
 
     name: str
     title: str
     prose: str
     tables: tuple[Benchmark | Holding, ...]
-    figure: str = "measured"
+    page: str = ""
 
 
 COSTS = Part(
@@ -68,14 +67,10 @@ to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, w
 )
 PHYSICS = Part(
     name="physics",
-    title="Physics against closed forms",
-    prose="""\
-Each experiment is a scenario, from its text to the observation, on PyBullet (`tests/physics`). Errors above 1 % have these causes. A tire
-of 2 cm touches the ground anywhere across its width, so in an arc the middle of the axle is faster or slower by up to 1 cm times the
-turning rate, 3.7 % here. A drum sinks into the ground by the overlap that the solver leaves, and rolls on less than its radius. A bounce
-begins after the surfaces met, and has slightly more speed than declared. Smaller physics steps reduce the last two.""",
+    title="How true is the simulation?",
+    prose="",
     tables=(Benchmark("physics"),),
-    figure="error",
+    page="engines.md",
 )
 CHANNEL = Part(
     name="channel",

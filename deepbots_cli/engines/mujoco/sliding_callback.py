@@ -63,7 +63,7 @@ def _pointer(element: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
-        return types.CPointer(element)(types.intp), generate  # type: ignore[no-untyped-call]
+        return types.CPointer(element)(types.intp), generate
 
     return intrinsic(at)
 
@@ -95,7 +95,7 @@ def build() -> Any:
     ]
     (j_values, j_sizes, j_starts, j_columns), (a_values, a_sizes, a_starts, a_columns) = rows
 
-    @numba.cfunc(types.void(types.intp, types.intp), cache=True)
+    @numba.cfunc(types.void(types.intp, types.intp), cache=True)  # type: ignore[untyped-decorator]
     def callback(m: Any, d: Any) -> None:
         count = _integers_at(d + contact_count)[0]
         if (

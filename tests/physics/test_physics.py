@@ -1,0 +1,39 @@
+"""The engines give the numbers of mechanics; docs/engines.md has the table."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.physics.case import Case, Quantity, measured
+from tests.physics.table import CASES, EXPECTED_TO_FAIL
+
+READINGS = [
+    pytest.param(
+        case,
+        quantity,
+        engine,
+        id=f"{case.name}: {quantity.what}-{engine}",
+        marks=[pytest.mark.xfail(strict=True, reason="known to be wrong")]
+        if engine in EXPECTED_TO_FAIL.get(f"{case.name}: {quantity.what}", "").split()
+        else [],
+    )
+    for case in CASES
+    for engine in case.engines
+    for quantity in case.quantities
+    if engine in quantity.engines
+]
+
+
+@pytest.mark.parametrize(("case", "quantity", "engine"), READINGS)
+def test_a_number_is_that_of_mechanics(case: Case, quantity: Quantity, engine: str) -> None:
+    number = measured(case, engine)[quantity.what]
+    assert quantity.is_met(number), (
+        f"{number:.5g} {quantity.unit}, and not {quantity.truth:.5g} within {quantity.tolerance:.3g}"
+    )
+
+
+def test_what_is_expected_to_fail_is_in_the_table() -> None:
+    names = [f"{case.name}: {quantity.what}" for case in CASES for quantity in case.quantities]
+    assert len({*names}) == len(names)
+    assert {*EXPECTED_TO_FAIL} <= {*names}
+    assert len(CASES) >= 60
