@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Column = NDArray[Any]
 
 
-MAX_GAIN = 1000.0
+MAX_GAIN = 10_000.0
 """Largest gain of a velocity motor, in inertias of its joint per engine step."""
 MIN_ERROR_SHARE = 0.1
 """Share of its target by which a velocity motor must be off to exert its limit."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 from zlib import crc32
 
@@ -31,7 +32,11 @@ _NUMBERS = {
 SPARSE, AUTOMATIC = int(mujoco.mjtJacobian.mjJAC_SPARSE), int(mujoco.mjtJacobian.mjJAC_AUTO)
 AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse matrices itself
 
-_project, _correct = numba.njit(cache=True)(sliding.project), numba.njit(cache=True)(sliding.correct)
+_compiled = {name: numba.njit(cache=True)(getattr(sliding, name)) for name in ("product", "diagonal")}
+_correct = numba.njit(cache=True)(
+    # The same code, which calls the compiled functions.
+    FunctionType(sliding.correct.__code__, {**vars(sliding), **_compiled}, "correct")
+)
 
 
 def _c_type(kind: Any) -> Any:
@@ -127,21 +132,6 @@ def build() -> Any:
         is_sparse = kind == SPARSE or (kind == AUTOMATIC and width >= AUTOMATIC_SPARSE)
         # No less than what the functions read; Numba checks no bounds.
         largest = total * max(width, total)
-        accelerations, mobility = np.zeros(total), np.zeros(total)
-        _project(
-            accelerations,
-            mobility,
-            numba.carray(_numbers_at(_words_at(d + acceleration)[0]), width),
-            0 if is_sparse else width,
-            numba.carray(_numbers_at(_words_at(d + j_values)[0]), largest),
-            numba.carray(_integers_at(_words_at(d + j_sizes)[0]), total),
-            numba.carray(_integers_at(_words_at(d + j_starts)[0]), total),
-            numba.carray(_integers_at(_words_at(d + j_columns)[0]), largest),
-            numba.carray(_numbers_at(_words_at(d + a_values)[0]), largest),
-            numba.carray(_integers_at(_words_at(d + a_sizes)[0]), total),
-            numba.carray(_integers_at(_words_at(d + a_starts)[0]), total),
-            numba.carray(_integers_at(_words_at(d + a_columns)[0]), largest),
-        )
         _correct(
             references,
             addresses,
@@ -152,8 +142,16 @@ def build() -> Any:
             numba.carray(_numbers_at(_words_at(d + velocity)[0]), total),
             numba.carray(_numbers_at(_words_at(d + springs)[0]), 4 * total),
             numba.carray(_numbers_at(_words_at(d + softness)[0]), total),
-            accelerations,
-            mobility,
+            numba.carray(_numbers_at(_words_at(d + acceleration)[0]), width),
+            0 if is_sparse else width,
+            numba.carray(_numbers_at(_words_at(d + j_values)[0]), largest),
+            numba.carray(_integers_at(_words_at(d + j_sizes)[0]), total),
+            numba.carray(_integers_at(_words_at(d + j_starts)[0]), total),
+            numba.carray(_integers_at(_words_at(d + j_columns)[0]), largest),
+            numba.carray(_numbers_at(_words_at(d + a_values)[0]), largest),
+            numba.carray(_integers_at(_words_at(d + a_sizes)[0]), total),
+            numba.carray(_integers_at(_words_at(d + a_starts)[0]), total),
+            numba.carray(_integers_at(_words_at(d + a_columns)[0]), largest),
         )
 
     return callback.ctypes
