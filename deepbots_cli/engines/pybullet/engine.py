@@ -25,6 +25,7 @@ from deepbots_cli.engines.pybullet import (
 )
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, brightened, downsampled
+from deepbots_cli.engines.pybullet.damping import Damping
 from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
@@ -64,13 +65,13 @@ R = TypeVar("R")
 
 
 class Substeps(NamedTuple):
-    """The functions that a step calls: `resets` once, then in each engine step `callbacks`, `drives`, the
+    """The functions that a step calls: `starts` once, then in each engine step `callbacks`, `drives`, the
     physics, and `monitors`.
 
     Drives are motors that renew their torque. They see the targets that the callbacks have just set.
     """
 
-    resets: list[Callback]
+    starts: list[Callback]
     callbacks: list[Callback]
     drives: list[Callback]
     monitors: list[Callback]
@@ -79,12 +80,12 @@ class Substeps(NamedTuple):
         """Return `Engine.step`. Most worlds have none of these; checking for them costs 1 % of the
         cheapest step. `now` counts states of the world."""
         advance = p.stepSimulation
-        resets, callbacks, drives, monitors = self
+        starts, callbacks, drives, monitors = self
 
         def step(substeps: int) -> None:
-            if callbacks or drives or monitors:
-                for reset in resets:
-                    reset()
+            if starts or callbacks or drives or monitors:
+                for start in starts:
+                    start()
                 for _ in range(substeps):
                     for callback in callbacks:
                         callback()
@@ -100,6 +101,43 @@ class Substeps(NamedTuple):
                 now[0] += 1
 
         return step
+
+
+class Drives:
+    """The springs and the damping of all robots with joints, which act in each engine step once they are
+    set."""
+
+    def __init__(self, substeps: Substeps) -> None:
+        self.springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self.damping: dict[int, Damping] = {}
+        self._substeps = substeps
+
+    def add(self, springs: motors.Springs, body: int) -> MotorWriter:
+        """Let springs renew their torques, in place of earlier ones on the same joints."""
+        self.springs[body, springs.indices] = springs
+        self._order()
+        return springs.set_targets
+
+    def damp(self, body: Body) -> Damping:
+        """Return the damping of a robot, which acts from now on."""
+        damping = self.damping[body.number]
+        if damping.update not in self._substeps.starts:
+            self._substeps.starts.append(damping.update)
+            self._order()
+        return damping
+
+    def _order(self) -> None:
+        """Let the damping follow the springs, whose torques it takes into account."""
+        self._substeps.drives[:] = [
+            *(springs.apply for springs in self.springs.values()),
+            *(damping.apply for damping in self.damping.values() if damping.update in self._substeps.starts),
+        ]
+
+    def reset(self) -> None:
+        for damping in self.damping.values():
+            damping.reset()
+        for springs in self.springs.values():
+            springs.reset()
 
 
 class PyBulletEngine:
@@ -119,7 +157,7 @@ class PyBulletEngine:
         self.step = self._substeps.stepper(self._client, self._cache.generation)
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.color, world.lines) if world.ground and not world.terrain else None
-        self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self._drives = Drives(self._substeps)
         self._contact_monitors: dict[int, surfaces.ContactMonitor] = {}
         self._wrench_monitors: dict[tuple[int, int], motors.WrenchMonitor] = {}
         self._rays: surfaces.Rays | None = None
@@ -128,8 +166,15 @@ class PyBulletEngine:
             self._pools: dict[str, Pool[Body]] = {
                 pool.name: pool for pool in loading.bodies(self._client, world)
             }
-            self._parameters = Parameters(self._client, world, self._pools, self._floor)
+            self._parameters = Parameters(self._client, world, self._pools, self._floor, self._drives.damp)
             bodies = [body for pool in self._pools.values() for body in pool]
+            for body in bodies:
+                if body.brakes:
+                    self._drives.damping[body.number] = Damping(
+                        self._client, body, self._timestep, self._drives.springs
+                    )
+                if any(joint.damping for joint in body.model.moving_joints):
+                    self._drives.damp(body)
             self._moving = [body for body in bodies if not body.fixed or body.brakes]
             self._fixed = [body for body in bodies if body.fixed and not body.brakes]
             self._ground = [body.number for body in self._pools.get(GROUND, ())]
@@ -144,8 +189,7 @@ class PyBulletEngine:
         again."""
         self.require_finite()
         self._parameters.restore()
-        for springs in self._springs.values():
-            springs.reset()
+        self._drives.reset()
         for watch in self._contact_monitors.values():
             watch.reset()
         for wrench in self._wrench_monitors.values():
@@ -311,7 +355,7 @@ class PyBulletEngine:
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
             watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body)
-            self._substeps.resets.append(watch.reset)
+            self._substeps.starts.append(watch.reset)
             self._substeps.monitors.append(watch.update)
         return self._contact_monitors[body.number]
 
@@ -332,7 +376,7 @@ class PyBulletEngine:
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         body, indices = self._joints(robot, joints)
-        return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
+        return motors.torques(self.joint_states(robot, joints), body, indices, self._drives.springs)
 
     def joint_wrench(self, part: Part) -> WrenchReader:
         body = self._pool(part[0]).current
@@ -377,7 +421,8 @@ class PyBulletEngine:
         if curve is None:
             return motors.torque_motor(self._client, body, indices, max_torque)
         read = self.joint_states(robot, joints)
-        return self._drive(motors.CurvedMotor(self._client, body, indices, read, max_torque, curve), body)
+        drive = motors.CurvedMotor(self._client, body, indices, read, max_torque, curve)
+        return self._drives.add(drive, body)
 
     def position_motor(
         self,
@@ -396,16 +441,12 @@ class PyBulletEngine:
         curve = torque_curve(stall_torque, no_load_speed)
         arguments = (self._client, body, indices)
         read = self.joint_states(robot, joints)
-        if curve is None:
-            return self._drive(motors.Springs(*arguments, read, max_torque, stiffness, damping), body)
-        return self._drive(motors.CurvedMotor(*arguments, read, max_torque, curve, stiffness, damping), body)
-
-    def _drive(self, springs: motors.Springs, body: int) -> MotorWriter:
-        """Let springs renew their torques in every engine step, in place of earlier ones on the same
-        joints."""
-        self._springs[body, springs.indices] = springs
-        self._substeps.drives[:] = [drive.apply for drive in self._springs.values()]
-        return springs.set_targets
+        springs = (
+            motors.Springs(*arguments, read, max_torque, stiffness, damping)
+            if curve is None
+            else motors.CurvedMotor(*arguments, read, max_torque, curve, stiffness, damping)
+        )
+        return self._drives.add(springs, body)
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera = cameras.Camera(self._client, width, height, fov, self._floor)

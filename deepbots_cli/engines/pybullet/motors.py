@@ -113,7 +113,7 @@ class Springs:
             tuple(limits),
         )
         self._read = read
-        self._exert = _plain_torques(client, body, indices)
+        self._exert = exert_torques(client, body, indices)
         self.torques = self._nothing = [0.0] * len(indices)
         self._targets: Sequence[float] | None = None
 
@@ -179,7 +179,7 @@ def _limited(torque: float, low: float, high: float) -> float:
     return low if torque < low else torque
 
 
-def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
+def exert_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
     """Return a function that exerts torques in the next engine step alone; the friction of the joints' brakes
     acts as well."""
     joints = tuple(indices)
