@@ -10,8 +10,10 @@ from dataclasses import replace
 from itertools import pairwise
 from math import exp, pi
 
+import numpy as np
 import pytest
 
+from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
 
@@ -180,3 +182,49 @@ def test_a_damped_hinge_of_a_free_body_takes_the_turn_of_both_its_halves(engine_
         engine.step(5)
     assert engine.joint_states("robot", ["hinge"])()[0][0] == pytest.approx(2.0 * inertia / damping, rel=0.01)
     assert engine.velocity("robot")()[1][2] == pytest.approx(2.0 * 0.03 / 0.04, rel=0.01)
+
+
+@pytest.mark.parametrize(("motor", "target"), [("velocity_motor", 2.0), ("torque_motor", 50.0)])
+def test_the_torque_of_a_motor_does_not_exceed_its_limit_where_the_joint_meets_its_stop(
+    engine_name, motor, target, build
+):
+    engine = build(engine_name, arm(0.0, limit=Limit(-1.0, 0.5)))
+    drive = getattr(engine, motor)("robot", ["joint"], [50.0])
+    read = engine.joint_torques("robot", ["joint"])
+    torques = []
+    for _ in range(100):
+        drive([target])
+        engine.step(1)
+        torques.append(abs(read()[0]))
+    assert torques[-1] == pytest.approx(50.0)
+    assert max(torques) <= 50.0 + 1e-9
+
+
+def test_a_servo_rests_at_a_limit_that_its_target_lies_beyond(engine_name, build):
+    engine = build(engine_name, arm(0.0, limit=Limit(-1.0, 0.5)))
+    drive = engine.position_motor("robot", ["joint"], [50.0], None, None)
+    for _ in range(50):
+        drive([3.0])
+        engine.step(5)
+    assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(0.5, abs=1e-3)
+    assert engine.joint_torques("robot", ["joint"])() == pytest.approx([0.0], abs=0.01)
+
+
+def test_torques_at_a_stop_are_the_same_in_a_batch():
+    pytest.importorskip("mujoco")
+    world = arm(0.0, limit=Limit(-1.0, 0.5))
+    batch, single = create_batch("mujoco", world, 2), create("mujoco", world)
+    for motor, limit, target in (("velocity_motor", 50.0, 2.0), ("position_motor", 40.0, 3.0)):
+        more = (None, None) if motor == "position_motor" else ()
+        drives = [getattr(engine, motor)("robot", ["joint"], [limit], *more) for engine in (batch, single)]
+        readers = [engine.joint_torques("robot", ["joint"]) for engine in (batch, single)]
+        for engine in (*batch.members, single):
+            engine.reset()
+        batch.begin_episodes()
+        for _ in range(100):
+            for engine, drive in zip((batch, single), drives, strict=True):
+                drive([target])
+                engine.step(1)
+            together, alone = (read() for read in readers)
+            np.testing.assert_array_equal(np.array(together)[:, 1], alone)
+    single.close()

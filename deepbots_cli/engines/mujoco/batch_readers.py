@@ -223,14 +223,17 @@ class BatchReaders:
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
-        dofs = self.nominal.jnt_dofadr[list(self.single.joint_numbers(robot, joints))]
+        numbers = list(self.single.joint_numbers(robot, joints))
+        dofs = self.nominal.jnt_dofadr[numbers]
         for name in ("qfrc_actuator", "qacc"):
             self._keep_output(name)
 
         def read() -> Any:
             armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
             added = armature - self.usual_armature(slice(None), dofs).T
-            return self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
+            torques = self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
+            ranges = self.rows["jnt_actfrcrange"][:, numbers]
+            return np.minimum(np.maximum(torques, ranges[..., 0].T), ranges[..., 1].T)
 
         return read
 
