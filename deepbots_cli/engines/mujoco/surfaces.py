@@ -3,7 +3,8 @@ sight."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -40,9 +41,10 @@ SEEN_GROUPS[HIDDEN_GROUP] = 0
 
 
 class ContactMonitor:
-    """Checks contacts after every engine step, for all contact readers of a world."""
+    """Checks contacts after every engine step, and adds up their forces, for all readers of a world."""
 
     def __init__(self, world: MujocoWorld) -> None:
+        self._world = world
         # Both objects stay the same; MuJoCo updates their contents in each engine step.
         self._data = world.data
         self._contacts = world.data.contact
@@ -50,17 +52,32 @@ class ContactMonitor:
         self._touched: list[bool] = []
         self._all_false: list[bool] = []
         self._ignored_pairs: list[list[int]] = []
-        world.state_accessors.append((lambda: list(self._touched), self._restore))
+        self._forces: list[tuple[Callable[[], Any], list[Any]]] = []
+        """Readers of forces in the last engine step, and their readings since the last `reset`."""
+        world.state_accessors.append((self._memory, self._restore))
 
     def reset(self) -> None:
         self._touched[:] = self._all_false
+        for _, readings in self._forces:
+            readings.clear()
 
-    def _restore(self, touched: list[bool]) -> None:
+    def _memory(self) -> tuple[list[bool], list[list[Any]]]:
+        return list(self._touched), [list(readings) for _, readings in self._forces]
+
+    def _restore(self, memory: tuple[list[bool], list[list[Any]]]) -> None:
+        touched, forces = memory
         self._touched[: len(touched)] = touched
+        # Not strict: readers that were bound after the snapshot have no memory in it.
+        for (_, readings), before in zip(self._forces, forces, strict=False):
+            readings[:] = before
 
     def update(self) -> None:
         """Mark the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that concern none of
         them."""
+        if self._forces:
+            self._world.invalidate_after_step()
+            for read, readings in self._forces:
+                readings.append(read())
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
             # A robot at rest has the same contacts in many steps, and often none that a reader asks for.
@@ -88,27 +105,29 @@ class ContactMonitor:
         self._all_false.append(False)
         return lambda: touched[index]
 
+    def normal_force(self, geoms: Iterable[int]) -> ForceReader:
+        """Return a reader of the mean sum of normal forces on geoms (N)."""
+        readings: list[float] = []
+        self._forces.append((partial(_normal_force, self._world, frozenset(geoms)), readings))
+        return lambda: sum(readings) / len(readings) if readings else 0.0
 
-def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
-    """Return the sum of normal forces on geoms."""
-    geom_set = frozenset(geoms)
-    return lambda: float(
-        sum(force for first, second, force in world.forces if first in geom_set or second in geom_set)
-    )
+    def force_vector(self, geoms: Iterable[int]) -> VectorReader:
+        """Return a reader of the mean sum of the forces of other geoms on geoms (N, world frame)."""
+        readings: list[Triple] = []
+        self._forces.append((partial(_force_vector, self._world, frozenset(geoms)), readings))
+        return lambda: frames.mean(readings)
 
 
-def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
-    """Return the sum of the forces of other geoms on geoms (N, world frame)."""
-    geom_set = frozenset(geoms)
+def _normal_force(world: MujocoWorld, geoms: frozenset[int]) -> float:
+    return float(sum(force for first, second, force in world.forces if first in geoms or second in geoms))
 
-    def read() -> Triple:
-        total = ZERO_VECTOR
-        for first, second, force in force_vectors(world):
-            if (first in geom_set) != (second in geom_set):
-                total = (frames.add if second in geom_set else frames.subtract)(total, force)
-        return total
 
-    return read
+def _force_vector(world: MujocoWorld, geoms: frozenset[int]) -> Triple:
+    total = ZERO_VECTOR
+    for first, second, force in force_vectors(world):
+        if (first in geoms) != (second in geoms):
+            total = (frames.add if second in geoms else frames.subtract)(total, force)
+    return total
 
 
 def clearance(world: MujocoWorld, first_geoms: Sequence[int], second_geoms: Sequence[int]) -> ClearanceReader:

@@ -159,6 +159,7 @@ class PyBulletEngine:
         self._floor = Floor(world.ground.color, world.lines) if world.ground and not world.terrain else None
         self._drives = Drives(self._substeps)
         self._contact_monitors: dict[int, surfaces.ContactMonitor] = {}
+        self._force_monitors: dict[tuple[int, int], surfaces.ForceMonitor] = {}
         self._wrench_monitors: dict[tuple[int, int], motors.WrenchMonitor] = {}
         self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
@@ -192,6 +193,8 @@ class PyBulletEngine:
         self._drives.reset()
         for watch in self._contact_monitors.values():
             watch.reset()
+        for monitor in self._force_monitors.values():
+            monitor.reset()
         for wrench in self._wrench_monitors.values():
             wrench.reset()
         for pool in self._pools.values():
@@ -290,15 +293,21 @@ class PyBulletEngine:
 
     def contact_force(self, one: Part) -> ForceReader:
         return self._bound(
-            one, lambda body, link: surfaces.force(self._client, body, link), surfaces.ANY_LINK
+            one, lambda body, link: self._force_monitor(body, link).normal_force(), surfaces.ANY_LINK
         )
 
     def contact_force_vector(self, one: Part) -> VectorReader:
         return self._bound(
-            one,
-            lambda body, link: surfaces.force_vector(self._client, body, link),
-            surfaces.ANY_LINK,
+            one, lambda body, link: self._force_monitor(body, link).force_vector(), surfaces.ANY_LINK
         )
+
+    def _force_monitor(self, body: Body, link: int) -> surfaces.ForceMonitor:
+        key = body.number, link
+        if key not in self._force_monitors:
+            monitor = self._force_monitors[key] = surfaces.ForceMonitor(self._client, body, link)
+            self._substeps.starts.append(monitor.reset)
+            self._substeps.monitors.append(monitor.update)
+        return self._force_monitors[key]
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         pools = (self._pool(one[0]), self._pool(other[0]))
