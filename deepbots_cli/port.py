@@ -350,7 +350,8 @@ class Engine(Bindable, Protocol):
         """Check every pose and joint.
 
         Raises:
-            EngineError: A number is not finite; the message names the body.
+            EngineError: A number is not finite, or no motor and no fall gives a joint its speed; the message
+                names the body, or the joint.
         """
 
     def render(self, view: View) -> Image:

@@ -116,6 +116,36 @@ class Pool(Generic[Body]):
         return call_current
 
 
+MAX_TURN_RATE = 1e4
+"""In rad/s, ten times the speed of a rotor; the turbine of a dental drill, the fastest of joints, states its
+own."""
+MAX_SLIDING_SPEED = 1e3
+"""In m/s; three times the speed of sound."""
+
+
+def fastest(joint: Joint) -> float:
+    """Return the speed (rad/s or m/s) that no motor and no fall gives a joint: the larger of the constant for
+    its kind and twice the limit that the joint states."""
+    most = MAX_SLIDING_SPEED if joint.type == "prismatic" else MAX_TURN_RATE
+    return max(most, 2.0 * (joint.limit.velocity or 0.0))
+
+
+def require_possible(robot: str, joint: Joint, speed: float, step: float) -> None:
+    """Check the speed of a joint (rad/s or m/s) after a physics step of `step` s.
+
+    Raises:
+        EngineError: No motor and no fall gives it that speed.
+    """
+    if abs(speed) > fastest(joint):
+        unit, moves = ("m/s", "slides") if joint.type == "prismatic" else ("rad/s", "turns")
+        raise EngineError(
+            f"joint '{joint.name}' of '{robot}' {moves} at {abs(speed):.3g} {unit}, which no motor and no"
+            f" fall could give it: its motion is not stable with physics steps of {1000.0 * step:g} ms; write"
+            " more `substeps` under `world`, or lower the `stiffness` and `damping` of its motor (`deepbots"
+            " lint` names stable ones)"
+        )
+
+
 ROOT_MASS_FRACTION = 1e-6
 """The mass of a root without mass, as a share of the mass that is attached to it. Its inertia is that of this
 mass at a distance of 1 m."""

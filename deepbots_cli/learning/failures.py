@@ -228,7 +228,7 @@ class BatchFailureRecorder:
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
             raise EngineError(
-                f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the"
+                f"in {MAX_LOST_EPISODES} of the last {window} episodes the physics was not stable; the"
                 f" last one is {text}"
             )
         self._note(f"{text}\nworld {loss.world} was reset")

@@ -345,8 +345,9 @@ class MuJoCoBatch(BatchReaders):
         self._observer.is_current = False
 
     def non_finite_worlds(self) -> Column:
-        """Return the numbers of the worlds whose state is not finite."""
-        return np.flatnonzero(~np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1)))
+        """Return the numbers of the worlds that `Engine.require_finite` refuses."""
+        is_finite = np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1))
+        return np.flatnonzero(~is_finite | (np.abs(self.qvel) > self._world.fastest).any(axis=1))
 
     def close(self) -> None:
         self.single.close()

@@ -9,12 +9,12 @@ requires.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import atan2, exp, pi, sqrt
+from math import atan2, exp, inf, pi, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.mechanics import Pool, named
+from deepbots_cli.engines.mechanics import Pool, fastest, named, require_possible
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
 from deepbots_cli.errors import EngineError
@@ -107,6 +107,16 @@ class MujocoWorld:
             if link.center_varies
         )
         """The links whose center of mass an episode may move."""
+        self._joints = {
+            int(model.jnt_dofadr[number]): (body.name, body.model.joint(name))
+            for pool in pools
+            for body in pool
+            for name, number in body.joints.items()
+        }
+        self.fastest = np.full(model.nv, inf)
+        """The speeds that no motor and no fall gives the joints, rad/s or m/s."""
+        for dof, (_, joint) in self._joints.items():
+            self.fastest[dof] = fastest(joint)
         self._inertia_factors = np.ones((model.nbody, 2))
         self.armature = model.dof_armature.copy()
         """The armature of the present episode, to which velocity motors add."""
@@ -432,14 +442,12 @@ class MujocoWorld:
             model.pair_solimp[index] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
 
     def require_finite(self) -> None:
-        """Check that poses and joints are finite.
-
-        Raises:
-            EngineError: A pose or joint is not finite; the error names the body.
-        """
+        """See `Engine.require_finite`."""
         data = self.require_open().data
         # A sum is finite only if each summand is; an overflow of finite values leads to the full check below.
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
+            for dof in np.flatnonzero(np.abs(data.qvel) > self.fastest).tolist():
+                require_possible(*self._joints[dof], float(data.qvel[dof]), self.model.opt.timestep)
             return
         # Robots are checked first: objects get values that are not finite from them.
         robots_first = reversed(self.pools.values())

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mechanics import inverse_kinematics, named, torque_curve
+from deepbots_cli.engines.mechanics import inverse_kinematics, named, require_possible, torque_curve
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -188,7 +188,7 @@ class PyBulletEngine:
     def reset(self) -> None:
         """See `Engine.reset`. A world with values that are not finite cannot be reset; it must be built
         again."""
-        self.require_finite()
+        self._require_numbers()
         self._parameters.restore()
         self._drives.reset()
         for watch in self._contact_monitors.values():
@@ -369,16 +369,25 @@ class PyBulletEngine:
         return self._contact_monitors[body.number]
 
     def require_finite(self) -> None:
-        client = self._client
+        """See `Engine.require_finite`."""
+        self._require_numbers()
+        for body in self._moving:
+            names = {index: name for name, index in body.joints.items()}
+            for index, (_, speed, *_) in zip(body.brakes, self._brake_states(body), strict=True):
+                require_possible(body.name, body.model.joint(names[index]), speed, self._timestep)
+
+    def _require_numbers(self) -> None:
         # Robots come before objects, which get values that are not finite from them.
         for body in reversed(self._require_open()._moving):
-            joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for quantity, values in (
-                ("pose", p.getBasePositionAndOrientation(body.number, client)),
-                ("joints", (j[:2] for j in joints)),
+                ("pose", p.getBasePositionAndOrientation(body.number, self._client)),
+                ("joints", (j[:2] for j in self._brake_states(body))),
             ):
                 if not isfinite(sum(map(sum, values))):
                     raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
+
+    def _brake_states(self, body: Body) -> Any:
+        return p.getJointStates(body.number, tuple(body.brakes), self._client) if body.brakes else ()
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         return state.joint_reader(self._client, *self._joints(robot, joints), self._cache)
