@@ -8,7 +8,7 @@ that help and grows after steps that do not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, inf
@@ -130,19 +130,35 @@ def fastest(joint: Joint) -> float:
     return max(most, 2.0 * (joint.limit.velocity or 0.0))
 
 
-def require_possible(robot: str, joint: Joint, speed: float, step: float) -> None:
-    """Check the speed of a joint (rad/s or m/s) after a physics step of `step` s.
+class JointSpeed(NamedTuple):
+    """A joint of a robot, its speed (rad/s or m/s), and the stiffness of its spring motor (N m/rad or N/m; 0
+    without one)."""
+
+    robot: str
+    joint: Joint
+    speed: float
+    stiffness: float = 0.0
+
+
+def require_possible(speeds: Iterable[JointSpeed], step: float) -> None:
+    """Check the speeds of joints after a physics step of `step` s.
 
     Raises:
-        EngineError: No motor and no fall gives it that speed.
+        EngineError: No motor and no fall gives a joint that speed. One with a spring is named first, because
+            it may drive the others.
     """
-    if abs(speed) > fastest(joint):
-        unit, moves = ("m/s", "slides") if joint.type == "prismatic" else ("rad/s", "turns")
+    impossible = [entry for entry in speeds if abs(entry.speed) > fastest(entry.joint)]
+    if impossible:
+        robot, joint, speed, stiffness = max(impossible, key=lambda entry: entry.stiffness)
+        slides = joint.type == "prismatic"
+        spring = (
+            f"its spring of {stiffness:g} {'N/m' if slides else 'N*m/rad'}" if stiffness else "its motion"
+        )
         raise EngineError(
-            f"joint '{joint.name}' of '{robot}' {moves} at {abs(speed):.3g} {unit}, which no motor and no"
-            f" fall could give it: its motion is not stable with physics steps of {1000.0 * step:g} ms; write"
-            " more `substeps` under `world`, or lower the `stiffness` and `damping` of its motor (`deepbots"
-            " lint` names stable ones)"
+            f"joint '{joint.name}' of '{robot}' {'slides' if slides else 'turns'} at {abs(speed):.3g}"
+            f" {'m/s' if slides else 'rad/s'}, which no motor and no fall could give it: {spring} is not stable"
+            f" with physics steps of {1000.0 * step:g} ms; write more `substeps` under `world`, or lower the"
+            " `stiffness` and `damping` of its motor (`deepbots lint` names stable ones)"
         )
 
 

@@ -363,6 +363,7 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
         try:
             for step_count in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass
+            world.engine.require_finite()  # a batch checks every step, a single world does not
         except RunError:  # the recording is damaged; the world did not fail
             raise
         except DeepbotsError as error:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.mechanics import Pool, fastest, named, require_possible
+from deepbots_cli.engines.mechanics import JointSpeed, Pool, fastest, named, require_possible
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
 from deepbots_cli.errors import EngineError
@@ -446,8 +446,16 @@ class MujocoWorld:
         data = self.require_open().data
         # A sum is finite only if each summand is; an overflow of finite values leads to the full check below.
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
-            for dof in np.flatnonzero(np.abs(data.qvel) > self.fastest).tolist():
-                require_possible(*self._joints[dof], float(data.qvel[dof]), self.model.opt.timestep)
+            fast = np.flatnonzero(np.abs(data.qvel) > self.fastest).tolist()
+            if fast:
+                model = self.model
+                # Servos have no limit of their actuator, but of their joint.
+                springs = -model.actuator_biasprm[:, 1] * model.actuator_forcelimited
+                stiffness = dict(zip(model.jnt_dofadr[model.actuator_trnid[:, 0]], springs, strict=True))
+                speeds = (
+                    JointSpeed(*self._joints[dof], data.qvel[dof], stiffness.get(dof, 0.0)) for dof in fast
+                )
+                require_possible(speeds, model.opt.timestep)
             return
         # Robots are checked first: objects get values that are not finite from them.
         robots_first = reversed(self.pools.values())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mechanics import inverse_kinematics, named, require_possible, torque_curve
+from deepbots_cli.engines.mechanics import (
+    JointSpeed,
+    inverse_kinematics,
+    named,
+    require_possible,
+    torque_curve,
+)
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -371,10 +377,17 @@ class PyBulletEngine:
     def require_finite(self) -> None:
         """See `Engine.require_finite`."""
         self._require_numbers()
+        require_possible(self._joint_speeds(), self._timestep)
+
+    def _joint_speeds(self) -> Iterator[JointSpeed]:
         for body in self._moving:
             names = {index: name for name, index in body.joints.items()}
+            stiffness: dict[int, float] = {}
+            for (number, _), springs in self._drives.springs.items():
+                stiffness |= springs.stiffness if number == body.number else {}
             for index, (_, speed, *_) in zip(body.brakes, self._brake_states(body), strict=True):
-                require_possible(body.name, body.model.joint(names[index]), speed, self._timestep)
+                joint = body.model.joint(names[index])
+                yield JointSpeed(body.name, joint, speed, stiffness.get(index, 0.0))
 
     def _require_numbers(self) -> None:
         # Robots come before objects, which get values that are not finite from them.

@@ -117,6 +117,11 @@ class Springs:
         self.torques = self._nothing = [0.0] * len(indices)
         self._targets: Sequence[float] | None = None
 
+    @property
+    def stiffness(self) -> dict[int, float]:
+        """The stiffness (N m/rad or N/m) by joint."""
+        return dict(zip(self.indices, self._columns[0], strict=True))
+
     def set_targets(self, targets: Sequence[float]) -> None:
         self._targets = tuple(targets)
 
