@@ -37,9 +37,9 @@ Observation = NDArray[np.float32]
 Info = dict[str, Any]
 
 _CLOSED = "the environment is closed; make a new one"
-STEPS_PER_CHECK = 7
+STEPS_PER_CHECK = 15
 """The steps between checks of the speeds of joints; an unstable spring may stand still in every 2nd or 4th
-step. A check takes 1 to 4 us."""
+step. A check takes 5 to 15 us."""
 
 
 class Supervisor(

@@ -90,10 +90,13 @@ class Motors:
         ranges = model.jnt_actfrcrange
 
         def read() -> list[float]:
-            lows, highs = ranges[joints].T
-            torques = exerted[dofs] - (armature[dofs] - usual[dofs]) * accelerations[dofs]
-            limited: list[float] = np.minimum(np.maximum(torques, lows), highs).tolist()
-            return limited
+            added = armature[dofs] - usual[dofs]
+            torques: Any = exerted[dofs]
+            if added.any():
+                lows, highs = ranges[joints].T
+                torques = np.minimum(np.maximum(torques - added * accelerations[dofs], lows), highs)
+            read_torques: list[float] = torques.tolist()
+            return read_torques
 
         return read
 

@@ -446,8 +446,9 @@ class MujocoWorld:
         data = self.require_open().data
         # A sum is finite only if each summand is; an overflow of finite values leads to the full check below.
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
-            fast = np.flatnonzero(np.abs(data.qvel) > self.fastest).tolist()
-            if fast:
+            impossible = np.abs(data.qvel) > self.fastest
+            if impossible.any():
+                fast = np.flatnonzero(impossible).tolist()
                 model = self.model
                 # Servos have no limit of their actuator, but of their joint.
                 springs = -model.actuator_biasprm[:, 1] * model.actuator_forcelimited

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
@@ -14,6 +14,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import (
     JointSpeed,
+    fastest,
     inverse_kinematics,
     named,
     require_possible,
@@ -184,6 +185,12 @@ class PyBulletEngine:
                     self._drives.damp(body)
             self._moving = [body for body in bodies if not body.fixed or body.brakes]
             self._fixed = [body for body in bodies if body.fixed and not body.brakes]
+            # `brakes` has the moving joints in this order.
+            self._speed_limits = [
+                (body, [fastest(joint) for joint in body.model.moving_joints])
+                for body in bodies
+                if body.brakes
+            ]
             self._ground = [body.number for body in self._pools.get(GROUND, ())]
             loading.join_islands(self._client, self._pools.values())
             self.reset()
@@ -377,17 +384,18 @@ class PyBulletEngine:
     def require_finite(self) -> None:
         """See `Engine.require_finite`."""
         self._require_numbers()
-        require_possible(self._joint_speeds(), self._timestep)
-
-    def _joint_speeds(self) -> Iterator[JointSpeed]:
-        for body in self._moving:
-            names = {index: name for name, index in body.joints.items()}
-            stiffness: dict[int, float] = {}
-            for (number, _), springs in self._drives.springs.items():
-                stiffness |= springs.stiffness if number == body.number else {}
-            for index, (_, speed, *_) in zip(body.brakes, self._brake_states(body), strict=True):
-                joint = body.model.joint(names[index])
-                yield JointSpeed(body.name, joint, speed, stiffness.get(index, 0.0))
+        for body, limits in self._speed_limits:
+            states = self._brake_states(body)
+            if any(abs(state[1]) > limit for state, limit in zip(states, limits, strict=True)):
+                stiffness: dict[int, float] = {}
+                for (number, _), springs in self._drives.springs.items():
+                    stiffness |= springs.stiffness if number == body.number else {}
+                joints = {body.joints[joint.name]: joint for joint in body.model.moving_joints}
+                speeds = (
+                    JointSpeed(body.name, joints[index], state[1], stiffness.get(index, 0.0))
+                    for index, state in zip(body.brakes, states, strict=True)
+                )
+                require_possible(speeds, self._timestep)
 
     def _require_numbers(self) -> None:
         # Robots come before objects, which get values that are not finite from them.
