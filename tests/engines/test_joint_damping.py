@@ -6,6 +6,7 @@ v I / d, with steps of any length.
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
 from math import exp, pi
@@ -13,6 +14,7 @@ from math import exp, pi
 import numpy as np
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
@@ -66,6 +68,50 @@ def test_a_damped_joint_comes_to_rest_where_its_damping_says(engine_name, share,
         speeds.append(read()[0][1])
     assert all(0.0 <= after <= before + 1e-9 for before, after in pairwise(speeds))
     assert read()[0][0] == pytest.approx(rest_angle(damping), rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.1])
+def test_the_speed_of_a_damped_joint_falls_exponentially(engine_name, share, build):
+    damping = share * INERTIA / (TIMESTEP / 5)
+    engine = build(engine_name, arm(damping))
+    read = engine.joint_states("robot", ["joint"])
+    engine.set_joint("robot", "joint", 0.0, 2.0)
+    for tick in range(1, 50):
+        engine.step(5)
+        assert read()[0][1] == pytest.approx(2.0 * exp(-5 * share * tick), abs=0.02 * 2.0)
+
+
+@pytest.mark.parametrize("substeps", [5, 20])
+@pytest.mark.parametrize(
+    ("file", "joints"), [("kuka_iiwa/model.urdf", "lbr_iiwa_joint_*"), ("xarm/xarm6_robot.urdf", "joint*")]
+)
+def test_a_real_arm_whose_motors_exert_nothing_only_falls(tmp_path, file, joints, substeps):
+    pytest.importorskip("pybullet_data")
+    text = f"""
+deepbots: 1
+name: Falls
+world: {{timestep: 20 ms, substeps: {substeps}, engine: pybullet}}
+robots:
+  arm:
+    urdf: package://pybullet_data/{file}
+    base: fixed
+    groups: {{arm: ["{joints}"]}}
+    sensors: {{angles: {{type: joint_position, joints: arm}}}}
+    actuators: {{motors: {{type: torque_motor, joints: arm}}}}
+    apply: {{motors: u * 0 N*m}}
+action: {{u: -1 .. 1}}
+observation: {{arm.angles: -3 .. 3 rad}}
+reward: {{fastest: max(abs(joint_velocity(arm.arm))) / (rad/s)}}
+reset: {{joints: {{arm.arm: 0.15 rad}}}}
+truncation: {{max_steps: 100}}
+"""
+    (tmp_path / "falls.yaml").write_text(text)
+    with closing(api.make(str(tmp_path / "falls.yaml"))) as environment:
+        environment.reset(seed=0)
+        speeds = [environment.step(np.zeros(1, np.float32))[1] for _ in range(100)]
+    # A point on a rod of 0.5 m that falls from above to below has sqrt(4 g / 0.5) = 8.9 rad/s. The light wrist
+    # is faster for a step when another joint meets its stop.
+    assert max(speeds) < 15.0
 
 
 def test_a_joint_beyond_one_that_damping_locks_moves_as_one_body(engine_name, build):
