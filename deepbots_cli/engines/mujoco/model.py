@@ -145,7 +145,7 @@ class ModelBuilder:
         spec.option.gravity = world.gravity
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
         # With elliptic cones, the first row of a contact is its normal force, which
-        # `ContactMonitor` reads; the rows of a pyramid are its edges.
+        # `MujocoWorld.forces` reads; the rows of a pyramid are its edges.
         spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET
         spec.compiler.degree = False  # rad; MuJoCo's own default is degrees
