@@ -7,6 +7,8 @@ from math import asin, atan2, copysign, cos, hypot, pi, sin
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from deepbots_cli.robots.model import Pose
 
 Triple = tuple[float, float, float]
@@ -120,6 +122,15 @@ def subtract(a: Triple, b: Triple) -> Triple:
 
 def scaled(a: Triple, factor: float) -> Triple:
     return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+def mean(vectors: Sequence[Triple]) -> Triple:
+    """Return the mean of vectors, summed in their order; 0 of none."""
+    x = y = z = 0.0
+    for vector in vectors:
+        x, y, z = x + vector[0], y + vector[1], z + vector[2]
+    count = max(len(vectors), 1)
+    return x / count, y / count, z / count
 
 
 def rotate(q: Quaternion, v: Triple) -> Triple:

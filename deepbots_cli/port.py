@@ -145,12 +145,12 @@ class Bindable(Protocol):
         """
 
     def contact_force(self, one: Part) -> ForceReader:
-        """Return the sum of normal forces (N) on `one` from everything that it touches, in the last engine
-        step."""
+        """Return the sum of normal forces (N) on `one` from everything that it touches: the mean of the
+        engine steps of the last `step`; 0 after a reset."""
 
     def contact_force_vector(self, one: Part) -> VectorReader:
         """Return the sum of the contact forces (N, world frame) on `one` from everything else that it
-        touches, friction included, in the last engine step."""
+        touches, friction included: the mean of the engine steps of the last `step`; 0 after a reset."""
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         """Return the distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
@@ -350,7 +350,8 @@ class Engine(Bindable, Protocol):
         """Check every pose and joint.
 
         Raises:
-            EngineError: A number is not finite; the message names the body.
+            EngineError: A number is not finite, or no motor and no fall gives a joint its speed; the message
+                names the body, or the joint.
         """
 
     def render(self, view: View) -> Image:

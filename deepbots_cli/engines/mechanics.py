@@ -8,7 +8,7 @@ that help and grows after steps that do not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, inf
@@ -114,6 +114,52 @@ class Pool(Generic[Body]):
             return table[id(self.current)](*args, **kwargs)
 
         return call_current
+
+
+MAX_TURN_RATE = 1e4
+"""In rad/s, ten times the speed of a rotor; the turbine of a dental drill, the fastest of joints, states its
+own."""
+MAX_SLIDING_SPEED = 1e3
+"""In m/s; three times the speed of sound."""
+
+
+def fastest(joint: Joint) -> float:
+    """Return the speed (rad/s or m/s) that no motor and no fall gives a joint: the larger of the constant for
+    its kind and twice the limit that the joint states."""
+    most = MAX_SLIDING_SPEED if joint.type == "prismatic" else MAX_TURN_RATE
+    return max(most, 2.0 * (joint.limit.velocity or 0.0))
+
+
+class JointSpeed(NamedTuple):
+    """A joint of a robot, its speed (rad/s or m/s), and the stiffness of its spring motor (N m/rad or N/m; 0
+    without one)."""
+
+    robot: str
+    joint: Joint
+    speed: float
+    stiffness: float = 0.0
+
+
+def require_possible(speeds: Iterable[JointSpeed], step: float) -> None:
+    """Check the speeds of joints after a physics step of `step` s.
+
+    Raises:
+        EngineError: No motor and no fall gives a joint that speed. One with a spring is named first, because
+            it may drive the others.
+    """
+    impossible = [entry for entry in speeds if abs(entry.speed) > fastest(entry.joint)]
+    if impossible:
+        robot, joint, speed, stiffness = max(impossible, key=lambda entry: entry.stiffness)
+        slides = joint.type == "prismatic"
+        spring = (
+            f"its spring of {stiffness:g} {'N/m' if slides else 'N*m/rad'}" if stiffness else "its motion"
+        )
+        raise EngineError(
+            f"joint '{joint.name}' of '{robot}' {'slides' if slides else 'turns'} at {abs(speed):.3g}"
+            f" {'m/s' if slides else 'rad/s'}, which no motor and no fall could give it: {spring} is not stable"
+            f" with physics steps of {1000.0 * step:g} ms; write more `substeps` under `world`, or lower the"
+            " `stiffness` and `damping` of its motor (`deepbots lint` names stable ones)"
+        )
 
 
 ROOT_MASS_FRACTION = 1e-6

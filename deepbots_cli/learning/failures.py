@@ -228,7 +228,7 @@ class BatchFailureRecorder:
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
             raise EngineError(
-                f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the"
+                f"in {MAX_LOST_EPISODES} of the last {window} episodes the physics was not stable; the"
                 f" last one is {text}"
             )
         self._note(f"{text}\nworld {loss.world} was reset")
@@ -363,6 +363,7 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
         try:
             for step_count in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass
+            world.engine.require_finite()  # a batch checks every step, a single world does not
         except RunError:  # the recording is damaged; the world did not fail
             raise
         except DeepbotsError as error:

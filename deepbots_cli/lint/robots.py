@@ -351,7 +351,7 @@ def _shaking(
     needed: float,
 ) -> Finding:
     joint = context.analysis.body(robot.name).model.joint(light[0])
-    unit = "kg" if joint.type == "prismatic" else "kg*m^2"
+    unit, spring = ("kg", "N/m") if joint.type == "prismatic" else ("kg*m^2", "N*m/rad")
     names = ", ".join(f"`{name}`" for name in light[:_MAX_NAMES])
     more = f" and {len(light) - _MAX_NAMES} more" if len(light) > _MAX_NAMES else ""
     headline = (
@@ -367,7 +367,10 @@ def _shaking(
         if kind is not None and kind.supports("armature")
         else ""
     )
-    help = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
+    share = 0.99 * inertia / needed
+    damping = f" and the damping below {motor.damping * share:.3g}" if motor.damping else ""
+    lower = f"lower the stiffness below {(motor.stiffness or 0.0) * share:.3g} {spring}{damping}"
+    help = f"{rotor}{lower}, or write `substeps: {substeps}` under `world`"
     return Finding(
         "DB325",
         context.values.key_span(("robots", robot.name, "actuators", motor.name)),

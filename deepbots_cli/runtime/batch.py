@@ -61,7 +61,7 @@ class BatchStep(NamedTuple):
 
 
 class LostWorld(NamedTuple):
-    """A world that was no longer finite: its number, the seed of its random generators, the step of its
+    """A world whose physics was not stable: its number, the seed of its random generators, the step of its
     episode, and the error."""
 
     world: int
@@ -70,9 +70,7 @@ class LostWorld(NamedTuple):
     error: str
 
     def __str__(self) -> str:
-        return (
-            f"world {self.world} (seed {self.seed}) became infinite or NaN in step {self.step} and was reset"
-        )
+        return f"world {self.world} (seed {self.seed}) was reset in step {self.step}: {self.error}"
 
 
 class EpisodeHistory(NamedTuple):
@@ -218,7 +216,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def step(self, action: Any) -> BatchStep:
         """Advance all worlds by one step; episodes that end are followed by new ones at once.
 
-        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It starts again, and
+        A world that is no longer finite, or in which a joint has an impossible speed, is truncated by
+        `not_finite` with a reward of 0. It starts again, and
         is reported in `losses` and as a warning.
 
         Raises:

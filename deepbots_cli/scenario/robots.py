@@ -49,9 +49,11 @@ class LinkOverride(Section):
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
-    """Friction against spinning on the spot, in m, written as a plain number."""
+    """Friction against spinning on the spot, in m, written as a plain number. Times the normal force, and the
+    `friction` of the other body, it is the largest torque."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling, in m, written as a plain number."""
+    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction` of
+    the other body, it is the largest torque."""
     restitution: RandomizableShare | None = None
     """Fraction of the speed that remains after a bounce, 0 to 1."""
     color: Color | None = None

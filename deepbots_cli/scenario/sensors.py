@@ -309,7 +309,7 @@ class Touch(ContactSensor):
 
 
 class Force(ContactSensor):
-    """The sum of normal forces on a link in the last physics step."""
+    """The sum of normal forces on a link: the mean of the physics steps of the timestep."""
 
     dimension = FORCE
     interval = iv.POSITIVE

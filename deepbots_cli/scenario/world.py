@@ -377,9 +377,11 @@ class Material(Section):
     friction: RandomizableFactor | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
-    """Friction against spinning on the spot, in m, written as a plain number."""
+    """Friction against spinning on the spot, in m, written as a plain number. Times the normal force, and the
+    `friction` of the other body, it is the largest torque."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling, in m, written as a plain number."""
+    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction` of
+    the other body, it is the largest torque."""
     restitution: RandomizableShare | None = None
     """Fraction of the speed that remains after a bounce, 0 to 1."""
     fixed: Bool | None = None

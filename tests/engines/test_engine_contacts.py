@@ -79,10 +79,13 @@ def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(engine_name
     engine.place("ball", (0, 0, 0.5), (0, 0, 0, 1), (5.0, 0, 0))
     engine.step(50)
     assert touched()
-    assert force() == 0.0
+    # The mean force on the ball of 0.2 kg, in a tick of 0.1 s, is the change of its momentum.
+    change = 5.0 - engine.velocity("ball")()[0][0]
+    assert force() == pytest.approx(0.2 * change / 0.1, rel=0.01)
     assert engine.pose("ball")()[0][0] < 0.2
     engine.step(50)
     assert not touched()
+    assert force() == 0.0
 
 
 def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along(engine_name, build):
@@ -738,3 +741,24 @@ def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name
     engine = build(engine_name, seen_world(plank, wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     assert "wall" in {look().body_names[number] for number in np.unique(look().bodies)}
+
+
+@pytest.mark.parametrize(("own", "ground"), [(1.0, 1.0), (0.8, 0.5)])
+@pytest.mark.parametrize("kind", ["rolling_friction", "spinning_friction"])
+def test_the_torque_against_rolling_and_spinning_counts_with_the_friction_of_the_other_body(
+    engine_name, kind, own, ground, build
+):
+    radius, length, duration = 0.1, 0.002, 0.5
+    sphere = ObjectBody("ball", Sphere(radius), Pose((0, 0, radius)), 1.0, friction=own, **{kind: length})
+    engine = build(engine_name, WorldModel(0.02, 5, ground=Ground(ground), objects=(sphere,)))
+    rolls = kind == "rolling_friction"
+    velocity, turn = ((1.0, 0, 0), (0, 1.0 / radius, 0)) if rolls else ((0, 0, 0), (0, 0, 10.0))
+    engine.place("ball", (0, 0, radius), (0, 0, 0, 1), velocity, turn)
+    for _ in range(round(duration / 0.02)):
+        engine.step(5)
+    (x, _, _), (_, _, spin) = engine.velocity("ball")()
+    torque = length * ground * 9.81  # of 1 kg, N m
+    slower = 1.0 - x if rolls else 10.0 - spin
+    # A rolling ball has 7/5 m r^2 about its point of contact, a spinning one 2/5 m r^2.
+    expected = torque / (1.4 * radius) if rolls else torque / (0.4 * radius**2)
+    assert slower == pytest.approx(expected * duration, rel=0.02)

@@ -958,7 +958,7 @@ class Notes(Reporter):
 def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_kept(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     notes = Notes()
-    rarely = f"choice({' | '.join(['0'] * 5)} | 1e9)"
+    rarely = f"choice({' | '.join(['0'] * 30)} | 1e9)"
     done = train(hurled(rarely), run=tmp_path / "run", total_timesteps=256, engine="mujoco", progress=notes)
     resets = [text for text in notes.texts if "was reset" in text]
     files = sorted((tmp_path / "run" / "failures").iterdir())
@@ -966,8 +966,8 @@ def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_ke
     assert len(resets) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
     for text, path in zip(resets, files, strict=True):
         assert re.match(
-            r"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .*"
-            rf" {path}\n",
+            r"episode \d+ \(seed \d+\), step \d: (the pose of 'cart' became infinite or NaN|joint '\w+' of 'cart'"
+            rf" turns at .*)\nreproduce .* {path}\n",
             text,
         )
         failure, error = reproduce(path)
@@ -979,7 +979,7 @@ def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_pa
     pytest.importorskip("mujoco")
     with pytest.raises(
         EngineError,
-        match=r"in 10 of the last \d+ episodes the state became infinite or NaN; the last one is episode",
+        match=r"in 10 of the last \d+ episodes the physics was not stable; the last one is episode",
     ) as caught:
         train(hurled("1e9"), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
     files = sorted(path.name for path in (tmp_path / "run" / "failures").iterdir())

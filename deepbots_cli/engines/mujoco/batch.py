@@ -26,7 +26,7 @@ from mujoco.batch import Batch
 from deepbots_cli.engines.mechanics import torque_curve
 from deepbots_cli.engines.mujoco import motors, sliding
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, Observer, model_with_sensors
+from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, ForceMeans, Observer, model_with_sensors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
 from deepbots_cli.engines.mujoco.model import ModelBuilder
 from deepbots_cli.engines.mujoco.motors import (
@@ -207,6 +207,7 @@ class MuJoCoBatch(BatchReaders):
         self._sensors = {}
         """The sensors of the model by number, which is also their column in `touched`."""
         self.touched = np.zeros((count, 0), bool)
+        self._force_means = ForceMeans(count)
         self._outputs = {}
         """The arrays that a step computes and that are read after it."""
         self._columns = {}
@@ -273,6 +274,8 @@ class MuJoCoBatch(BatchReaders):
             self._update_constants(index, self.rows["dof_armature"][index].copy())
         if len(self._touch_columns):
             self.touched[goes] = False
+        if self._force_means:
+            self._force_means.reset(goes)
         waits = [part.waits for parts in (self.motors.values(), self._pushes) for part in parts]
         if not (self.has_substep_callbacks or any(column.any() for column in waits)):
             self._advance(goes, substeps)
@@ -294,7 +297,7 @@ class MuJoCoBatch(BatchReaders):
         if not len(ids):
             return
         self._forget()
-        if not len(self._touch_columns):
+        if not (len(self._touch_columns) or self._force_means):
             self._batch.step(None if len(ids) == self.count else ids, substeps)
             return
         before, warned = (self.state.copy(), self._batch.warning.copy()) if substeps > 1 else (None, None)
@@ -302,7 +305,12 @@ class MuJoCoBatch(BatchReaders):
         self.touched[np.ix_(ids, self._touch_columns)] |= (readings[..., self._touch_places] > 0.0).any(
             axis=1
         )
-        if before is not None and (again := (self._batch.warning != warned).any(axis=(1, 2))).any():
+        again = np.zeros(self.count, bool)
+        if warned is not None:
+            again = (self._batch.warning != warned).any(axis=(1, 2))
+        went = ~again[ids]
+        self._force_means.add(self._batch.model.sensor_adr, readings[went], ids[went])
+        if before is not None and again.any():
             # MuJoCo's `rollout` stops at a warning, and its `step` does not.
             self.state[again] = before[again]
             for _ in range(substeps):
@@ -338,8 +346,9 @@ class MuJoCoBatch(BatchReaders):
         self._observer.is_current = False
 
     def non_finite_worlds(self) -> Column:
-        """Return the numbers of the worlds whose state is not finite."""
-        return np.flatnonzero(~np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1)))
+        """Return the numbers of the worlds that `Engine.require_finite` refuses."""
+        is_finite = np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1))
+        return np.flatnonzero(~is_finite | (np.abs(self.qvel) > self._world.fastest).any(axis=1))
 
     def close(self) -> None:
         self.single.close()
@@ -364,6 +373,7 @@ class MuJoCoBatch(BatchReaders):
         for pushes in self._pushes:
             pushes.begin(index)
         self.touched[index] = False
+        self._force_means.reset(index)
         for output in self._outputs.values():
             output[index] = 0.0
 

@@ -155,6 +155,58 @@ class Observer:
         return free
 
 
+class ForceMeans:
+    """The contact forces of all worlds, added up over the engine steps of the last step; `contacts` are the
+    most contacts of a link in one of them."""
+
+    def __init__(self, count: int) -> None:
+        self._steps = np.zeros(count, int)
+        self._sums: dict[int, Column] = {}
+        self._contacts: dict[int, Column] = {}
+
+    def include(self, number: int, width: int) -> None:
+        """Add up the readings of a sensor: forces of a number of components."""
+        self._sums.setdefault(number, np.zeros((width, len(self._steps))))
+        self._contacts.setdefault(number, np.zeros(len(self._steps)))
+
+    def __bool__(self) -> bool:
+        return bool(self._sums)
+
+    def reset(self, worlds: Any) -> None:
+        self._steps[worlds] = 0
+        for columns in (*self._sums.values(), *self._contacts.values()):
+            columns[..., worlds] = 0.0
+
+    def add(self, places: Sequence[int], readings: Column, worlds: Column) -> None:
+        """Add the readings of these worlds (worlds, engine steps, sensor data); `places` are those of the
+        sensors in the data, in the order of their numbers."""
+        self._steps[worlds] += readings.shape[1]
+        for number, sums in self._sums.items():
+            data = readings[..., places[number] :]
+            if len(sums) == 1:
+                # The fields of a slot: the number of contacts, and the force with the normal first.
+                counts, forces = data[..., : 4 * FORCE_SLOTS].reshape(*data.shape[:2], FORCE_SLOTS, 4).T[:2]
+                most = np.maximum(self._contacts[number][worlds], counts[0].max(axis=0))
+                self._contacts[number][worlds] = most
+                forces = np.where(counts > 0.0, forces, 0.0)
+                total = np.zeros(forces.shape[1:])
+                for force in forces:  # in the order of contacts, as a single world does
+                    total += force
+                steps = total[:, None]
+            else:
+                steps = data[..., : len(sums)].transpose(1, 2, 0)
+            for step in steps:
+                sums[:, worlds] += step
+
+    def mean(self, number: int) -> Column:
+        """Return the means of a sensor, of shape (components, worlds)."""
+        means: Column = self._sums[number] / np.maximum(self._steps, 1)
+        return means
+
+    def contacts(self, number: int) -> Column:
+        return self._contacts[number]
+
+
 class BatchReaders:
     """The readers of `MuJoCoBatch`, which sets these attributes."""
 
@@ -164,6 +216,7 @@ class BatchReaders:
     nominal: Any
     rows: dict[str, Column]
     touched: Column
+    _force_means: ForceMeans
     _world: MujocoWorld
     _batch: Any
     _built: int
@@ -223,14 +276,17 @@ class BatchReaders:
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
-        dofs = self.nominal.jnt_dofadr[list(self.single.joint_numbers(robot, joints))]
+        numbers = list(self.single.joint_numbers(robot, joints))
+        dofs = self.nominal.jnt_dofadr[numbers]
         for name in ("qfrc_actuator", "qacc"):
             self._keep_output(name)
 
         def read() -> Any:
             armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
             added = armature - self.usual_armature(slice(None), dofs).T
-            return self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
+            torques = self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
+            ranges = self.rows["jnt_actfrcrange"][:, numbers]
+            return np.minimum(np.maximum(torques, ranges[..., 0].T), ranges[..., 1].T)
 
         return read
 
@@ -323,29 +379,24 @@ class BatchReaders:
         return lambda: cast("Column", self.touched[:, columns].any(axis=1))
 
     def contact_force(self, one: Part) -> Callable[[], Column]:
-        """See `Engine.contact_force`. Forces are added up in the order of contacts."""
+        """See `Engine.contact_force`."""
         numbers = [self._sensor_number(Sensor(link, None, "forces")) for link in self._links(one)]
+        for number in numbers:
+            self._force_means.include(number, 1)
 
         def read() -> Column:
             total = np.zeros(self.count)
-            for number in numbers if self._built == len(self._sensors) else ():
-                at = self._batch.model.sensor_adr[number]
-                # The fields of a slot: the number of contacts, and the force with the normal first.
-                counts, forces = (
-                    self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS]
-                    .reshape(self.count, FORCE_SLOTS, 4)
-                    .T[:2]
-                )
-                if (counts[0] > FORCE_SLOTS).any():
+            for number in numbers:
+                contacts = self._force_means.contacts(number)
+                if (contacts > FORCE_SLOTS).any():
                     where = (
-                        f"world {int(counts[0].argmax())}: a link of '{one[0]}' has"
-                        f" {int(counts[0].max())} contacts"
+                        f"world {int(contacts.argmax())}: a link of '{one[0]}' has"
+                        f" {int(contacts.max())} contacts"
                     )
                     raise EngineError(
                         f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes"
                     )
-                for force, is_present in zip(forces, counts > 0.0, strict=True):
-                    total += np.where(is_present, force, 0.0)
+                total += self._force_means.mean(number)[0]
             return total
 
         return read
@@ -357,11 +408,13 @@ class BatchReaders:
         if one[1] is None and body.self_collision:  # forces between its own links then cancel
             links = [(number, False) for number in body.links.values()]
         numbers = [self._sensor_number(Sensor(link, None, "force")) for link in links]
+        for number in numbers:
+            self._force_means.include(number, 3)
 
         def read() -> Column:
             total = np.zeros((3, self.count))
             for number in numbers:  # the force of the link on the others
-                total -= self._reading(number, 3)
+                total -= self._force_means.mean(number)
             return total
 
         return read

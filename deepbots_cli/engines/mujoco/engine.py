@@ -353,9 +353,12 @@ class MuJoCoEngine:
         if others is None:
             others = self.others(one[0], ground=ground)
         met = [geom for part in others for geom in self.geoms_of(part)]
+        return self._monitor().reader(geoms, met)
+
+    def _monitor(self) -> surfaces.ContactMonitor:
         if self._contact_monitor is None:
             self._contact_monitor = surfaces.ContactMonitor(self._world)
-        return self._contact_monitor.reader(geoms, met)
+        return self._contact_monitor
 
     def others(self, body: str, *, ground: bool) -> list[Part]:
         """Return the bodies that a body may touch: a robot with `self_collision` is one of its own."""
@@ -364,10 +367,10 @@ class MuJoCoEngine:
         return [(name, None) for name in self._world.pools if name not in left_out]
 
     def contact_force(self, one: Part) -> ForceReader:
-        return surfaces.force(self._world, self.geoms_of(one))
+        return self._monitor().normal_force(self.geoms_of(one))
 
     def contact_force_vector(self, one: Part) -> VectorReader:
-        return surfaces.force_vector(self._world, self.geoms_of(one))
+        return self._monitor().force_vector(self.geoms_of(one))
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         pool, other_pool = self.pool(one[0]), self.pool(other[0])

@@ -79,15 +79,27 @@ class Motors:
 
     def torques(self, joints: Sequence[int]) -> TorqueReader:
         """Return a reader of the torques of motors in the last engine step: without the part that went into
-        the inertia that velocity motors add."""
+        the inertia that velocity motors add, which a limit that stops the joint drives beyond theirs."""
         world = self.world
         model = self.world.model
-        dofs = model.jnt_dofadr[list(joints)]
+        joints = list(joints)
+        dofs = model.jnt_dofadr[joints]
         exerted = world.data.qfrc_actuator
         armature = model.dof_armature
         accelerations = world.data.qacc
         usual = world.armature
-        return lambda: (exerted[dofs] - (armature[dofs] - usual[dofs]) * accelerations[dofs]).tolist()
+        ranges = model.jnt_actfrcrange
+
+        def read() -> list[float]:
+            added = armature[dofs] - usual[dofs]
+            torques: Any = exerted[dofs]
+            if added.any():
+                lows, highs = ranges[joints].T
+                torques = np.minimum(np.maximum(torques - added * accelerations[dofs], lows), highs)
+            read_torques: list[float] = torques.tolist()
+            return read_torques
+
+        return read
 
 
 class WrenchMonitor:
@@ -235,6 +247,7 @@ class Motor:
         velocity = array_reader(data.qvel, self._dof_index)
         position = array_reader(data.qpos, self._position_index)
         usual: list[float] = []
+        lows, highs = (ends.tolist() for ends in servo_range(model, self._joint_index))
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
@@ -257,6 +270,7 @@ class Motor:
         def aim(targets: Sequence[float]) -> None:
             target_velocities = targets
             if rate:
+                targets = list(map(max, lows, map(min, highs, targets)))
                 pairs = zip(targets, position(), strict=True)
                 target_velocities = [(target - now) * rate for target, now in pairs]
             gains = velocity_gains(target_velocities, velocity(), bounds)
@@ -289,6 +303,13 @@ class Motor:
                 renewed.pop(self, None)
 
         return write
+
+
+def servo_range(model: Any, joints: Any) -> Any:
+    """Return the lowest and the highest target of servos: the limits of the joints, as in PyBullet."""
+    limited = model.jnt_limited[joints].astype(bool)
+    lows, highs = model.jnt_range[joints].T
+    return np.where(limited, lows, -np.inf), np.where(limited, highs, np.inf)
 
 
 def servo_rate(model: Any) -> float:
@@ -565,6 +586,7 @@ class TrackingMotor(BatchMotor):
         model = self._model
         self._rate = rate
         self._step = self._model.opt.timestep
+        self._lows, self._highs = servo_range(model, self._joint_index)
         self._position_columns = array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
         self._moved = 1.0 / model.dof_invweight0[self._dofs]
@@ -577,6 +599,8 @@ class TrackingMotor(BatchMotor):
         self._gains[worlds] = np.nan
 
     def _exert(self, targets: Column, worlds: Any) -> None:
+        if self._rate:
+            targets = np.minimum(np.maximum(targets, self._lows), self._highs)
         self._targets[worlds] = targets
         self.waits[worlds] = (self._aim(worlds) < self._least).any(axis=1)
 

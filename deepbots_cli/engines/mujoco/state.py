@@ -9,12 +9,12 @@ requires.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import atan2, exp, pi, sqrt
+from math import atan2, exp, inf, pi, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.engines.mechanics import Pool, named
+from deepbots_cli.engines.mechanics import JointSpeed, Pool, fastest, named, require_possible
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
 from deepbots_cli.errors import EngineError
@@ -22,7 +22,6 @@ from deepbots_cli.errors import EngineError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.frames import Triple
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
     FloatArray = NDArray[np.float64]
@@ -60,10 +59,6 @@ A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0
 and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first step sees it.
 """
 BOUNCE_IMPEDANCE = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
-ContactForce = tuple[int, int, float]
-"""Two geoms that touch, and the normal force between them in N."""
-ForceVector = tuple[int, int, "Triple"]
-"""Two geoms that touch, and the force of the first on the second one in N (world frame)."""
 
 
 class WorldSnapshot(NamedTuple):
@@ -74,8 +69,6 @@ class WorldSnapshot(NamedTuple):
     mean_inertia: float
     actuator_forces: FloatArray
     accelerations: FloatArray
-    forces: Sequence[ContactForce]
-    force_vectors: Sequence[ForceVector]
     memory: tuple[Any, ...]
 
 
@@ -91,9 +84,6 @@ class MujocoWorld:
         self.closed = self.has_positions = self.has_velocities = self.has_pushes = False
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
         self.light = self._nominal_light = world.light
-        self._forces: Sequence[ContactForce] | None = ()
-        self.force_vectors: Sequence[ForceVector] | None = ()
-        """The forces of contacts in the last engine step; None until `force_vectors` computes them."""
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
@@ -107,6 +97,16 @@ class MujocoWorld:
             if link.center_varies
         )
         """The links whose center of mass an episode may move."""
+        self._joints = {
+            int(model.jnt_dofadr[number]): (body.name, body.model.joint(name))
+            for pool in pools
+            for body in pool
+            for name, number in body.joints.items()
+        }
+        self.fastest = np.full(model.nv, inf)
+        """The speeds that no motor and no fall gives the joints, rad/s or m/s."""
+        for dof, (_, joint) in self._joints.items():
+            self.fastest[dof] = fastest(joint)
         self._inertia_factors = np.ones((model.nbody, 2))
         self.armature = model.dof_armature.copy()
         """The armature of the present episode, to which velocity motors add."""
@@ -180,21 +180,6 @@ class MujocoWorld:
 
     def invalidate_after_step(self) -> None:
         self.has_positions = self.has_velocities = False
-        self._forces = self.force_vectors = None
-
-    @property
-    def forces(self) -> Sequence[ContactForce]:
-        """The contacts of the last engine step."""
-        if self._forces is None:
-            contact = self.data.contact
-            exerted = self.data.efc_force.tolist()
-            pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
-            self._forces = [
-                # The address of a contact without constraint rows is -1.
-                (first, second, exerted[address] if address >= 0 else 0.0)
-                for (first, second), address in pairs
-            ]
-        return self._forces
 
     # Course of an episode
 
@@ -208,7 +193,6 @@ class MujocoWorld:
             pool.deactivate()
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._initial_positions
         self.invalidate()
-        self._forces = self.force_vectors = ()
         self.has_pushes = False
 
     def update_constants(self) -> None:
@@ -251,8 +235,6 @@ class MujocoWorld:
             *self._copy_values(),
             data.qfrc_actuator.copy(),
             data.qacc.copy(),
-            self.forces,
-            force_vectors(self),
             memory,
         )
 
@@ -268,8 +250,6 @@ class MujocoWorld:
             write(memory)
         self.remember(snapshot.memory[:3])
         self.invalidate()
-        self._forces = snapshot.forces
-        self.force_vectors = snapshot.force_vectors
         self.has_pushes = bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
@@ -432,14 +412,21 @@ class MujocoWorld:
             model.pair_solimp[index] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
 
     def require_finite(self) -> None:
-        """Check that poses and joints are finite.
-
-        Raises:
-            EngineError: A pose or joint is not finite; the error names the body.
-        """
+        """See `Engine.require_finite`."""
         data = self.require_open().data
         # A sum is finite only if each summand is; an overflow of finite values leads to the full check below.
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
+            impossible = np.abs(data.qvel) > self.fastest
+            if impossible.any():
+                fast = np.flatnonzero(impossible).tolist()
+                model = self.model
+                # Servos have no limit of their actuator, but of their joint.
+                springs = -model.actuator_biasprm[:, 1] * model.actuator_forcelimited
+                stiffness = dict(zip(model.jnt_dofadr[model.actuator_trnid[:, 0]], springs, strict=True))
+                speeds = (
+                    JointSpeed(*self._joints[dof], data.qvel[dof], stiffness.get(dof, 0.0)) for dof in fast
+                )
+                require_possible(speeds, model.opt.timestep)
             return
         # Robots are checked first: objects get values that are not finite from them.
         robots_first = reversed(self.pools.values())
@@ -458,21 +445,6 @@ class MujocoWorld:
             for quantity, values in states:
                 if not np.isfinite(values).all():
                     raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
-
-
-def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
-    """Return the forces of contacts in the last engine step, with friction."""
-    if world.force_vectors is None:
-        contact = world.data.contact
-        force = np.zeros(6)
-        world.force_vectors = vectors = []
-        pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
-        for index, ((first, second), axes) in enumerate(pairs):
-            mj.mj_contactForce(world.model, world.data, index, force)
-            # The rows of `axes` are normal and tangents; the normal points from the first geom to the second.
-            x, y, z = (force[:3] @ axes).tolist()
-            vectors.append((first, second, (x, y, z)))
-    return world.force_vectors
 
 
 class LinkMotions(NamedTuple):

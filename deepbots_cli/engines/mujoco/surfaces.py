@@ -3,7 +3,7 @@ sight."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +12,6 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
-from deepbots_cli.engines.mujoco.state import force_vectors
 from deepbots_cli.port import ZERO_VECTOR
 
 if TYPE_CHECKING:
@@ -40,9 +39,10 @@ SEEN_GROUPS[HIDDEN_GROUP] = 0
 
 
 class ContactMonitor:
-    """Checks contacts after every engine step, for all contact readers of a world."""
+    """Checks contacts after every engine step, and adds up their forces, for all readers of a world."""
 
     def __init__(self, world: MujocoWorld) -> None:
+        self._world = world
         # Both objects stay the same; MuJoCo updates their contents in each engine step.
         self._data = world.data
         self._contacts = world.data.contact
@@ -50,17 +50,47 @@ class ContactMonitor:
         self._touched: list[bool] = []
         self._all_false: list[bool] = []
         self._ignored_pairs: list[list[int]] = []
-        world.state_accessors.append((lambda: list(self._touched), self._restore))
+        self._forces: list[tuple[frozenset[int], list[float]]] = []
+        """Geoms, and the sums of normal forces on them (N) in the engine steps since the last `reset`."""
+        self._vectors: list[tuple[frozenset[int], list[Triple]]] = []
+        """Geoms, and the sums of all forces of others on them (N, world frame)."""
+        self._readings: list[list[Any]] = []
+        """The sums of all readers, in the order in which they were bound."""
+        world.state_accessors.append((self._memory, self._restore))
 
     def reset(self) -> None:
         self._touched[:] = self._all_false
+        for readings in self._readings:
+            readings.clear()
 
-    def _restore(self, touched: list[bool]) -> None:
+    def _memory(self) -> tuple[list[bool], list[list[Any]]]:
+        return list(self._touched), [list(readings) for readings in self._readings]
+
+    def _restore(self, memory: tuple[list[bool], list[list[Any]]]) -> None:
+        touched, forces = memory
         self._touched[: len(touched)] = touched
+        # Not strict: readers that were bound after the snapshot have no memory in it.
+        for readings, before in zip(self._readings, forces, strict=False):
+            readings[:] = before
 
     def update(self) -> None:
         """Mark the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that concern none of
         them."""
+        if self._forces:
+            exerted = self._data.efc_force.tolist()
+            # The address of a contact without constraint rows is -1.
+            normals = [exerted[at] if at >= 0 else 0.0 for at in self._contacts.efc_address.tolist()]
+            pairs = list(zip(self._contacts.geom.tolist(), normals, strict=True))
+            for geoms, readings in self._forces:
+                readings.append(float(sum(force for pair, force in pairs if not geoms.isdisjoint(pair))))
+        if self._vectors:
+            vectors = list(self._force_vectors())
+            for geoms, sums in self._vectors:
+                total = ZERO_VECTOR
+                for first, second, force in vectors:
+                    if (first in geoms) != (second in geoms):
+                        total = (frames.add if second in geoms else frames.subtract)(total, force)
+                sums.append(total)
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
             # A robot at rest has the same contacts in many steps, and often none that a reader asks for.
@@ -88,27 +118,28 @@ class ContactMonitor:
         self._all_false.append(False)
         return lambda: touched[index]
 
+    def normal_force(self, geoms: Iterable[int]) -> ForceReader:
+        """Return a reader of the mean sum of normal forces on geoms (N)."""
+        readings: list[float] = []
+        self._forces.append((frozenset(geoms), readings))
+        self._readings.append(readings)
+        return lambda: sum(readings) / len(readings) if readings else 0.0
 
-def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
-    """Return the sum of normal forces on geoms."""
-    geom_set = frozenset(geoms)
-    return lambda: float(
-        sum(force for first, second, force in world.forces if first in geom_set or second in geom_set)
-    )
+    def force_vector(self, geoms: Iterable[int]) -> VectorReader:
+        """Return a reader of the mean sum of the forces of other geoms on geoms (N, world frame)."""
+        readings: list[Triple] = []
+        self._vectors.append((frozenset(geoms), readings))
+        self._readings.append(readings)
+        return lambda: frames.mean(readings)
 
-
-def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
-    """Return the sum of the forces of other geoms on geoms (N, world frame)."""
-    geom_set = frozenset(geoms)
-
-    def read() -> Triple:
-        total = ZERO_VECTOR
-        for first, second, force in force_vectors(world):
-            if (first in geom_set) != (second in geom_set):
-                total = (frames.add if second in geom_set else frames.subtract)(total, force)
-        return total
-
-    return read
+    def _force_vectors(self) -> Iterator[tuple[int, int, Triple]]:
+        """Yield two geoms that touch, and the force of the first on the second one, with friction."""
+        force = np.zeros(6)
+        for index, (first, second) in enumerate(self._contacts.geom.tolist()):
+            mj.mj_contactForce(self._world.model, self._data, index, force)
+            # The rows of the frame are normal and tangents; the normal points from the first to the second.
+            x, y, z = (force[:3] @ self._contacts.frame[index].reshape(3, 3)).tolist()
+            yield first, second, (x, y, z)
 
 
 def clearance(world: MujocoWorld, first_geoms: Sequence[int], second_geoms: Sequence[int]) -> ClearanceReader:

@@ -5,6 +5,7 @@ loading.py     ground, walls, objects and robots, built from the world model
 state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors
                that an episode varies
 motors.py      motors and springs on joints, and forces on links
+damping.py     the damping of joints
 surfaces.py    contacts and their forces, distances between surfaces and along rays, lines of sight
 cameras.py     pictures: bodies, floor and sky
 
@@ -20,6 +21,8 @@ Differences between PyBullet and the port, which this package resolves:
 - links of one robot do not touch each other
 - poses of bodies are those of their center of mass, velocities too: converted where the two points differ
 - poses of links lag one engine step behind unless their kinematics are asked for
+- damping by the velocity at the start of a step makes joints swing ever wider: ours is by that at its end
+- a joint over 0.04 rad beyond its limit stays there: ours returns
 - cylinders are hulls, 1 mm too large and bumpy, unless implicit: a cart driven at 0.2 m/s did 0.2049 and lost
   half of it in 1.3 s of coasting; implicit, 0.2000 and nothing
 """

@@ -7,12 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mechanics import inverse_kinematics, named, torque_curve
+from deepbots_cli.engines.mechanics import (
+    JointSpeed,
+    fastest,
+    inverse_kinematics,
+    named,
+    require_possible,
+    torque_curve,
+)
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -25,6 +32,7 @@ from deepbots_cli.engines.pybullet import (
 )
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, brightened, downsampled
+from deepbots_cli.engines.pybullet.damping import Damping
 from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
@@ -64,13 +72,13 @@ R = TypeVar("R")
 
 
 class Substeps(NamedTuple):
-    """The functions that a step calls: `resets` once, then in each engine step `callbacks`, `drives`, the
+    """The functions that a step calls: `starts` once, then in each engine step `callbacks`, `drives`, the
     physics, and `monitors`.
 
     Drives are motors that renew their torque. They see the targets that the callbacks have just set.
     """
 
-    resets: list[Callback]
+    starts: list[Callback]
     callbacks: list[Callback]
     drives: list[Callback]
     monitors: list[Callback]
@@ -79,12 +87,12 @@ class Substeps(NamedTuple):
         """Return `Engine.step`. Most worlds have none of these; checking for them costs 1 % of the
         cheapest step. `now` counts states of the world."""
         advance = p.stepSimulation
-        resets, callbacks, drives, monitors = self
+        starts, callbacks, drives, monitors = self
 
         def step(substeps: int) -> None:
-            if callbacks or drives or monitors:
-                for reset in resets:
-                    reset()
+            if starts or callbacks or drives or monitors:
+                for start in starts:
+                    start()
                 for _ in range(substeps):
                     for callback in callbacks:
                         callback()
@@ -100,6 +108,43 @@ class Substeps(NamedTuple):
                 now[0] += 1
 
         return step
+
+
+class Drives:
+    """The springs and the damping of all robots with joints, which act in each engine step once they are
+    set."""
+
+    def __init__(self, substeps: Substeps) -> None:
+        self.springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self.damping: dict[int, Damping] = {}
+        self._substeps = substeps
+
+    def add(self, springs: motors.Springs, body: int) -> MotorWriter:
+        """Let springs renew their torques, in place of earlier ones on the same joints."""
+        self.springs[body, springs.indices] = springs
+        self._order()
+        return springs.set_targets
+
+    def damp(self, body: Body) -> Damping:
+        """Return the damping of a robot, which acts from now on."""
+        damping = self.damping[body.number]
+        if damping.update not in self._substeps.starts:
+            self._substeps.starts.append(damping.update)
+            self._order()
+        return damping
+
+    def _order(self) -> None:
+        """Let the damping follow the springs, whose torques it takes into account."""
+        self._substeps.drives[:] = [
+            *(springs.apply for springs in self.springs.values()),
+            *(damping.apply for damping in self.damping.values() if damping.update in self._substeps.starts),
+        ]
+
+    def reset(self) -> None:
+        for damping in self.damping.values():
+            damping.reset()
+        for springs in self.springs.values():
+            springs.reset()
 
 
 class PyBulletEngine:
@@ -119,8 +164,9 @@ class PyBulletEngine:
         self.step = self._substeps.stepper(self._client, self._cache.generation)
         self._timestep = world.timestep / world.substeps
         self._floor = Floor(world.ground.color, world.lines) if world.ground and not world.terrain else None
-        self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
+        self._drives = Drives(self._substeps)
         self._contact_monitors: dict[int, surfaces.ContactMonitor] = {}
+        self._force_monitors: dict[tuple[int, int], surfaces.ForceMonitor] = {}
         self._wrench_monitors: dict[tuple[int, int], motors.WrenchMonitor] = {}
         self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
@@ -128,10 +174,23 @@ class PyBulletEngine:
             self._pools: dict[str, Pool[Body]] = {
                 pool.name: pool for pool in loading.bodies(self._client, world)
             }
-            self._parameters = Parameters(self._client, world, self._pools, self._floor)
+            self._parameters = Parameters(self._client, world, self._pools, self._floor, self._drives.damp)
             bodies = [body for pool in self._pools.values() for body in pool]
+            for body in bodies:
+                if body.brakes:
+                    self._drives.damping[body.number] = Damping(
+                        self._client, body, self._timestep, self._drives.springs
+                    )
+                if any(joint.damping for joint in body.model.moving_joints):
+                    self._drives.damp(body)
             self._moving = [body for body in bodies if not body.fixed or body.brakes]
             self._fixed = [body for body in bodies if body.fixed and not body.brakes]
+            # `brakes` has the moving joints in this order.
+            self._speed_limits = [
+                (body, [fastest(joint) for joint in body.model.moving_joints])
+                for body in bodies
+                if body.brakes
+            ]
             self._ground = [body.number for body in self._pools.get(GROUND, ())]
             loading.join_islands(self._client, self._pools.values())
             self.reset()
@@ -142,12 +201,13 @@ class PyBulletEngine:
     def reset(self) -> None:
         """See `Engine.reset`. A world with values that are not finite cannot be reset; it must be built
         again."""
-        self.require_finite()
+        self._require_numbers()
         self._parameters.restore()
-        for springs in self._springs.values():
-            springs.reset()
+        self._drives.reset()
         for watch in self._contact_monitors.values():
             watch.reset()
+        for monitor in self._force_monitors.values():
+            monitor.reset()
         for wrench in self._wrench_monitors.values():
             wrench.reset()
         for pool in self._pools.values():
@@ -246,15 +306,21 @@ class PyBulletEngine:
 
     def contact_force(self, one: Part) -> ForceReader:
         return self._bound(
-            one, lambda body, link: surfaces.force(self._client, body, link), surfaces.ANY_LINK
+            one, lambda body, link: self._force_monitor(body, link).normal_force(), surfaces.ANY_LINK
         )
 
     def contact_force_vector(self, one: Part) -> VectorReader:
         return self._bound(
-            one,
-            lambda body, link: surfaces.force_vector(self._client, body, link),
-            surfaces.ANY_LINK,
+            one, lambda body, link: self._force_monitor(body, link).force_vector(), surfaces.ANY_LINK
         )
+
+    def _force_monitor(self, body: Body, link: int) -> surfaces.ForceMonitor:
+        key = body.number, link
+        if key not in self._force_monitors:
+            monitor = self._force_monitors[key] = surfaces.ForceMonitor(self._client, body, link)
+            self._substeps.starts.append(monitor.reset)
+            self._substeps.monitors.append(monitor.update)
+        return self._force_monitors[key]
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         pools = (self._pool(one[0]), self._pool(other[0]))
@@ -311,28 +377,45 @@ class PyBulletEngine:
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
             watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body)
-            self._substeps.resets.append(watch.reset)
+            self._substeps.starts.append(watch.reset)
             self._substeps.monitors.append(watch.update)
         return self._contact_monitors[body.number]
 
     def require_finite(self) -> None:
-        client = self._client
+        """See `Engine.require_finite`."""
+        self._require_numbers()
+        for body, limits in self._speed_limits:
+            states = self._brake_states(body)
+            if any(abs(state[1]) > limit for state, limit in zip(states, limits, strict=True)):
+                stiffness: dict[int, float] = {}
+                for (number, _), springs in self._drives.springs.items():
+                    stiffness |= springs.stiffness if number == body.number else {}
+                joints = {body.joints[joint.name]: joint for joint in body.model.moving_joints}
+                speeds = (
+                    JointSpeed(body.name, joints[index], state[1], stiffness.get(index, 0.0))
+                    for index, state in zip(body.brakes, states, strict=True)
+                )
+                require_possible(speeds, self._timestep)
+
+    def _require_numbers(self) -> None:
         # Robots come before objects, which get values that are not finite from them.
         for body in reversed(self._require_open()._moving):
-            joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for quantity, values in (
-                ("pose", p.getBasePositionAndOrientation(body.number, client)),
-                ("joints", (j[:2] for j in joints)),
+                ("pose", p.getBasePositionAndOrientation(body.number, self._client)),
+                ("joints", (j[:2] for j in self._brake_states(body))),
             ):
                 if not isfinite(sum(map(sum, values))):
                     raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
+
+    def _brake_states(self, body: Body) -> Any:
+        return p.getJointStates(body.number, tuple(body.brakes), self._client) if body.brakes else ()
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         return state.joint_reader(self._client, *self._joints(robot, joints), self._cache)
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         body, indices = self._joints(robot, joints)
-        return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
+        return motors.torques(self.joint_states(robot, joints), body, indices, self._drives.springs)
 
     def joint_wrench(self, part: Part) -> WrenchReader:
         body = self._pool(part[0]).current
@@ -377,7 +460,8 @@ class PyBulletEngine:
         if curve is None:
             return motors.torque_motor(self._client, body, indices, max_torque)
         read = self.joint_states(robot, joints)
-        return self._drive(motors.CurvedMotor(self._client, body, indices, read, max_torque, curve), body)
+        drive = motors.CurvedMotor(self._client, body, indices, read, max_torque, curve)
+        return self._drives.add(drive, body)
 
     def position_motor(
         self,
@@ -396,16 +480,12 @@ class PyBulletEngine:
         curve = torque_curve(stall_torque, no_load_speed)
         arguments = (self._client, body, indices)
         read = self.joint_states(robot, joints)
-        if curve is None:
-            return self._drive(motors.Springs(*arguments, read, max_torque, stiffness, damping), body)
-        return self._drive(motors.CurvedMotor(*arguments, read, max_torque, curve, stiffness, damping), body)
-
-    def _drive(self, springs: motors.Springs, body: int) -> MotorWriter:
-        """Let springs renew their torques in every engine step, in place of earlier ones on the same
-        joints."""
-        self._springs[body, springs.indices] = springs
-        self._substeps.drives[:] = [drive.apply for drive in self._springs.values()]
-        return springs.set_targets
+        springs = (
+            motors.Springs(*arguments, read, max_torque, stiffness, damping)
+            if curve is None
+            else motors.CurvedMotor(*arguments, read, max_torque, curve, stiffness, damping)
+        )
+        return self._drives.add(springs, body)
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera = cameras.Camera(self._client, width, height, fov, self._floor)

@@ -113,9 +113,14 @@ class Springs:
             tuple(limits),
         )
         self._read = read
-        self._exert = _plain_torques(client, body, indices)
+        self._exert = exert_torques(client, body, indices)
         self.torques = self._nothing = [0.0] * len(indices)
         self._targets: Sequence[float] | None = None
+
+    @property
+    def stiffness(self) -> dict[int, float]:
+        """The stiffness (N m/rad or N/m) by joint."""
+        return dict(zip(self.indices, self._columns[0], strict=True))
 
     def set_targets(self, targets: Sequence[float]) -> None:
         self._targets = tuple(targets)
@@ -179,7 +184,7 @@ def _limited(torque: float, low: float, high: float) -> float:
     return low if torque < low else torque
 
 
-def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
+def exert_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
     """Return a function that exerts torques in the next engine step alone; the friction of the joints' brakes
     acts as well."""
     joints = tuple(indices)

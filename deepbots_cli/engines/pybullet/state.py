@@ -22,6 +22,7 @@ from deepbots_cli.program.world import GROUND
 if TYPE_CHECKING:
     from deepbots_cli.engines.mechanics import Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
+    from deepbots_cli.engines.pybullet.damping import Damping
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (
         JointReader,
@@ -121,6 +122,11 @@ class Body:
             localInertiaDiagonal=frames.scaled(frames.scaled(loaded.moments, of_mass), of_inertia),
             physicsClientId=self._client,
         )
+
+    @property
+    def least_inertia_factor(self) -> float:
+        """The least factor on the mass or the inertia of a link."""
+        return min((mass * min(inertia, 1.0) for mass, inertia in self._factors.values()), default=1.0)
 
     def deactivate(self) -> None:
         """Take the mass of the body. PyBullet does not simulate a body without mass: it stays in place.
@@ -322,13 +328,19 @@ class Parameters:
     """
 
     def __init__(
-        self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None
+        self,
+        client: int,
+        world: WorldModel,
+        pools: dict[str, Pool[Body]],
+        floor: Floor | None,
+        damping: Callable[[Body], Damping],
     ) -> None:
         self.light = world.light
         self.gravity = world.gravity
         self._client = client
         self._pools = pools
         self._floor = floor
+        self._damping = damping
         self._undo: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
@@ -391,12 +403,9 @@ class Parameters:
         self._undo[name, owner.number, index] = partial(change, **{name: usual[name]})
 
     def _set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        """Set the damping of a joint. A reset restores that of every joint, so no undo is recorded."""
         owner, index = self._joint(robot, joint)
-        change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
-        change(jointDamping=damping)
-        self._undo["damping", owner.number, index] = partial(
-            change, jointDamping=owner.model.joint(joint).damping
-        )
+        self._damping(owner).set(index, damping)
 
     def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         """Set the friction of a joint. A reset brakes every joint anew, so no undo is recorded."""

@@ -149,27 +149,45 @@ def _from_other_side(point: Any) -> tuple[Any, ...]:
     return (flag, *ends, normal, distance, force, first, along, second, across)
 
 
-def force(client: int, body: Body, link: int) -> ForceReader:
-    if link == ANY_LINK:  # a contact of two of its links counts once
-        read: ContactQuery = partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
-    else:
-        read = _contact_points(client, body, link)
-    return lambda: sum(point[9] for point in read())
+class ForceMonitor:
+    """Adds up the contact forces on a link (or `ANY_LINK`) over the engine steps since the last `reset`."""
 
+    def __init__(self, client: int, body: Body, link: int) -> None:
+        self._of_points = _contact_points(client, body, link)
+        # A contact of two of its links counts once in the sum of normal forces.
+        self._of_normals: ContactQuery = (
+            partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
+            if link == ANY_LINK
+            else self._of_points
+        )
+        self._normals: list[float] = []
+        self._vectors: list[Triple] = []
+        self._reads_normals = self._reads_vectors = False
 
-def force_vector(client: int, body: Body, link: int) -> VectorReader:
-    """Return the sum of the contact forces on a link (N, world frame): along the normal, which points to it,
-    and along two directions of friction."""
-    read = _contact_points(client, body, link)
+    def reset(self) -> None:
+        self._normals.clear()
+        self._vectors.clear()
 
-    def total() -> Triple:
-        x = y = z = 0.0
-        for point in read():
-            for along, force in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
-                x, y, z = x + force * along[0], y + force * along[1], z + force * along[2]
-        return x, y, z
+    def update(self) -> None:
+        if self._reads_normals:
+            self._normals.append(sum(point[9] for point in self._of_normals()))
+        if self._reads_vectors:
+            x = y = z = 0.0
+            for point in self._of_points():
+                for along, force in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
+                    x, y, z = x + force * along[0], y + force * along[1], z + force * along[2]
+            self._vectors.append((x, y, z))
 
-    return total
+    def normal_force(self) -> ForceReader:
+        """Return a reader of the mean sum of the normal forces (N)."""
+        self._reads_normals = True
+        return lambda: sum(self._normals) / len(self._normals) if self._normals else 0.0
+
+    def force_vector(self) -> VectorReader:
+        """Return a reader of the mean sum of the contact forces (N, world frame): along the normal, which
+        points to the link, and along two directions of friction."""
+        self._reads_vectors = True
+        return lambda: frames.mean(self._vectors)
 
 
 def clearance(client: int, first: LinkKey, second: LinkKey) -> ClearanceReader:

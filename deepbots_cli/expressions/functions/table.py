@@ -398,7 +398,7 @@ OF_WORLD = (
         "contact_force",
         Family.WORLD,
         (_PUSHED,),
-        doc="The sum of the normal forces on a body, from all that it touches.",
+        doc="The sum of the normal forces on a body, from all that it touches: the mean of the timestep.",
         example="contact_force(ball)",
         result=fixed_dimension(FORCE),
         interval=fixed_interval(iv.POSITIVE),
@@ -409,7 +409,7 @@ OF_WORLD = (
         (_PUSHED,),
         doc=(
             "The sum of the contact forces on a body, in the world frame: normal forces and friction, from"
-            " all else that it touches."
+            " all else that it touches, the mean of the timestep."
         ),
         example="contact_force_vector(ball).xy",
         result=fixed_dimension(FORCE),
