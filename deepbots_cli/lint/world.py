@@ -223,7 +223,9 @@ def _is_within(start: StartRanges, robot: RobotBody, body: ObjectBody, shape: Sh
     the robot at the same height."""
     radius, half = _inner_cylinder(shape)
     high = kinematics.robot_bounds(kinematics.without_meshes(robot.model))[1][2]
-    standing, lying = kinematics.resting_height(robot.model), kinematics.resting_height(shape)
+    positions = start.analysis.program.reset.joint_positions.get(robot.name)
+    standing = kinematics.resting_height(robot.model, positions=positions)
+    lying = kinematics.resting_height(shape)
     pairs = [
         (thing_pose, robot_pose)
         for thing_pose in start.poses(body.name)
@@ -535,7 +537,10 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     notes = (f"{met}, in the reset with seed {overlap.seed}; {simulation.plan.resets} seeds were simulated",)
     if other_part[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
-        help = f"place it {depth} higher, or remove `z` to place it on the ground"
+        has_height = any("z" in place.coordinates for place in simulation.placements(body_part[0]))
+        help = f"place it {depth} higher" + (
+            ", or remove `z` to place it on the ground" if has_height else ", with `z`"
+        )
         also = (
             (Label(simulation.body_span(other_part[0]), "the ground"),)
             if simulation.program.world.terrain

@@ -1,21 +1,31 @@
 """The triangles of a COLLADA file, and their faults. This module needs no numpy, since lint imports it.
 
 The reader of PyBullet 3.2.7 crashes on an index beyond the vertices, on a reference that leads nowhere and on
-a missing id, and does not end on a count that is too large.
+a missing id, and does not end on a count that is too large. It composes rotations, and a scale with a
+translation, in an order of its own (hokuyo.dae of pybullet_data lies on its side), and trimesh ignores the
+unit of the file (duck.dae is 100 times as large). Both ignore `<up_axis>`, and so does this reader.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from deepbots_cli.frames import from_axis_angle, rotate
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree
 
 _MAX_INDICES = 6_000_000  # 1,500,000 corners, as of an OBJ file, of four numbers each
+_MAX_CORNERS = 1_500_000
+_MAX_NODES = 10_000  # nodes may place others, so a short file could place billions
+_Rows = tuple[tuple[float, ...], ...]
+"""The rows of an affine map: three of four numbers."""
+_IDENTITY: _Rows = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 _WITH_ID = (("source", "id"), ("vertices", "id"))
 _REFERENCES = (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry", "url"))
 
@@ -41,6 +51,43 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
     Raises:
         FaultyColladaError: PyBullet cannot read the file.
     """
+    root = _root(data)
+    _require(root, _REFERENCES)
+    for mesh in root.iter("mesh"):
+        yield from _triangles_of(mesh)
+
+
+def placed_corners(data: bytes) -> array[float]:
+    """Return the coordinates (m) of the corners of all triangles and polygons of the scene, one after the
+    other; a polygon gives the triangles around its first corner.
+
+    Nodes place the geometries in the order of the elements in them, and the unit of the file scales them.
+
+    Raises:
+        FaultyColladaError: The file is faulty, or places too much.
+    """
+    root = _root(data)
+    unit = root.find("asset/unit")
+    meter = 1.0 if unit is None else _floats(unit.attrib.get("meter", "1").split(), 1)[0]
+    if not (math.isfinite(meter) and meter > 0.0):
+        raise FaultyColladaError("the unit of the COLLADA file is not above 0")
+    geometries = {"#" + element.attrib.get("id", ""): element for element in root.iter("geometry")}
+    nodes = {"#" + element.attrib.get("id", ""): element for element in root.iter("node")}
+    own: dict[str, array[float]] = {}
+    corners = array("d")
+    for url, rows in _instances(root, nodes):
+        if url not in own:
+            own[url] = _own_corners(geometries[url]) if url in geometries else array("d")
+        if len(corners) + len(own[url]) > 3 * _MAX_CORNERS:
+            raise FaultyColladaError(f"the COLLADA file places more than {_MAX_CORNERS:,} corners")
+        coordinates = iter(own[url])
+        for x, y, z in zip(coordinates, coordinates, coordinates, strict=True):
+            corners.extend([meter * (a * x + b * y + c * z + d) for a, b, c, d in rows])
+    return corners
+
+
+def _root(data: bytes) -> ElementTree.Element:
+    """Return the outermost element of a file without a DOCTYPE, all tags without their namespaces."""
     from xml.etree import ElementTree  # `lint` of robots without such meshes starts 8 ms sooner
 
     try:
@@ -52,9 +99,97 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
         raise FaultyColladaError("the mesh is not a COLLADA file") from error
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # ElementTree writes {namespace}tag
-    _require(root, _REFERENCES)
-    for mesh in root.iter("mesh"):
-        yield from _triangles_of(mesh)
+    return root
+
+
+def _instances(
+    root: ElementTree.Element, nodes: Mapping[str, ElementTree.Element]
+) -> Iterator[tuple[str, _Rows]]:
+    """Yield the url of each geometry of the scene, and the map from its own frame to that of the file."""
+    shown = root.find("scene/instance_visual_scene")
+    url = "" if shown is None else shown.attrib.get("url", "").removeprefix("#")
+    scenes = list(root.iter("visual_scene"))
+    scene = next((element for element in scenes if element.attrib.get("id") == url), None)
+    scene = scenes[0] if scene is None and scenes else scene
+    waiting = [] if scene is None else [(node, _IDENTITY) for node in scene.findall("node")]
+    placed = 0
+    while waiting:
+        node, rows = waiting.pop()
+        placed += 1
+        if placed > _MAX_NODES:
+            raise FaultyColladaError(f"the COLLADA file places more than {_MAX_NODES:,} nodes")
+        for element in node:
+            url = element.attrib.get("url", "")
+            if element.tag == "instance_geometry":
+                yield url, rows
+            elif element.tag == "node":
+                waiting.append((element, rows))
+            elif element.tag == "instance_node" and url in nodes:
+                waiting.append((nodes[url], rows))
+            else:
+                rows = _composed(rows, _map(element))
+
+
+def _map(element: ElementTree.Element) -> _Rows:
+    """Return the map of an element of a node; the identity for one that does not move what follows."""
+    words = (element.text or "").split()
+    match element.tag:
+        case "matrix":
+            numbers = _floats(words, 16)
+            return tuple(tuple(numbers[at : at + 4]) for at in (0, 4, 8))
+        case "translate":
+            return tuple((*row[:3], step) for row, step in zip(_IDENTITY, _floats(words, 3), strict=True))
+        case "scale":
+            factors = _floats(words, 3)
+            return tuple(
+                tuple(entry * factor for entry in row) for row, factor in zip(_IDENTITY, factors, strict=True)
+            )
+        case "rotate":
+            x, y, z, degrees = _floats(words, 4)
+            length = math.hypot(x, y, z) or 1.0
+            turn = from_axis_angle((x / length, y / length, z / length), math.radians(degrees))
+            columns = [rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+            return tuple((*row, 0.0) for row in zip(*columns, strict=True))
+        case _:
+            return _IDENTITY
+
+
+def _composed(outer: _Rows, inner: _Rows) -> _Rows:
+    if inner is _IDENTITY:
+        return outer
+    columns = list(zip(*inner, strict=True))
+    return tuple(
+        tuple(
+            a * column[0] + b * column[1] + c * column[2] + (d if index == 3 else 0.0)
+            for index, column in enumerate(columns)
+        )
+        for a, b, c, d in outer
+    )
+
+
+def _own_corners(geometry: ElementTree.Element) -> array[float]:
+    """Return the coordinates of the corners of triangles and polygons, in the frame of their geometry."""
+    coordinates = array("d")
+    for mesh in geometry.iter("mesh"):
+        for part in _triangles_of(mesh, polygons=True):
+            if len(coordinates) + 3 * len(part.corners) > 3 * _MAX_CORNERS:
+                raise FaultyColladaError(
+                    f"a geometry of the COLLADA file has more than {_MAX_CORNERS:,} corners"
+                )
+            for corner in part.corners:
+                coordinates.extend(_floats(part.numbers[3 * corner : 3 * corner + 3], 3))
+    return coordinates
+
+
+def _floats(words: list[str], count: int) -> list[float]:
+    """Return so many numbers. Raises: FaultyColladaError: There are fewer, or one is not finite."""
+    try:
+        numbers = [float(word) for word in words[:count]]
+    except ValueError as error:
+        raise FaultyColladaError("a number of the COLLADA file is not a number") from error
+    if len(numbers) < count or not math.isfinite(sum(map(abs, numbers))):
+        raise FaultyColladaError("a vector of the COLLADA file lacks a number, or is not finite")
+    return numbers
 
 
 def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...]) -> None:
@@ -63,17 +198,21 @@ def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...
             raise FaultyColladaError(f"a <{tag}> of the COLLADA file has no {name}")
 
 
-def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
+def _triangles_of(mesh: ElementTree.Element, *, polygons: bool = False) -> Iterator[Triangles]:
+    """Yield the triangles of a mesh in its own frame and, on request, those of its polygons."""
     _require(mesh, _WITH_ID)
     sources = {element.attrib["id"]: element for element in mesh.iter("source")}
     position_inputs = {element.attrib["id"]: _input(element, "POSITION") for element in mesh.iter("vertices")}
-    for triangles in mesh.iter("triangles"):
+    kinds = ("triangles", "polylist", "polygons") if polygons else ("triangles",)
+    for triangles in (element for element in mesh.iter() if element.tag in kinds):
         corner = _input(triangles, "VERTEX")
         source = sources.get(position_inputs.get(corner.source, _Input("", 0)).source)
         floats = source.find("float_array") if source is not None else None
         if source is None or floats is None or source.find(".//accessor") is None:
             raise FaultyColladaError("a <triangles> of the COLLADA file refers to no positions")
-        numbers, corners = (floats.text or "").split(), _corners(triangles, corner.offset)
+        numbers = (floats.text or "").split()
+        read = _corners if triangles.tag == "triangles" else _polygon_corners
+        corners = read(triangles, corner.offset)
         vertices = len(numbers) // 3
         outside = next(
             (
@@ -129,3 +268,39 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
     except (ValueError, OverflowError) as error:
         raise FaultyColladaError("an index of the COLLADA file is not a number") from error
     return corners
+
+
+def _polygon_corners(polygons: ElementTree.Element, offset: int) -> array[int]:
+    """Return the indices of the vertices of the triangles around the first corner of each polygon."""
+    stride = 1 + max(_count(element, "offset", 0) for element in polygons.iter("input"))
+    texts = [element.text or "" for element in polygons.iter("p")]
+    indices = [_integers(text)[offset::stride] for text in texts]
+    counts = polygons.find("vcount")
+    if counts is not None:
+        every, at = indices[0] if indices else array("q"), 0
+        indices = []
+        for count in _integers(counts.text or ""):
+            indices.append(every[at : at + count])
+            at += max(count, 0)
+        if at > len(every):
+            raise FaultyColladaError("a <polylist> of the COLLADA file has fewer corners than its counts")
+    corners = array("q")
+    for polygon in indices:
+        if len(corners) + 3 * len(polygon) > 3 * _MAX_CORNERS:
+            raise FaultyColladaError(
+                f"the polygons of the COLLADA file have more than {_MAX_CORNERS:,} corners"
+            )
+        for second in range(1, len(polygon) - 1):
+            corners.extend((polygon[0], polygon[second], polygon[second + 1]))
+    return corners
+
+
+def _integers(text: str) -> array[int]:
+    """Return the integers of a text. Raises: FaultyColladaError: There are too many, or one is none."""
+    tokens = text.split(None, _MAX_INDICES)
+    if len(tokens) > _MAX_INDICES:
+        raise FaultyColladaError(f"a <p> of the COLLADA file has more than {_MAX_INDICES:,} indices")
+    try:
+        return array("q", map(int, tokens))
+    except (ValueError, OverflowError) as error:
+        raise FaultyColladaError("an index of the COLLADA file is not a number") from error

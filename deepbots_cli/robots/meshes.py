@@ -13,17 +13,17 @@ import os
 import re
 import sys
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles
+from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles, placed_corners
 from deepbots_cli.robots.coverage import MAX_LAYERS, Coverage, mesh_coverage
 from deepbots_cli.robots.elements import parse
 from deepbots_cli.robots.model import Mesh, Vector
@@ -46,12 +46,14 @@ _VERTEX_COORDINATES = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILIN
 _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
+_SIGNED_INDEX = re.compile(rb"[ \t](-?[0-9]+)")
 _LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
 _MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
+MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
 _COLLADA_FACE = re.compile(rb"<(?:\w+:)?(?:triangles|polylist|polygons|trifans|tristrips)[\s/>]")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
@@ -305,20 +307,42 @@ def read_verified(mesh: Mesh) -> bytes:
 
 @lru_cache(maxsize=1000)
 def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """Return the lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the
-    file is missing or changed."""
-    try:
-        bounds = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
-    except EngineError:
+    """Return the lowest and the highest coordinates of a scaled mesh, m; None if the file is missing or
+    changed."""
+    axes = list(zip(*mesh_vertices(mesh), strict=True))
+    if not axes:
         return None
-    if bounds is None:
-        return None
-    ends = [
-        sorted((low * factor, high * factor))  # a negative factor mirrors the mesh
-        for low, high, factor in zip(bounds.lower, bounds.upper, mesh.scale, strict=True)
-    ]
-    (x, x_end), (y, y_end), (z, z_end) = ends
+    (x, y, z), (x_end, y_end, z_end) = map(min, axes), map(max, axes)
     return (x, y, z), (x_end, y_end, z_end)
+
+
+@lru_cache(maxsize=64)
+def mesh_vertices(mesh: Mesh) -> tuple[Vector, ...]:
+    """Return the vertices of a scaled mesh, m: the convex hull of a mesh is that of its vertices.
+
+    A mesh with more than `MAX_EXACT_VERTICES` of them gives the corners of its box; a file that is missing or
+    changed gives none.
+    """
+    try:
+        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
+    except EngineError:
+        return ()
+    axes = [numbers[axis::3] for axis in range(3)]
+    own: Iterable[tuple[float, ...]] = (
+        set(zip(*axes, strict=True))
+        if len(numbers) <= 3 * MAX_EXACT_VERTICES
+        else product(*((min(axis), max(axis)) for axis in axes))
+    )
+    a, b, c = mesh.scale
+    return tuple((a * x, b * y, c * z) for x, y, z in own)
+
+
+@lru_cache(maxsize=4096)
+def mesh_reach(mesh: Mesh, direction: Vector) -> float:
+    """Return how far the vertices of a mesh reach from its origin along a unit vector, m; 0 for a file that
+    is missing or changed."""
+    a, b, c = direction
+    return max((a * x + b * y + c * z for x, y, z in mesh_vertices(mesh)), default=0.0)
 
 
 # Content
@@ -338,11 +362,11 @@ def mesh_problem(suffix: str, data: bytes) -> str | None:
 def _far_out(suffix: str, data: bytes) -> str | None:
     """Return the headline for a vertex beyond all plausible sizes: engines search a grid as large as the
     mesh, and do not end."""
-    is_text = suffix == ".obj" or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data)
+    is_text = suffix == ".obj" or is_text_stl(data)
     if is_text and not _LARGE_NUMBER.search(data):
         return None
     size = mesh_size(suffix, data)
-    farthest = max(map(abs, (*size.lower, *size.upper))) if size else 0.0
+    farthest = max(map(abs, (*size.lower, *size.upper)))
     return (
         f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}"
         if farthest > _MAX_COORDINATE
@@ -358,28 +382,41 @@ class MeshSize(NamedTuple):
     triangles: int
 
 
-def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
-    """Return the size of a mesh without fault; None of a COLLADA file, which has units and frames of its
-    own."""
-    if suffix == ".dae":
-        return None
+def mesh_size(suffix: str, data: bytes) -> MeshSize:
+    """Return the size of a mesh without fault."""
+    numbers = _coordinates(suffix, data)
     if suffix == ".obj":
-        numbers = [
-            float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]
-        ]
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
-    # Some programs begin the header of a binary file with `solid` too.
-    elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
-        numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
-        faces = len(numbers) // 9
     else:
-        numbers, faces = list(_stl_numbers(data)), int.from_bytes(data[80:84], "little")
+        faces = len(numbers) // 9
     lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
     return MeshSize((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
 
 
+def _coordinates(suffix: str, data: bytes) -> Sequence[float]:
+    """Return the coordinates of the vertices of a mesh without fault, one after the other: of an OBJ file all
+    that a face names, of another file those of each corner."""
+    if suffix == ".dae":
+        return placed_corners(data)
+    if suffix == ".obj":
+        vertices = [vertex.split()[:3] for vertex in _VERTEX_COORDINATES.findall(data)]
+        indices = {int(index) for face in _FACE.findall(data) for index in _SIGNED_INDEX.findall(face)}
+        if min(indices, default=0) > 0:
+            vertices = [vertices[index - 1] for index in indices]
+        return [float(number) for vertex in vertices for number in vertex]
+    if is_text_stl(data):
+        return [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
+    return _stl_numbers(data)
+
+
+def is_text_stl(data: bytes) -> bool:
+    """Return whether an STL file is text; some programs begin the header of a binary file with `solid`
+    too."""
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data
+
+
 def _stl(data: bytes) -> str | None:
-    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+    if is_text_stl(data):
         if _NOT_FINITE_STL.search(data):
             return "the STL file contains a vertex that is not finite"
         corners = len(_VERTEX_STL.findall(data))
@@ -464,6 +501,7 @@ def _dae(data: bytes) -> str | None:
     try:
         for _ in collada_triangles(data):
             pass
+        placed_corners(data)
     except FaultyColladaError as error:
         return str(error)
     return None
