@@ -30,7 +30,7 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import TILE_MARGIN_M, Formula, Picture, Pit, Terrain, TerrainShape, Tiles
-from deepbots_cli.robots.collada import placed_corners
+from deepbots_cli.robots.collada import placed_triangles
 from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, Vector, to_urdf, with_link
 
@@ -506,16 +506,21 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     data = read_verified(mesh)
     suffix = Path(mesh.path).suffix[1:].lower()
     try:
-        triangles = (
-            np.array(placed_corners(data)).reshape(-1, 3, 3)
-            if suffix == "dae"
-            else _listed_triangles(data, suffix)
-        )
+        triangles = _collada_triangles(data) if suffix == "dae" else _listed_triangles(data, suffix)
     except (ValueError, IndexError, AttributeError) as error:  # trimesh has no exception of its own
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     if not len(triangles):
         raise EngineError(f"mesh {mesh.path} has no triangles")
     return np.asarray(triangles * np.asarray(mesh.scale), np.float64)
+
+
+def _collada_triangles(data: bytes) -> NDArray[np.float64]:
+    corners = [
+        np.array(part.moved(rows)).reshape(-1, 3)[np.array(part.corners)]
+        for part, rows in placed_triangles(data)
+        if part.corners
+    ]
+    return np.concatenate([*corners, np.empty((0, 3))]).reshape(-1, 3, 3)
 
 
 def _listed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:

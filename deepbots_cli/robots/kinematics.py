@@ -12,7 +12,7 @@ from itertools import product
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.robots.meshes import mesh_bounds, mesh_reach
+from deepbots_cli.robots.meshes import Bounds, mesh_bounds, mesh_reach
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -76,9 +76,6 @@ def placed(
 
 
 # Bounding boxes
-
-Bounds = tuple[Triple, Triple]
-"""The lowest and the highest coordinates of a box."""
 
 
 def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:

@@ -16,17 +16,17 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice, product
+from itertools import chain, islice, product
 from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles, placed_corners
+from deepbots_cli.robots.collada import FaultyColladaError, placed_triangles
 from deepbots_cli.robots.coverage import MAX_LAYERS, Coverage, mesh_coverage
 from deepbots_cli.robots.elements import parse
-from deepbots_cli.robots.model import Mesh, Vector
+from deepbots_cli.robots.model import ZERO, Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
@@ -54,6 +54,7 @@ _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
 MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
+_SAMPLED_VERTICES = 3_000
 _COLLADA_FACE = re.compile(rb"<(?:\w+:)?(?:triangles|polylist|polygons|trifans|tristrips)[\s/>]")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
@@ -68,11 +69,17 @@ _ARCHIVES = (
 )
 
 
+Bounds = tuple[Vector, Vector]
+"""The lowest and the highest coordinates of a box."""
+
+
 class CheckedMesh(NamedTuple):
-    """The first problem of a mesh, and how often its triangles cover it where they are many."""
+    """The first problem of a mesh; else how often its triangles cover it where they are many, and the box
+    around a sample of its vertices, in its own units."""
 
     problem: str | None
     coverage: Coverage | None = None
+    box: Bounds = (ZERO, ZERO)
 
 
 @dataclass(frozen=True)
@@ -208,10 +215,12 @@ def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | N
 
 class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
-    each mesh that was read, by the span of its file name."""
+    each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
+    vertices, in its own units, by suffix and digest."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self.spans: dict[Span, str] = {}
+        self.boxes: dict[tuple[str, str], Bounds] = {}
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0
@@ -276,10 +285,17 @@ class MeshReader:
             if len(_CHECKED) >= MAX_CACHED_MESHES:
                 _CHECKED.clear()
             wrong = mesh_problem(suffix, data)
-            _CHECKED[suffix, digest] = CheckedMesh(
-                wrong, None if wrong else mesh_coverage(suffix, data, digest)
+            _CHECKED[suffix, digest] = (
+                CheckedMesh(wrong)
+                if wrong
+                else CheckedMesh(
+                    None,
+                    mesh_coverage(suffix, data, digest),
+                    _box(_coordinates(suffix, data, _SAMPLED_VERTICES)),
+                )
             )
         checked = _CHECKED[suffix, digest]
+        self.boxes[suffix, digest] = checked.box
         return (
             UnusableMesh(checked.problem, "export the mesh again")
             if checked.problem
@@ -306,13 +322,26 @@ def read_verified(mesh: Mesh) -> bytes:
 
 
 @lru_cache(maxsize=1000)
-def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """Return the lowest and the highest coordinates of a scaled mesh, m; None if the file is missing or
-    changed."""
-    axes = list(zip(*mesh_vertices(mesh), strict=True))
-    if not axes:
+def mesh_bounds(mesh: Mesh) -> Bounds | None:
+    """Return the box around a scaled mesh, m; None if the file is missing or changed."""
+    try:
+        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
+    except EngineError:
         return None
-    (x, y, z), (x_end, y_end, z_end) = map(min, axes), map(max, axes)
+    return scaled_box(_box(numbers), mesh.scale)
+
+
+def scaled_box(box: Bounds, scale: Vector) -> Bounds:
+    """Return the box around a mesh that is multiplied by factors along its axes; a negative one mirrors
+    it."""
+    ends = [sorted((a * factor, b * factor)) for a, b, factor in zip(*box, scale, strict=True)]
+    (x, x_end), (y, y_end), (z, z_end) = ends
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+def _box(numbers: Sequence[float]) -> Bounds:
+    axes = [numbers[axis::3] for axis in range(3)]
+    (x, y, z), (x_end, y_end, z_end) = ([end(axis, default=0.0) for axis in axes] for end in (min, max))
     return (x, y, z), (x_end, y_end, z_end)
 
 
@@ -387,26 +416,33 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize:
     numbers = _coordinates(suffix, data)
     if suffix == ".obj":
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
+    elif suffix == ".dae":
+        faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(data))
     else:
         faces = len(numbers) // 9
-    lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
-    return MeshSize((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
+    return MeshSize(*_box(numbers), faces)
 
 
-def _coordinates(suffix: str, data: bytes) -> Sequence[float]:
-    """Return the coordinates of the vertices of a mesh without fault, one after the other: of an OBJ file all
-    that a face names, of another file those of each corner."""
+def _coordinates(suffix: str, data: bytes, sample: int = 0) -> Sequence[float]:
+    """Return the coordinates of the vertices of a mesh without fault, one after the other: of an STL file
+    those of each corner, of another file those that a face names. With a `sample`, only about so many
+    vertices, spread over the file."""
+
+    def step(count: int) -> int:
+        return max(1, count // sample) if sample else 1
+
     if suffix == ".dae":
-        return placed_corners(data)
-    if suffix == ".obj":
-        vertices = [vertex.split()[:3] for vertex in _VERTEX_COORDINATES.findall(data)]
+        parts = placed_triangles(data)
+        stride = step(sum(len(part.numbers) // 3 for part, _ in parts))
+        return array("d", chain.from_iterable(part.moved(rows, stride) for part, rows in parts))
+    if suffix == ".stl" and not is_text_stl(data):
+        return _stl_numbers(data, step((len(data) - 84) // 50))
+    pattern = _VERTEX_COORDINATES if suffix == ".obj" else _PLACE_STL
+    vertices = pattern.findall(data)
+    if suffix == ".obj" and not sample:
         indices = {int(index) for face in _FACE.findall(data) for index in _SIGNED_INDEX.findall(face)}
-        if min(indices, default=0) > 0:
-            vertices = [vertices[index - 1] for index in indices]
-        return [float(number) for vertex in vertices for number in vertex]
-    if is_text_stl(data):
-        return [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
-    return _stl_numbers(data)
+        vertices = [vertices[index - 1] for index in indices] if min(indices, default=0) > 0 else vertices
+    return [float(number) for vertex in vertices[:: step(len(vertices))] for number in vertex.split()[:3]]
 
 
 def is_text_stl(data: bytes) -> bool:
@@ -443,10 +479,11 @@ def _stl(data: bytes) -> str | None:
     )
 
 
-def _stl_numbers(data: bytes) -> array[float]:
-    """Return the coordinates of all corners of a binary file, one after the other."""
+def _stl_numbers(data: bytes, step: int = 1) -> array[float]:
+    """Return the coordinates of the corners of every so many triangles of a binary file, one after the
+    other."""
     # A header of 80 bytes and a count of 4; then 50 bytes per triangle: a normal of 12, corners of 36, and 2.
-    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
+    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50 * step)))
     if sys.byteorder == "big":
         numbers.byteswap()
     return numbers
@@ -499,9 +536,7 @@ def _dae(data: bytes) -> str | None:
     if not _COLLADA_FACE.search(data):
         return "the COLLADA file contains no triangle or polygon"
     try:
-        for _ in collada_triangles(data):
-            pass
-        placed_corners(data)
+        placed_triangles(data)
     except FaultyColladaError as error:
         return str(error)
     return None

@@ -73,9 +73,11 @@ def collada(nodes: str = "", *, meter: float = 1.0, polygons: bool = False) -> b
 <source id="s"><float_array id="a" count="{3 * len(points)}">{numbers}</float_array>
 <technique_common><accessor source="#a" count="{len(points)}" stride="3"/></technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
-<{kind} count="{len(faces)}"><input semantic="VERTEX" source="#v" offset="0"/>{counts}<p>{indices}</p></{kind}>
+<{kind} count="{len(faces)}"><input semantic="VERTEX" source="#v" offset="0"/>
+{counts}<p>{indices}</p></{kind}>
 </mesh></geometry></library_geometries>
-<library_visual_scenes><visual_scene id="w"><node id="n">{nodes}<instance_geometry url="#g"/></node></visual_scene>
+<library_visual_scenes><visual_scene id="w"><node id="n">{nodes}
+<instance_geometry url="#g"/></node></visual_scene>
 </library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>""".encode()
 
 
