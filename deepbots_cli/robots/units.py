@@ -46,10 +46,10 @@ _MIN_MILLIMETERS = 316.0
 _MIN_ROBOT_DENSITY, _MIN_LARGE_ROBOT_M = 1e-5, 10.0
 """The mass (kg) of a robot for each cube of its length, and its length (m), if joints are in millimeters; a
 drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg too."""
-_MAX_PLAUSIBLE_INERTIA = 3.0
+_MIN_PLACEHOLDER = 5.0
 _MIN_WRONG_INERTIA, _MAX_ROUND_INERTIA = 300.0, 1e5
-"""The inertia over that of a box: what no body exceeds, what a wrong unit gives at least, and what round
-numbers of published robots do not reach."""
+"""The inertia over that of a box: the least of an identity that is a placeholder, the least of a wrong unit,
+and what round numbers of published robots do not reach."""
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 200.0, 5000.0
 """The size of a visual over that of the collision shapes of its link, if one of them is in millimeters."""
 _INERTIA_UNITS = {1e3: "g*m^2", 1e6: "kg*mm^2", 1e9: "g*mm^2"}
@@ -97,7 +97,7 @@ def unit_faults(model: RobotModel, boxes: MeshBoxes) -> Iterator[UnitFault]:
         if heavy:
             yield _masses(heavy)
         ratios = [(part, part.inertia_ratio * (1e3 if part in heavy else 1.0)) for part in judged]
-        unfilled = [part for part, ratio in ratios if part.is_identity and ratio > _MAX_PLAUSIBLE_INERTIA]
+        unfilled = [part for part, ratio in ratios if part.is_identity and ratio > _MIN_PLACEHOLDER]
         if unfilled:
             yield _placeholder(unfilled)
         wrong = [(part, ratio) for part, ratio in ratios if ratio > part.max_inertia_ratio]
