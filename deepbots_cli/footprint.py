@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, quaternion
-from deepbots_cli.robots.kinematics import bounds_of_shape, corners, placed, resting_height, solids
+from deepbots_cli.robots.kinematics import bounds_of_shape, corners, lowest_point, placed, resting_height
+from deepbots_cli.robots.meshes import mesh_vertices
 from deepbots_cli.robots.model import (
     Capsule,
     Cylinder,
+    Mesh,
     RobotModel,
     Shape,
     Sphere,
@@ -201,8 +203,7 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
 
 
 def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
-    """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root;
-    meshes do not count.
+    """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root.
 
     The result has the ends of all shapes that are at most `thickness` (m) above the lowest point. For an
     upright cylinder, it has the corners of the box around it.
@@ -210,8 +211,8 @@ def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     lowest = -resting_height(model)
     touching = [
         (shape, frame)
-        for shape, frame in solids(model)
-        if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness
+        for shape, frame in placed(model, lambda link: link.collisions)
+        if lowest_point(shape, frame) <= lowest + thickness
     ]
     return [foot for shape, frame in touching for foot in _feet(shape, frame, thickness)]
 
@@ -228,6 +229,10 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
             end = -length / 2 if axis[2] > 0.0 else length / 2
             yield x + end * axis[0], y + end * axis[1]
         case _:
-            ends = corners(shape, frame)
-            lowest = min(corner[2] for corner in ends)
+            ends = (
+                [frames.add(frame[0], frames.rotate(frame[1], vertex)) for vertex in mesh_vertices(shape)]
+                if isinstance(shape, Mesh)
+                else corners(shape, frame)
+            )
+            lowest = min((corner[2] for corner in ends), default=0.0)
             yield from ((corner[0], corner[1]) for corner in ends if corner[2] <= lowest + thickness)

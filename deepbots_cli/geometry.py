@@ -6,10 +6,6 @@ terrain, and the masses of links with a density. Importing the two libraries tak
 function imports them when it is called, so only a world with such a mesh pays for them, and lint never needs
 them.
 
-COLLADA files stay with the engine. Of 13 files in pybullet_data, trimesh and PyBullet build 3 differently:
-trimesh leaves the unit to the caller (duck.dae comes out 100 times as large), and PyBullet ignores `<rotate>`
-(hokuyo.dae lies on its side).
-
 A terrain of tiles consists of squares of one kind each, such as stairs, from easy to hard. A tile has a level
 platform in its middle, where a robot can stand, and is at the height 0 along its edge, so that all tiles fit
 together. Its measures go from those of the lowest to those of the highest level.
@@ -34,6 +30,7 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import TILE_MARGIN_M, Formula, Picture, Pit, Terrain, TerrainShape, Tiles
+from deepbots_cli.robots.collada import placed_triangles
 from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, Vector, to_urdf, with_link
 
@@ -501,21 +498,36 @@ def _edge_height(corners: NDArray[np.float64]) -> Height:
 
 
 def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the corners of an STL or OBJ mesh, scaled: shape (count, 3 corners, 3 coordinates), in m.
+    """Return the corners of a mesh, scaled: shape (count, 3 corners, 3 coordinates), in m.
 
     Raises:
         EngineError: The file has gone or changed, or holds no triangles.
     """
-    import trimesh
-
     data = read_verified(mesh)
+    suffix = Path(mesh.path).suffix[1:].lower()
     try:
-        loaded = trimesh.load_mesh(
-            BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True
-        )
+        triangles = _collada_triangles(data) if suffix == "dae" else _listed_triangles(data, suffix)
     except (ValueError, IndexError, AttributeError) as error:  # trimesh has no exception of its own
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
-    return np.asarray(loaded.triangles * np.asarray(mesh.scale), np.float64)
+    if not len(triangles):
+        raise EngineError(f"mesh {mesh.path} has no triangles")
+    return np.asarray(triangles * np.asarray(mesh.scale), np.float64)
+
+
+def _collada_triangles(data: bytes) -> NDArray[np.float64]:
+    corners = [
+        np.array(part.moved(rows)).reshape(-1, 3)[np.array(part.corners)]
+        for part, rows in placed_triangles(data)
+        if part.corners
+    ]
+    return np.concatenate([*corners, np.empty((0, 3))]).reshape(-1, 3, 3)
+
+
+def _listed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
+    import trimesh
+
+    loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix, process=False, skip_materials=True)
+    return np.asarray(loaded.triangles, np.float64)
 
 
 def with_masses(model: RobotModel) -> RobotModel:

@@ -78,7 +78,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.value_hints import number_fix
 from deepbots_cli.program import Program
-from deepbots_cli.program.resets import Reset
+from deepbots_cli.program.resets import Placement, Reset
 from deepbots_cli.program.robots import Link
 from deepbots_cli.program.task import (
     ONLY_AGENT,
@@ -368,9 +368,17 @@ def _complete_reset(
     reset: Reset, namespace: Namespace, builders: Sequence[RobotBuilder], timestep: float
 ) -> Reset:
     """Return the reset with what is known once all values of the file have been read."""
+    starts = joint_starts(namespace, {builder.robot.name: builder.poses for builder in builders})
+    positions = replace(reset, joint_starts=starts).joint_positions
+
+    def posed(places: tuple[Placement, ...]) -> tuple[Placement, ...]:
+        return tuple(replace(place, joints=positions.get(place.body, {})) for place in places)
+
     return replace(
         reset,
-        joint_starts=joint_starts(namespace, {builder.robot.name: builder.poses for builder in builders}),
+        placements=posed(reset.placements),
+        layouts=tuple(replace(layout, placements=posed(layout.placements)) for layout in reset.layouts),
+        joint_starts=starts,
         settle=settling_time(namespace, timestep),
         variations=(*namespace.fields.variations, *namespace.fields.colors),
         groups=tuple(namespace.groups.values()),

@@ -155,8 +155,6 @@ def _is_sensible(namespace: Namespace, path: NodePath, file: FilePath, mesh: Mes
     """Return whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     values = namespace.values
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
-    if measured is None:
-        return True
     if measured.triangles > MAX_TRIANGLES:
         values.add(
             "DB005",

@@ -105,7 +105,12 @@ _CATALOG = (
     Rule("DB303", "joint-not-actuatable", "error", "a fixed or `<mimic>` joint is driven or set"),
     Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
     Rule("DB305", "missing-inertial", "warning", "a link without inertia, which has no mass"),
-    Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
+    Rule(
+        "DB306",
+        "implausible-inertia",
+        "warning",
+        "an inertia that no rigid body of this mass and size can have",
+    ),
     Rule(
         "DB307",
         "missing-joint-limits",
@@ -207,7 +212,7 @@ _CATALOG = (
         "a heading whose change or difference jumps by a full turn",
         preview=True,
     ),
-    Rule("DB507", "odd-scale", "warning", "an object with an implausible size or mass"),
+    Rule("DB507", "odd-scale", "warning", "an object or a robot with an implausible size or mass"),
     Rule(
         "DB601",
         "observation-unbounded",

@@ -16,6 +16,7 @@ from deepbots_cli.diagnostics import Finding, Span, Versions
 from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
 from deepbots_cli.lint.simulation import simulation_plan
 from deepbots_cli.program import generated
+from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, GROUND
@@ -111,11 +112,15 @@ class Simulation(RuleContext):
 
     def placement(self, name: str) -> Span | None:
         """Return the span at which the scenario places a body; None if it does not."""
-        base = name.partition("#")[0]
-        place = next((place for place in self.analysis.placements if place.body == base), None)
+        place = next(self.placements(name), None)
         if place is None:
             return None
         return self.values.key_span(tuple((place.owner or f"reset.place.{place.body}").split(".")))
+
+    def placements(self, name: str) -> Iterator[Placement]:
+        """Yield the placements of a body, or of the group of a copy."""
+        base = name.partition("#")[0]
+        return (place for place in self.analysis.placements if place.body == base)
 
     # Words
 

@@ -516,7 +516,8 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     if heights.is_single:
         return heights.low
     # The height of a body that rests has no bounds here; a drawn height has finite ones.
-    return kinematics.resting_height(shape) if not heights.is_finite else None
+    positions = analysis.program.reset.joint_positions.get(subject.partition(".")[0])
+    return kinematics.resting_height(shape, positions=positions) if not heights.is_finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:

@@ -35,11 +35,6 @@ _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 m^3."""
 _MAX_SIZE_RATIO = 4.0
 """The width of an object from which a robot in it is too small, as a multiple of the size of the robot."""
-_MIN_LARGE_ROBOT_M = 10.0
-"""The length (m) of a large robot."""
-_MIN_ROBOT_DENSITY = 1e-5
-"""Its mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg
-too."""
 _MIN_OVERLAP_M = 0.01
 """The overlap (m) of the heights of two bodies of which one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5
@@ -158,7 +153,7 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
 
 @rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """Report an implausible size or mass of an object or of a robot."""
+    """Report an implausible size or mass of an object; the robot files were judged when they were read."""
     world = context.program.world
     values = context.values
     sizes = [
@@ -166,17 +161,6 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
         for robot in world.robots
     ]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
-    for robot, size in robots:
-        mass = robot.model.mass
-        if size >= _MIN_LARGE_ROBOT_M and 0.0 < mass < _MIN_ROBOT_DENSITY * size**3:
-            headline = (
-                f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
-            )
-            help = (
-                'write the lengths of the robot file in meters, and `scale="0.001 0.001 0.001"` at a mesh'
-                " in millimeters"
-            )
-            yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, help)
     met: set[NodePath] = set()
     for body in world.objects:
         for path, kind in _forms(body):
@@ -223,7 +207,9 @@ def _is_within(start: StartRanges, robot: RobotBody, body: ObjectBody, shape: Sh
     the robot at the same height."""
     radius, half = _inner_cylinder(shape)
     high = kinematics.robot_bounds(kinematics.without_meshes(robot.model))[1][2]
-    standing, lying = kinematics.resting_height(robot.model), kinematics.resting_height(shape)
+    positions = start.analysis.program.reset.joint_positions.get(robot.name)
+    standing = kinematics.resting_height(robot.model, positions=positions)
+    lying = kinematics.resting_height(shape)
     pairs = [
         (thing_pose, robot_pose)
         for thing_pose in start.poses(body.name)
@@ -535,7 +521,10 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     notes = (f"{met}, in the reset with seed {overlap.seed}; {simulation.plan.resets} seeds were simulated",)
     if other_part[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
-        help = f"place it {depth} higher, or remove `z` to place it on the ground"
+        has_height = any("z" in place.coordinates for place in simulation.placements(body_part[0]))
+        help = f"place it {depth} higher" + (
+            ", or remove `z` to place it on the ground" if has_height else ", with `z`"
+        )
         also = (
             (Label(simulation.body_span(other_part[0]), "the ground"),)
             if simulation.program.world.terrain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -72,13 +72,14 @@ class Placement:
     """The initial state of a body, or of each present copy of a group: the pose of its root link's origin,
     and its velocities.
 
-    `coordinates` contains x, y, z in m and roll, pitch, yaw in rad; a missing coordinate is 0, and
-    `heading` (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without them, the
-    body is at rest. If the body `rests`, it has no height: z counts from its height at rest on the ground, or
-    on the top of an object if the `spot` is one. The height of `lying`, its shape on flat ground, is known
-    beforehand. With a `spot`, x and y are drawn from there, by a stream named after the `owner`: within the
-    arena's walls and clear of bodies that have a place already, `clearance` m at least. For a group, at most
-    `at_most` copies are placed, and each stands `spacing` (m along x and y) from the one before.
+    `coordinates` contains x, y, z in m and roll, pitch, yaw in rad; a missing coordinate is 0, and `heading`
+    (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without them, the body is
+    at rest. If the body `rests`, it has no height: z counts from its height at rest on the ground, or on the
+    top of an object if the `spot` is one. The height of `lying`, its shape on flat ground with its `joints`
+    at these positions (rad or m), is known beforehand. With a `spot`, x and y are drawn from there, by a
+    stream named after the `owner`: within the arena's walls and clear of bodies that have a place already,
+    `clearance` m at least. For a group, at most `at_most` copies are placed, and each stands `spacing` (m
+    along x and y) from the one before.
     """
 
     body: str
@@ -93,6 +94,7 @@ class Placement:
     spacing: tuple[float, float] = (0.0, 0.0)
     owner: str = ""
     lying: Shape | RobotModel | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
 
     def _coordinate(self, key: str) -> Scalar:
         return self.coordinates[key].scalar if key in self.coordinates else Const(0.0)
@@ -121,7 +123,7 @@ class Placement:
             or not isinstance(pitch, Const)
         ):
             return None
-        return kinematics.resting_height(self.lying, roll.value, pitch.value)
+        return kinematics.resting_height(self.lying, roll.value, pitch.value, self.joints)
 
     @property
     def seeks_height(self) -> bool:
@@ -304,6 +306,17 @@ class Reset:
     layouts: tuple[Layout, ...] = ()
     require: Expression | None = None
     attempts: int = 100
+
+    @cached_property
+    def joint_positions(self) -> dict[str, dict[str, float]]:
+        """The positions (rad or m) of the joints of each robot that start at the same one in every episode; a
+        drawn one is not among them."""
+        positions: dict[str, dict[str, float]] = {}
+        for start in self.joint_starts:
+            for joint, position, _ in start.states:
+                if isinstance(position, Const):
+                    positions.setdefault(start.robot, {})[joint] = position.value
+        return positions
 
     @property
     def drawn(self) -> Iterator[NamedScalars]:

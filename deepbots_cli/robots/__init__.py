@@ -7,5 +7,6 @@ elements.py    XML to elements with their position in the file; their numbers an
 reader.py      elements to a checked model, every finding with its place
 meshes.py      the locations, permissions and contents of mesh files
 collada.py     the triangles of a COLLADA file, and its faults
+units.py       millimeters, grams and g mm^2 in a robot file
 coverage.py    how many times the triangles of a mesh cover each other
 """

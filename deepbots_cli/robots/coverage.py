@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from random import Random
 from typing import NamedTuple
 
-from deepbots_cli.robots.collada import collada_triangles
+from deepbots_cli.robots.collada import placed_triangles
 from deepbots_cli.robots.model import Vector
 
 MAX_LAYERS = 100
@@ -130,7 +130,7 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
 def _dae(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     """Return the number of triangles and some of them, without the nodes that place geometries."""
     count, sample = 0, list[Triangle]()
-    for triangles in collada_triangles(data):
+    for triangles, _ in placed_triangles(data):
         for number in _chosen(len(triangles.corners) // 3, random):
             corners = triangles.corners[3 * number : 3 * number + 3]
             a, b, c = (_vector(triangles.numbers[3 * corner : 3 * corner + 3]) for corner in corners)

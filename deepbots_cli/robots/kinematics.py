@@ -12,7 +12,7 @@ from itertools import product
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.robots.meshes import mesh_bounds
+from deepbots_cli.robots.meshes import Bounds, mesh_bounds, mesh_reach
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -75,19 +75,7 @@ def placed(
     return [(part.shape, frames.compose(link, frames.frame(part.origin))) for link, part in parts]
 
 
-def solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
-    """Return the collision shapes that are not meshes, in the frame of the root, with all joints at 0."""
-    return [
-        (shape, frame)
-        for shape, frame in placed(model, lambda link: link.collisions)
-        if not isinstance(shape, Mesh)
-    ]
-
-
 # Bounding boxes
-
-Bounds = tuple[Triple, Triple]
-"""The lowest and the highest coordinates of a box."""
 
 
 def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
@@ -125,17 +113,30 @@ def box_sides(box: Bounds) -> Triple:
     return frames.subtract(box[1], box[0])
 
 
-def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
-    """Return the height of the origin of a body that rests on flat ground with this attitude; meshes of a
-    robot do not count."""
+def resting_height(
+    body: Shape | RobotModel,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    positions: Mapping[str, float] | None = None,
+) -> float:
+    """Return the height of the origin of a body that rests on flat ground with this attitude: the lowest
+    point of an object, or of all collision shapes of a robot; `positions` as in `link_frames`."""
     tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
         # `0.0 - z` and not `-z`, which is -0.0 for a body with its lowest point at the origin.
-        return 0.0 - bounds_of_shape(body, tilted)[0][2]
+        return 0.0 - lowest_point(body, tilted)
+    parts = placed(body, lambda link: link.collisions, positions)
     return 0.0 - min(
-        (bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in solids(body)),
-        default=0.0,
+        (lowest_point(shape, frames.compose(tilted, frame)) for shape, frame in parts), default=0.0
     )
+
+
+def lowest_point(shape: Shape, frame: Frame) -> float:
+    """Return the height of the lowest point of a shape whose own frame is `frame`; of a mesh, that of its
+    vertices."""
+    if isinstance(shape, Mesh):
+        return frame[0][2] - mesh_reach(shape, frames.rotate_back(frame[1], (0.0, 0.0, -1.0)))
+    return bounds_of_shape(shape, frame)[0][2]
 
 
 def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:

@@ -13,20 +13,20 @@ import os
 import re
 import sys
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice, product
 from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles
+from deepbots_cli.robots.collada import FaultyColladaError, placed_triangles
 from deepbots_cli.robots.coverage import MAX_LAYERS, Coverage, mesh_coverage
 from deepbots_cli.robots.elements import parse
-from deepbots_cli.robots.model import Mesh, Vector
+from deepbots_cli.robots.model import ZERO, Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
@@ -46,12 +46,15 @@ _VERTEX_COORDINATES = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILIN
 _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
+_SIGNED_INDEX = re.compile(rb"[ \t](-?[0-9]+)")
 _LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
 _MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
+MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
+_SAMPLED_VERTICES = 3_000
 _COLLADA_FACE = re.compile(rb"<(?:\w+:)?(?:triangles|polylist|polygons|trifans|tristrips)[\s/>]")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
@@ -66,11 +69,17 @@ _ARCHIVES = (
 )
 
 
+Bounds = tuple[Vector, Vector]
+"""The lowest and the highest coordinates of a box."""
+
+
 class CheckedMesh(NamedTuple):
-    """The first problem of a mesh, and how often its triangles cover it where they are many."""
+    """The first problem of a mesh; else how often its triangles cover it where they are many, and the box
+    around a sample of its vertices, in its own units."""
 
     problem: str | None
     coverage: Coverage | None = None
+    box: Bounds = (ZERO, ZERO)
 
 
 @dataclass(frozen=True)
@@ -206,10 +215,12 @@ def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | N
 
 class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
-    each mesh that was read, by the span of its file name."""
+    each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
+    vertices, in its own units, by suffix and digest."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self.spans: dict[Span, str] = {}
+        self.boxes: dict[tuple[str, str], Bounds] = {}
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0
@@ -274,10 +285,17 @@ class MeshReader:
             if len(_CHECKED) >= MAX_CACHED_MESHES:
                 _CHECKED.clear()
             wrong = mesh_problem(suffix, data)
-            _CHECKED[suffix, digest] = CheckedMesh(
-                wrong, None if wrong else mesh_coverage(suffix, data, digest)
+            _CHECKED[suffix, digest] = (
+                CheckedMesh(wrong)
+                if wrong
+                else CheckedMesh(
+                    None,
+                    mesh_coverage(suffix, data, digest),
+                    _box(_coordinates(suffix, data, _SAMPLED_VERTICES)),
+                )
             )
         checked = _CHECKED[suffix, digest]
+        self.boxes[suffix, digest] = checked.box
         return (
             UnusableMesh(checked.problem, "export the mesh again")
             if checked.problem
@@ -304,21 +322,56 @@ def read_verified(mesh: Mesh) -> bytes:
 
 
 @lru_cache(maxsize=1000)
-def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """Return the lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the
-    file is missing or changed."""
+def mesh_bounds(mesh: Mesh) -> Bounds | None:
+    """Return the box around a scaled mesh, m; None if the file is missing or changed."""
     try:
-        bounds = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
+        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
     except EngineError:
         return None
-    if bounds is None:
-        return None
-    ends = [
-        sorted((low * factor, high * factor))  # a negative factor mirrors the mesh
-        for low, high, factor in zip(bounds.lower, bounds.upper, mesh.scale, strict=True)
-    ]
+    return scaled_box(_box(numbers), mesh.scale)
+
+
+def scaled_box(box: Bounds, scale: Vector) -> Bounds:
+    """Return the box around a mesh that is multiplied by factors along its axes; a negative one mirrors
+    it."""
+    ends = [sorted((a * factor, b * factor)) for a, b, factor in zip(*box, scale, strict=True)]
     (x, x_end), (y, y_end), (z, z_end) = ends
     return (x, y, z), (x_end, y_end, z_end)
+
+
+def _box(numbers: Sequence[float]) -> Bounds:
+    axes = [numbers[axis::3] for axis in range(3)]
+    (x, y, z), (x_end, y_end, z_end) = ([end(axis, default=0.0) for axis in axes] for end in (min, max))
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+@lru_cache(maxsize=64)
+def mesh_vertices(mesh: Mesh) -> tuple[Vector, ...]:
+    """Return the vertices of a scaled mesh, m: the convex hull of a mesh is that of its vertices.
+
+    A mesh with more than `MAX_EXACT_VERTICES` of them gives the corners of its box; a file that is missing or
+    changed gives none.
+    """
+    try:
+        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
+    except EngineError:
+        return ()
+    axes = [numbers[axis::3] for axis in range(3)]
+    own: Iterable[tuple[float, ...]] = (
+        set(zip(*axes, strict=True))
+        if len(numbers) <= 3 * MAX_EXACT_VERTICES
+        else product(*((min(axis), max(axis)) for axis in axes))
+    )
+    a, b, c = mesh.scale
+    return tuple((a * x, b * y, c * z) for x, y, z in own)
+
+
+@lru_cache(maxsize=4096)
+def mesh_reach(mesh: Mesh, direction: Vector) -> float:
+    """Return how far the vertices of a mesh reach from its origin along a unit vector, m; 0 for a file that
+    is missing or changed."""
+    a, b, c = direction
+    return max((a * x + b * y + c * z for x, y, z in mesh_vertices(mesh)), default=0.0)
 
 
 # Content
@@ -338,11 +391,11 @@ def mesh_problem(suffix: str, data: bytes) -> str | None:
 def _far_out(suffix: str, data: bytes) -> str | None:
     """Return the headline for a vertex beyond all plausible sizes: engines search a grid as large as the
     mesh, and do not end."""
-    is_text = suffix == ".obj" or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data)
+    is_text = suffix == ".obj" or is_text_stl(data)
     if is_text and not _LARGE_NUMBER.search(data):
         return None
     size = mesh_size(suffix, data)
-    farthest = max(map(abs, (*size.lower, *size.upper))) if size else 0.0
+    farthest = max(map(abs, (*size.lower, *size.upper)))
     return (
         f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}"
         if farthest > _MAX_COORDINATE
@@ -358,28 +411,48 @@ class MeshSize(NamedTuple):
     triangles: int
 
 
-def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
-    """Return the size of a mesh without fault; None of a COLLADA file, which has units and frames of its
-    own."""
-    if suffix == ".dae":
-        return None
+def mesh_size(suffix: str, data: bytes) -> MeshSize:
+    """Return the size of a mesh without fault."""
+    numbers = _coordinates(suffix, data)
     if suffix == ".obj":
-        numbers = [
-            float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]
-        ]
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
-    # Some programs begin the header of a binary file with `solid` too.
-    elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
-        numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
-        faces = len(numbers) // 9
+    elif suffix == ".dae":
+        faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(data))
     else:
-        numbers, faces = list(_stl_numbers(data)), int.from_bytes(data[80:84], "little")
-    lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
-    return MeshSize((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
+        faces = len(numbers) // 9
+    return MeshSize(*_box(numbers), faces)
+
+
+def _coordinates(suffix: str, data: bytes, sample: int = 0) -> Sequence[float]:
+    """Return the coordinates of the vertices of a mesh without fault, one after the other: of an STL file
+    those of each corner, of another file those that a face names. With a `sample`, only about so many
+    vertices, spread over the file."""
+
+    def step(count: int) -> int:
+        return max(1, count // sample) if sample else 1
+
+    if suffix == ".dae":
+        parts = placed_triangles(data)
+        stride = step(sum(len(part.numbers) // 3 for part, _ in parts))
+        return array("d", chain.from_iterable(part.moved(rows, stride) for part, rows in parts))
+    if suffix == ".stl" and not is_text_stl(data):
+        return _stl_numbers(data, step((len(data) - 84) // 50))
+    pattern = _VERTEX_COORDINATES if suffix == ".obj" else _PLACE_STL
+    vertices = pattern.findall(data)
+    if suffix == ".obj" and not sample:
+        indices = {int(index) for face in _FACE.findall(data) for index in _SIGNED_INDEX.findall(face)}
+        vertices = [vertices[index - 1] for index in indices] if min(indices, default=0) > 0 else vertices
+    return [float(number) for vertex in vertices[:: step(len(vertices))] for number in vertex.split()[:3]]
+
+
+def is_text_stl(data: bytes) -> bool:
+    """Return whether an STL file is text; some programs begin the header of a binary file with `solid`
+    too."""
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data
 
 
 def _stl(data: bytes) -> str | None:
-    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+    if is_text_stl(data):
         if _NOT_FINITE_STL.search(data):
             return "the STL file contains a vertex that is not finite"
         corners = len(_VERTEX_STL.findall(data))
@@ -406,10 +479,11 @@ def _stl(data: bytes) -> str | None:
     )
 
 
-def _stl_numbers(data: bytes) -> array[float]:
-    """Return the coordinates of all corners of a binary file, one after the other."""
+def _stl_numbers(data: bytes, step: int = 1) -> array[float]:
+    """Return the coordinates of the corners of every so many triangles of a binary file, one after the
+    other."""
     # A header of 80 bytes and a count of 4; then 50 bytes per triangle: a normal of 12, corners of 36, and 2.
-    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
+    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50 * step)))
     if sys.byteorder == "big":
         numbers.byteswap()
     return numbers
@@ -462,8 +536,7 @@ def _dae(data: bytes) -> str | None:
     if not _COLLADA_FACE.search(data):
         return "the COLLADA file contains no triangle or polygon"
     try:
-        for _ in collada_triangles(data):
-            pass
+        placed_triangles(data)
     except FaultyColladaError as error:
         return str(error)
     return None

@@ -40,6 +40,7 @@ from deepbots_cli.robots.model import (
     Sphere,
     Vector,
 )
+from deepbots_cli.robots.units import unit_faults
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
@@ -190,6 +191,7 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if model is None:
         return None
     _check_inertia(model, links)
+    _check_units(model, links, meshes)
     model = _without_balls(model, joints)
     if root.report.errors:
         return None
@@ -745,6 +747,17 @@ def _cycles(above: Mapping[str, str]) -> list[list[str]]:
             names = list(path)
             cycles.append(names[names.index(name) :])
     return cycles
+
+
+def _check_units(model: RobotModel, elements: Mapping[str, Element], meshes: MeshReader) -> None:
+    """Report DB306 and DB507: inertias, masses and lengths in a wrong unit."""
+    for fault in unit_faults(model, meshes.boxes):
+        element = elements[fault.links[0]]
+        for tag in fault.element:
+            element = element.find_all(tag)[0]
+        element.warn(
+            fault.headline, attribute=None if fault.element else "name", help=fault.help, code=fault.code
+        )
 
 
 def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:

@@ -16,7 +16,8 @@ from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, Terrain, WorldModel
-from deepbots_cli.robots.kinematics import Bounds, bounds_of_shape, box_around, robot_bounds
+from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, robot_bounds
+from deepbots_cli.robots.meshes import Bounds
 from deepbots_cli.runtime.placement import copy_offset
 
 # The direction of the eye from the middle: the right, a little to the front, above.

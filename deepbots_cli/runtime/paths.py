@@ -58,7 +58,7 @@ class Ways:
         self._engine = engine
         self._bodies = bodies
         self._arena = world.arena
-        self.forms = bodies.forms if bodies else Forms(world)
+        self.forms = bodies.forms if bodies else Forms(world, scenario.reset.joint_positions)
         self._solids = [(body, engine.pose(body.name)) for body in world.objects if body.solid]
         self._ways: dict[tuple[Part, Part], _PathQuery] = {}
 

@@ -9,7 +9,7 @@ footprint and the height of each body. The search takes microseconds, since it w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -54,7 +54,7 @@ class Arrangement:
         placed_bodies = _placed(scenario)
         self._engine = engine
         self._height = ground_height(world.terrain)
-        self.forms = Forms(world)
+        self.forms = Forms(world, scenario.reset.joint_positions)
         self._floor = Floor(world.arena.size if world.arena else None)
         built_in = [body.name for body in world.objects if not body.pooled and body.name not in placed_bodies]
         self._built_in = [self.forms.at_home(name) for name in built_in]
@@ -502,9 +502,11 @@ def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.ran
 
 
 class Forms:
-    """Footprint and height of each body in the form of this episode; `chosen` has the variants drawn."""
+    """Footprint and height of each body in the form of this episode; `chosen` has the variants drawn, and
+    `joint_positions` those of `Reset`."""
 
-    def __init__(self, world: WorldModel) -> None:
+    def __init__(self, world: WorldModel, joint_positions: Mapping[str, Mapping[str, float]]) -> None:
+        self._joint_positions = joint_positions
         self.models = {robot.name: robot.model for robot in world.robots}
         self.things: dict[str, ObjectBody] = {body.name: body for body in world.objects}
         self.chosen: dict[str, Variant] = {}
@@ -548,7 +550,9 @@ class Forms:
 
     def resting_height(self, body: str, rpy: Triple) -> float:
         """Return the height (m) of the body's origin if its lowest point touches flat ground."""
-        return kinematics.resting_height(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
+        return kinematics.resting_height(
+            self.models.get(body) or self.shape(body), rpy[0], rpy[1], self._joint_positions.get(body)
+        )
 
     def top(self, body: str, z: float, rpy: Triple) -> float:
         """Return the height of the top of an object whose origin is at `z`; infinite for a robot."""

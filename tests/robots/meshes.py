@@ -19,7 +19,7 @@ def block(name: str, size: tuple[float, float, float], *, outward: bool = True) 
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
     faces = faces if outward else [(a, c, b) for a, b, c in faces]
-    return _obj(points, faces) if name.endswith(".obj") else _stl(points, faces)
+    return as_obj(points, faces) if name.endswith(".obj") else as_stl(points, faces)
 
 
 def ball(radius: float, rings: int) -> bytes:
@@ -49,16 +49,16 @@ def ball(radius: float, rings: int) -> bytes:
                 (upper + sector, lower + sector, lower + after),
                 (upper + sector, lower + after, upper + after),
             ]
-    return _obj(points, faces)
+    return as_obj(points, faces)
 
 
-def _obj(points: list[Point], faces: list[Triangle]) -> bytes:
+def as_obj(points: list[Point], faces: list[Triangle]) -> bytes:
     lines = ["v " + " ".join(map(repr, point)) for point in points] + [
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces
     ]
     return "\n".join(lines).encode()
 
 
-def _stl(points: list[Point], faces: list[Triangle]) -> bytes:
+def as_stl(points: list[Point], faces: list[Triangle]) -> bytes:
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *points[a], *points[b], *points[c], 0) for a, b, c in faces)
     return bytes(80) + struct.pack("<I", len(faces)) + body

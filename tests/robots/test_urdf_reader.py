@@ -651,9 +651,9 @@ def test_exchanged_words_give_findings_or_still_read(exchanges: list[tuple[bytes
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
-    "r2d2.urdf": {"DB307"},  # its head is continuous, from -0.38 to 0 rad
+    "r2d2.urdf": {"DB306", "DB307"},  # its head is continuous, from -0.38 to 0 rad
     "husky/husky.urdf": {"DB305", "DB311"},
-    "quadruped/minitaur.urdf": {"DB307", "DB311"},
+    "quadruped/minitaur.urdf": {"DB306", "DB307", "DB311"},
     "laikago/laikago.urdf": {"DB306"},
     "laikago/laikago_toes.urdf": {"DB306", "DB311"},
     "kuka_iiwa/model.urdf": {"DB306"},
@@ -661,8 +661,8 @@ PUBLISHED = {
     "a1/a1.urdf": set(),
     "bicycle/bike.urdf": {"DB311"},
     "biped/biped2d_pybullet.urdf": {"DB306", "DB307", "DB311"},
-    "differential/diff_ring.urdf": {"DB311"},
-    "quadruped/microtaur/microtaur.urdf": {"DB311"},
+    "differential/diff_ring.urdf": {"DB306", "DB311", "DB507"},
+    "quadruped/microtaur/microtaur.urdf": {"DB306", "DB311"},
     "racecar/racecar_differential.urdf": {
         "DB307",
         "DB311",

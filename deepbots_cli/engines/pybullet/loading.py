@@ -29,10 +29,12 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots.meshes import read_verified
+from deepbots_cli.robots.kinematics import box_sides
+from deepbots_cli.robots.meshes import is_text_stl, mesh_bounds, read_verified
 from deepbots_cli.robots.model import (
     Cylinder,
     Friction,
+    Geometry,
     Joint,
     Limit,
     Link,
@@ -67,6 +69,12 @@ costs 0.68 of what it did, and its heights differ by 1e-6 m. At 2e-5 m and below
 between two steps and sink by 0.3 mm. On terrain there is no such limit: with it, two trainings of PitEscape
 took 1.25 and 1.65 times as many steps. The cause was not measured; a ball that rolls over an edge of a
 triangle may be further away than this for a step.
+"""
+HULL_MARGIN_M = 1e-3
+"""The distance (m) by which PyBullet enlarges the convex hull of a mesh, but no other shape.
+
+A mesh that is not made smaller by as much stands 1 mm high, and starts with 0.02 m/s upward.
+`changeDynamics(collisionMargin=...)` has no effect on links other than the root.
 """
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # drawn cells along either side; more of them take longer and are hardly seen
@@ -363,7 +371,8 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
     checked meshes.
 
     A link without visuals shows its collision shapes. Cylinders are drawn as the mesh in `folder`: those of
-    the library share normals between side and caps, so that a flat disc looked like a cone.
+    the library share normals between side and caps, so that a flat disc looked like a cone. Meshes
+    that collide are smaller by the margin of the library.
 
     Raises:
         EngineError: A mesh cannot be read or has changed.
@@ -378,7 +387,8 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
             replace(visual, color=visual.color or color, shape=_seen_shape(visual.shape, folder))
             for visual in link.visuals or link.collisions
         )
-        links.append(replace(link, visuals=visuals))
+        collisions = tuple(_within_margin(piece, folder) for piece in link.collisions)
+        links.append(replace(link, visuals=visuals, collisions=collisions))
     return replace(
         model,
         links=tuple(links),
@@ -387,11 +397,43 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
 
 
 def _seen_shape(shape: Shape, folder: Path) -> Shape:
-    return (
-        Mesh(str(folder / _CYLINDER), "", (shape.radius, shape.radius, shape.length))
-        if isinstance(shape, Cylinder)
-        else shape
-    )
+    match shape:
+        case Cylinder(radius, length):
+            return Mesh(str(folder / _CYLINDER), "", (radius, radius, length))
+        case Mesh(path) if path.lower().endswith(".stl"):
+            return _readable(shape, folder)
+        case _:
+            return shape
+
+
+def _within_margin(piece: Geometry, folder: Path) -> Geometry:
+    """Return a collision shape for the loader: a mesh is made smaller about the middle of its box, by the
+    margin on each side, but at most to half of its size."""
+    if not isinstance(piece.shape, Mesh) or (bounds := mesh_bounds(piece.shape)) is None:
+        return piece
+    shape = _readable(piece.shape, folder)
+    shares = [1.0 - 2.0 * min(HULL_MARGIN_M, side / 4) / side if side else 1.0 for side in box_sides(bounds)]
+    middle = frames.scaled(frames.add(*bounds), 0.5)
+    x, y, z = ((1.0 - share) * along for share, along in zip(shares, middle, strict=True))
+    position, rotation = frames.frame(piece.origin)
+    xyz = frames.add(position, frames.rotate(rotation, (x, y, z)))
+    a, b, c = (factor * share for factor, share in zip(shape.scale, shares, strict=True))
+    return replace(piece, shape=replace(shape, scale=(a, b, c)), origin=replace(piece.origin, xyz=xyz))
+
+
+def _readable(mesh: Mesh, folder: Path) -> Mesh:
+    """Return a mesh as a file that the library reads as deepbots does: an OBJ file for COLLADA, whose nodes
+    it composes otherwise, and for an STL file of text, which it does not read."""
+    suffix = Path(mesh.path).suffix.lower()
+    if suffix == ".obj" or (suffix == ".stl" and not is_text_stl(read_verified(mesh))):
+        return mesh
+    file = folder / f"{mesh.digest}.obj"
+    corners = mesh_triangles(replace(mesh, scale=(1.0, 1.0, 1.0))).reshape(-1, 3)
+    vertices, faces = np.unique(corners, axis=0, return_inverse=True)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces.reshape(-1, 3) + 1).tolist()]
+    file.write_text("\n".join(lines), encoding="ascii")
+    return Mesh(str(file), "", mesh.scale)
 
 
 def _cylinder_mesh(sides: int = 48) -> str:

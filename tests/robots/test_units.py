@@ -1,0 +1,199 @@
+"""A robot from a CAD program in millimeters, grams or g mm^2 is named with the factor; a right one is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.robots.meshes import package_file
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    Link,
+    RobotModel,
+    Shape,
+    Sphere,
+    homogeneous_inertial,
+    to_urdf,
+    volume,
+)
+from deepbots_cli.robots.reader import read, read_bytes
+from tests.robots.meshes import block
+from tests.robots.wrong_units import with_identities, with_lengths, with_masses, with_visuals
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = [
+    *sorted((ROOT / "robots/urdf").glob("*.urdf")),
+    ROOT / "tools/results/teacher/car.urdf",
+    ROOT / "tools/results/teacher/arm.urdf",
+    ROOT / "deepbots_cli/cli/starters/arm.urdf",
+]
+_INSTALLED = """
+    TwoJointRobot_w_fixedJoints TwoJointRobot_wo_fixedJoints a1/a1 aliengo/aliengo bicycle/bike
+    biped/biped2d_pybullet franka_panda/panda humanoid/humanoid husky/husky kuka_iiwa/model
+    kuka_iiwa/model_free_base kuka_iiwa/model_vr_limits laikago/laikago laikago/laikago_toes
+    laikago/laikago_toes_zup mini_cheetah/mini_cheetah pendulum5 quadruped/minitaur_derpy
+    quadruped/minitaur_rainbow_dash quadruped/spirit40 quadruped/spirit40newer quadruped/vision60
+    racecar/racecar sphere2 spherical_joint_limit xarm/base xarm/link1 xarm/link6 xarm/xarm6_robot
+    xarm/xarm6_with_gripper
+"""
+INSTALLED = _INSTALLED.split()
+SHAPES: dict[str, Shape] = {
+    "a plate": Box((0.3, 0.2, 0.002)),
+    "a rod": Cylinder(0.002, 1.5),
+    "a bead": Sphere(0.002),
+    "a ball": Sphere(0.3),
+    "a wheel": Cylinder(0.1, 0.02),
+    "a limb": Capsule(0.03, 0.4),
+    "a hall": Box((8.0, 6.0, 0.5)),
+    "a beam": Box((12.0, 0.1, 0.1)),
+}
+DENSITIES = {"foam": 20.0, "steel": 7800.0}
+
+
+def part(shape: Shape, density_factor: float) -> RobotModel:
+    inertial = homogeneous_inertial(shape, 1.0)
+    assert inertial is not None
+    model = RobotModel("part", (Link("part", inertial, (), (Geometry(shape),)),), (), "part")
+    return with_masses(model, density_factor, density_factor)
+
+
+PRIMITIVES = {
+    f"{name} of {material}": part(shape, density * (volume(shape) or 0.0))
+    for name, shape in SHAPES.items()
+    for material, density in DENSITIES.items()
+}
+
+
+def about_units(findings: Findings) -> list[Finding]:
+    words = ("probably", "placeholder")
+    return [finding for finding in findings if any(word in finding.headline for word in words)]
+
+
+def judged(model: RobotModel) -> list[Finding]:
+    findings = Findings()
+    read_bytes(to_urdf(model).encode(), "robot.urdf", findings, resolve_mesh=Path)
+    return about_units(findings)
+
+
+# Right files
+
+
+def test_the_right_files_are_sixty() -> None:
+    assert (len(SHIPPED), len(INSTALLED), len(PRIMITIVES)) == (14, 30, 16)
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_a_shipped_robot_has_the_right_units(file: Path) -> None:
+    findings = Findings()
+    assert read(file, file.name, findings) is not None
+    assert about_units(findings) == []
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_a_published_robot_has_the_right_units(name: str) -> None:
+    file = package_file(f"package://pybullet_data/{name}.urdf")
+    if file is None:
+        pytest.skip("pybullet_data is not installed")
+    findings = Findings()
+    assert read(file, file.name, findings) is not None
+    assert about_units(findings) == []
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_a_part_of_one_material_has_the_right_units(name: str) -> None:
+    assert judged(PRIMITIVES[name]) == []
+
+
+# Wrong files
+
+ROBOTS = ("a1", "cartpole", "epuck", "panda")
+FAULTS: dict[str, tuple[Callable[[RobotModel], RobotModel], list[tuple[str, str]]]] = {
+    "millimeters": (lambda model: with_lengths(model, 1e3), [("DB507", "in millimeters, 1000 times")]),
+    "grams": (lambda model: with_masses(model, 1e3, 1.0), [("DB507", "in grams, 1000 times")]),
+    "g mm^2": (
+        lambda model: with_masses(model, 1.0, 1e9),
+        [("DB306", "in g*mm^2, 1,000,000,000 times")],
+    ),
+    "kg mm^2": (lambda model: with_masses(model, 1.0, 1e6), [("DB306", "in kg*mm^2, 1,000,000 times")]),
+    "g m^2": (lambda model: with_masses(model, 1.0, 1e3), [("DB306", "in g*m^2, 1,000 times")]),
+    "grams and g mm^2": (
+        lambda model: with_masses(model, 1e3, 1e9),
+        [("DB507", "in grams, 1000 times"), ("DB306", "in g*mm^2, 1,000,000,000 times")],
+    ),
+    "all of millimeters, grams and g mm^2": (
+        lambda model: with_masses(with_lengths(model, 1e3), 1e3, 1e9),
+        [("DB507", "in millimeters, 1000 times")],
+    ),
+    "visuals in millimeters": (
+        lambda model: with_visuals(model, 1e3),
+        [("DB507", "in millimeters, 1000 times")],
+    ),
+    "lengths scaled once too often": (
+        lambda model: with_lengths(model, 1e-3),
+        [("DB507", "probably 1000 times too small")],
+    ),
+    "identities": (with_identities, [("DB306", "1 kg*m^2 about each axis, a placeholder")]),
+}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_wrong_unit_is_named_with_its_factor(robot: str, fault: str) -> None:
+    damage, expected = FAULTS[fault]
+    file = read(ROOT / f"robots/urdf/{robot}.urdf", robot, Findings())
+    assert file is not None
+    findings = judged(damage(file.model))
+    assert [finding.code for finding in findings] == [code for code, _ in expected]
+    assert all(words in finding.headline for finding, (_, words) in zip(findings, expected, strict=True))
+
+
+def wagon(body: str, mass: str, moment: str) -> str:
+    """A body and a wheel; only the body is wrong."""
+    inertia = f'<inertia ixx="{moment}" iyy="{moment}" izz="{moment}"/>'
+    return f"""<robot name="wagon">
+  <link name="body">
+    <inertial><mass value="{mass}"/>{inertia}</inertial>
+    {body}
+  </link>
+  <link name="wheel">
+    <inertial><mass value="0.05"/><inertia ixx="2e-5" iyy="3e-5" izz="2e-5"/></inertial>
+    <collision>
+      <origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.035" length="0.02"/></geometry>
+    </collision>
+  </link>
+  <joint name="axle" type="continuous">
+    <parent link="body"/><child link="wheel"/><origin xyz="-0.03 0.06 0"/><axis xyz="0 1 0"/>
+  </joint>
+</robot>"""
+
+
+BOX = '<geometry><box size="0.14 0.1 0.04"/></geometry>'
+MESH = '<geometry><mesh filename="body.stl"/></geometry>'
+RIGHT = '<geometry><mesh filename="body.stl" scale="0.001 0.001 0.001"/></geometry>'
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (wagon(f"<collision>{BOX}</collision>", "500", "1.1e-3"), '<mass value="500"/>'),
+        (wagon(f"<collision>{BOX}</collision>", "0.5", "1100"), '<inertia ixx="1100"'),
+        (wagon(f"<collision>{MESH}</collision>", "0.5", "1.1e-3"), 'body">\n    <inertial>'),
+        (wagon(f"<visual>{MESH}</visual><collision>{RIGHT}</collision>", "0.5", "1.1e-3"), "<visual>"),
+        (wagon(f"<visual>{RIGHT}</visual><collision>{MESH}</collision>", "0.5", "1.1e-3"), "<collision>"),
+    ],
+)
+def test_one_wrong_link_is_found_at_its_place(tmp_path: Path, text: str, place: str) -> None:
+    (tmp_path / "body.stl").write_bytes(block("body.stl", (140.0, 100.0, 40.0)))
+    (tmp_path / "robot.urdf").write_text(text)
+    findings = Findings()
+    assert read(tmp_path / "robot.urdf", "robot.urdf", findings) is not None
+    (finding,) = about_units(findings)
+    assert text[finding.span.start :].startswith(
+        place.removeprefix("<link name=") if "link" in place else place
+    )
