@@ -169,6 +169,22 @@ def test_a_group_that_trains_to_the_end_continues_seeds_that_stopped_as_solved(t
     assert resume_group(group, build=stand_in.build).skipped == (0,)
 
 
+@pytest.mark.parametrize(
+    ("total", "may_stop_early", "complete"),
+    [(2_000, True, True), (2_000, False, False), (500, False, True), (2_001, True, False)],
+)
+def test_a_training_of_2000_steps_that_solved_its_task_after_500_is_complete_unless_more_is_asked(
+    trained_group: GroupTraining, total: int, may_stop_early: bool, complete: bool
+) -> None:
+    record = Run.open(trained_group.trained[0].run).record
+    assert record.result is not None
+    changes = {"total_timesteps": 2_000, "result": record.result.model_copy(update={"steps": 500})}
+    record = record.model_copy(update=changes)
+    assert record.is_complete(total, may_stop_early=may_stop_early) is complete
+    killed = record.model_copy(update={"status": "interrupted"})
+    assert not killed.is_complete(total, may_stop_early=may_stop_early)
+
+
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
     training = train_group(
         SCENARIO,
