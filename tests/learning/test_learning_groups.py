@@ -568,11 +568,21 @@ def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Pa
     assert "cannot be compared with climb, because returns do not mean the same" in rewarded.verdict
     assert same.mean_return is not None
     (note,) = [note for note in comparison.notes if "the rewards of the runs differ" in note]
-    assert note.endswith("compare success rates: reward.alive: 1 -> 2")
+    assert note.endswith("compare success rates, or choose one reward with --scenario: reward.alive: 1 -> 2")
     groups = _data(comparison)["groups"]
     for group in (*groups, *(run for entry in groups for run in entry["runs"])):
         assert {group[name] for name in ("mean_return", "return_interval", "interquartile_mean")} == {None}
     assert " return" not in "\n".join(_lines(comparison)).partition("difference from")[0]
+
+
+def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: Path, tmp_path: Path) -> None:
+    other = trained(tmp_path / "other", reward="{alive: 2, center: 0}")
+    scenario = Run.open(climb).compiled
+    comparison = compare([climb, other], episodes=2, scenario=scenario, build=stand_in.build)
+    (difference,) = comparison.differences
+    assert difference.mean_return is not None
+    assert difference.solved_after is None
+    assert not [note for note in comparison.notes if "the rewards of the runs differ" in note]
 
 
 # By which measure
