@@ -364,6 +364,15 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
     assert (listed.mean_return, listed.evaluated_episodes) == (plain.mean_return, 3)
 
 
+def test_the_list_has_the_success_rate_of_a_limit(tmp_path: Path) -> None:
+    (tmp_path / "still.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Still\ntruncation: {max_steps: {limit: 2, success: all}}\n"
+        "train: {n_steps: 8, environments: 1, batch_size: 8}\n"
+    )
+    run = train(tmp_path / "still.yaml", run=tmp_path / "run", total_timesteps=16).run
+    assert read_listed(run).success_rate == 1.0
+
+
 def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:
     record = json.loads((run_copy / "run.json").read_text())
     record["command"] = [
