@@ -253,7 +253,7 @@ AGENTS = {
     "Carry": ("carry", f"{_SMALL_PPO}, total_timesteps: 3200"),
     "Sumo, self-play": (
         "sumo",
-        f"{_SMALL_PPO}, total_timesteps: 1600, self_play: {{every: 256, pool: 3, newest: 50 %}}",
+        f"{_SMALL_PPO}, total_timesteps: 800, self_play: {{every: 128, pool: 3, newest: 50 %}}",
     ),
 }
 """Shipped scenarios with several agents: the scenario, and its section `train`."""
