@@ -407,6 +407,7 @@ class _Suppression:
     span: Span
     line: int
     removal: Edit
+    help: str
 
 
 def suppress(
@@ -467,8 +468,14 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
                 help="write the code: # deepbots: ignore[DB603]",
             )
         for code in codes:
-            removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
-            yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
+            others = [other[0] for other in codes if other[0] != code[0]]
+            yield _Suppression(
+                code[0],
+                Span(source, *code.span()),
+                line + 1 if alone else line,
+                _removal(source, comment, others),
+                help=f"remove {code[0]} from the comment" if others else "remove the comment",
+            )
 
 
 def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool, has_errors: bool) -> bool:
@@ -489,14 +496,14 @@ def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
     if (retired := retired_rule_message(entry.code)) is not None:
         removal = Fix((entry.removal,), safe=True)
-        return Finding("DB901", entry.span, retired, "remove the comment", fix=removal)
+        return Finding("DB901", entry.span, retired, entry.help, fix=removal)
     if rule is None:
         near = nearest_word(entry.code, RULES)
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
     headline = f"this comment suppresses nothing: there is no {entry.code} here"
-    help = "remove the comment"
+    help = entry.help
     if rule.severity == "error":
         headline = f"{entry.code} is an error, which cannot be suppressed"
         help = "correct the error"

@@ -90,8 +90,8 @@ from deepbots_cli.insight.training import (
 )
 from deepbots_cli.learning.agents.multi_agent import SHARED
 from deepbots_cli.learning.failures import Failure
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import logged_episodes_meet
 from deepbots_cli.program.task import SAME_OBSERVATION
 
 _UNLEARNABLE = {
@@ -328,9 +328,7 @@ def _met_while_exploring(evidence: TrainingEvidence) -> bool:
     if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
         return True
     recent = evidence.episodes[-solved.episodes :] if evidence.is_last_stage else evidence.episodes[:0]
-    return len(recent) > 0 and meets_solved(
-        solved, float(recent.returns.mean()), float(recent.successes.mean())
-    )
+    return logged_episodes_meet(solved, recent.returns, recent.successes)
 
 
 # Faults

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from shlex import quote
-from statistics import fmean
 from typing import Any, Literal
 
 import numpy as np
@@ -23,10 +22,9 @@ from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
 from deepbots_cli.learning.runs.decline import Decline, find_decline
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
+from deepbots_cli.learning.runs.verdict import RunVerdict, logged_episodes_meet, quoted_episodes, run_verdict
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.members import Member
@@ -268,7 +266,7 @@ class TrainingEvidence:
             return bool(self.verdict.solved)
         evaluations = self.evaluations if self.is_last_stage else ()
         return any(
-            meets_solved(solved, fmean(evaluation["returns"]), fmean(evaluation["successes"]))
+            logged_episodes_meet(solved, evaluation["returns"], evaluation["successes"])
             for evaluation in evaluations
         )
 

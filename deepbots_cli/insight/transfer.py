@@ -23,7 +23,6 @@ from deepbots_cli.learning.robustness import (
     base_document,
     evaluate_robustness,
 )
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
@@ -229,5 +228,5 @@ def worlds_that_work(
         return (first, second), "the given requirements"
     if solved is None:
         return (None, None), ""
-    first, second = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
+    first, second = (solved.is_met(result.mean_return, result.success_rate) for result in results)
     return (first, second), f"`solved` of the scenario ({solved.description})"

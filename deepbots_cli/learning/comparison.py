@@ -146,8 +146,9 @@ class GroupDifference:
         first: Name of the first group.
         group: Name of the group.
         measure: The measure of the task; `verdict` is about it.
-        mean_return: The difference of the mean returns; None where the rewards of their trainings differ, or
-            where they are evaluated in different scenarios whose returns do not mean the same.
+        mean_return: The difference of the mean returns; None where the rewards of their trainings differ and no
+            scenario was named, or where they are evaluated in different scenarios whose returns do not mean
+            the same.
         success_rate: The difference of the success rates; None where a scenario defines no success, or where
             successes do not mean the same.
         between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single
@@ -382,7 +383,10 @@ def _world(judged: Compiled, first: Run, run: Run, *, own: bool, named: bool) ->
     asked, other = (each.program.agent.solved for each in (first, run))
     differing = trainings.returns if asked is not None and asked.mean_return is not None else ()
     same = asked == other and not (trainings.success or differing)
-    return _World(own or (bool(meanings.acting) and not named), meanings, trainings, same)
+    # All returns in a named scenario are of its reward.
+    return _World(
+        own or (bool(meanings.acting) and not named), meanings, Meanings() if named else trainings, same
+    )
 
 
 @dataclass(frozen=True)
@@ -615,7 +619,8 @@ def _notes(
     rewards = {change.text: change for world in worlds if not world.own for change in world.trainings.reward}
     if rewards:
         notes.append(
-            "the rewards of the runs differ, so returns are left out; compare success rates:"
+            "the rewards of the runs differ, so returns are left out; compare success rates, or choose"
+            " one reward with --scenario:"
             f" {_listed([*rewards.values()])}"
         )
     if not all(world.same_criterion for world in worlds) and any(map(any, (g.solved_after for g in groups))):

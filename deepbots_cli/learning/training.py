@@ -346,7 +346,7 @@ def resume(
         )
         last = resumed.model("last")
         if latest_checkpoint(resumed) is None and (
-            record.status == "finished" or (last.exists() and steps_of(last) > 0)
+            record.is_finished or (last.exists() and steps_of(last) > 0)
         ):
             raise RunError(f"{resumed.checkpoints} contains no checkpoint to continue from")
         checkpoints = Checkpoints(resumed, learners.class_of(training).State)
@@ -354,8 +354,7 @@ def resume(
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
             checkpoints.note(f"the callbacks changed at {steps:,} steps from {before} to {since}")
-        if steps >= training.total_timesteps and record.status == "finished":
-            # A run that is not finished was killed before its record said so.
+        if record.is_complete(training.total_timesteps, may_stop_early=False):
             raise UsageError(
                 f"the training of {resumed.path} is complete ({steps:,} of {training.total_timesteps:,}"
                 " timesteps);"
@@ -367,7 +366,7 @@ def resume(
             "status": "running",
             "resumed_at": (*record.resumed_at, steps),
             "total_timesteps": training.total_timesteps,
-            "stop_when_solved": stop_when_solved and not _stopped_as_solved(record),
+            "stop_when_solved": stop_when_solved and not record.stopped_as_solved,
             "quoted": None,  # of an earlier model
             "task": record.task or _task(resumed.program, None),
             "callbacks": callbacks,
@@ -385,12 +384,6 @@ def resume(
             before=record,
             on_evaluation=on_evaluation,
         ).train()
-
-
-def _stopped_as_solved(record: RunRecord) -> bool:
-    result = record.result
-    is_solved = result is not None and result.solved_at is not None
-    return record.status == "finished" and record.stop_when_solved and is_solved
 
 
 def training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:

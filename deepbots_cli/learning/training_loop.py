@@ -380,7 +380,7 @@ class TrainingProcess:
                 run.update(status=result.status, result=result)
             elif RunRecord.read(run.path) != before:
                 write_record(run.path, before)
-        if confirmed is not None and run.record.status == "finished":
+        if confirmed is not None and run.record.is_finished:
             evaluation = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
             run.write_evaluation(evaluation.model_dump(mode="json"))
 

@@ -642,6 +642,12 @@ class Solved:
         )
         return f"{' and '.join(criteria)} over {self.episodes} episodes"
 
+    def is_met(self, mean_return: float, success_rate: float) -> bool:
+        """Return whether means over enough episodes reach every threshold of the criterion."""
+        return (self.mean_return is None or mean_return >= self.mean_return) and (
+            self.success_rate is None or success_rate >= self.success_rate
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Agent:

@@ -27,6 +27,7 @@ from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.agents.multi_agent import own_model
+from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.held_out import EvaluationWorlds
@@ -176,6 +177,7 @@ def test_agents_with_a_success_in_common_keep_the_best_model(tmp_path: Path) -> 
     assert not program.has_rivals
     result = deepbots_cli.train(tmp_path / "several.yaml", run=tmp_path / "run", seed=1)
     assert result.success_rate is not None
+    assert read_listed(result.run).success_rate is not None
     assert result.best is None or result.best.chosen_by != "newest"
 
 

@@ -37,7 +37,7 @@ def bases(tmp_path_factory: pytest.TempPathFactory) -> Path:
     "words",
     [
         pytest.param(["--each"], id="each"),
-        pytest.param(["--count", "40"], id="some"),
+        pytest.param(["--count", "40"], id="some", marks=pytest.mark.slow),
         pytest.param(["--count", "500", "--seed", "2"], id="many", marks=pytest.mark.slow),
     ],
 )

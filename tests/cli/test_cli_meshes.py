@@ -19,6 +19,8 @@ SCENARIO = """\
 deepbots: 1
 extends: cartpole
 name: Meshed
+remove: [solved]
+evaluation: {{episodes: 2}}
 robots: {{cart: {{urdf: {robot}}}}}
 train: {{algorithm: PPO, total_timesteps: 64, environments: 1, n_steps: 32, batch_size: 32, n_epochs: 1}}
 """

@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import errors
 from deepbots_cli.diagnostics import Finding, Label, Source, Span
-from deepbots_cli.diagnostics.findings import Fix, RuleSelectors, Selection, suppress
+from deepbots_cli.diagnostics.findings import Fix, RuleSelectors, Selection, edited, suppress
 from deepbots_cli.diagnostics.junit import junit
 from deepbots_cli.diagnostics.render import github, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, UsageError
@@ -600,6 +600,14 @@ def test_a_comment_that_suppresses_nothing_is_reported(text: str, marked: str, h
         findings,
         [("DB901", marked, headline)],
     )
+
+
+def test_one_of_two_codes_that_suppresses_nothing_is_removed_alone() -> None:
+    source = Source("a.yaml", "a: on # deepbots: ignore[DB003, DB004]: why\n")
+    kept, (unused,) = suppress([warning_at(source, "on", "DB003")], [source])
+    assert (kept, unused.help) == ([], "remove DB004 from the comment")
+    assert unused.fix is not None
+    assert edited(source, unused.fix.edits) == "a: on # deepbots: ignore[DB003]: why\n"
 
 
 def test_an_error_is_never_suppressed() -> None:

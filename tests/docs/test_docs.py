@@ -531,7 +531,7 @@ def test_every_part_is_used_in_a_scenario_that_runs(part: type[Section]):
     assert any(place.part is part for place in places())
 
 
-@pytest.mark.parametrize("key", every(5, [key for key in KEYS if key.name not in FOREIGN]))
+@pytest.mark.parametrize("key", every(10, [key for key in KEYS if key.name not in FOREIGN]))
 def test_an_example_lints_clean_in_its_place(key: Key):
     checked, problems = tried(key)
     assert checked is not None, problems

@@ -461,9 +461,16 @@ def _causes(run: Path, capsys) -> list[dict]:
     return json.loads(capsys.readouterr().out)["runs"][0]["causes"]
 
 
+@pytest.fixture(scope="module")
+def easy(tmp_path_factory) -> Path:
+    """A project with a run that solved its scenario; not to be changed."""
+    return _trained(tmp_path_factory.mktemp("easy"), "solved", EASY).parents[1]
+
+
 @pytest.fixture
-def solved(tmp_path) -> Path:
-    return _trained(tmp_path, "solved", EASY)
+def solved(easy, tmp_path) -> Path:
+    shutil.copytree(easy, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "runs" / "solved"
 
 
 def test_what_changed_since_a_solved_run_is_named_with_its_places(solved, tmp_path, capsys, monkeypatch):

@@ -389,23 +389,23 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
 def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The carriage waits until step 120, and succeeds in step 151 if it is near its start. `x 4` makes it
-    leave too early; an own speed from step 140 is a change that deepbots does not try."""
+    """The carriage waits until step 104, and succeeds in step 121 if it is near its start. `x 8` makes it
+    leave too early; an own speed from step 116 is a change that deepbots does not try."""
     run = train_shuttle(
         tmp_path,
-        "robots.shuttle.receive={go: 0.05 m/s if time > 6 s else 0 m/s}",
+        "robots.shuttle.receive={go: 0.05 m/s if time > 5.2 s else 0 m/s}",
         "robots.shuttle.apply={motor: go + 0 * drive * speed}",
-        "termination.success={stays: time > 7.5 s and abs(shuttle.place) < 0.1 m}",
+        "termination.success={stays: time > 6 s and abs(shuttle.place) < 0.1 m}",
         "reward.parked=1 when stays",
-        "truncation.max_steps=200",
+        "truncation.max_steps=160",
     )
     words = ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
-    assert main([*words, "robots.shuttle.apply={motor: 4 * (go + 0 * drive * speed)}"]) == 0
+    assert main([*words, "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}"]) == 0
     output = capsys.readouterr().out
-    assert "4 of 4 episodes end in another way in other; before this, in steps 102 to 151" in output
-    assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.58", output)
-    assert "training with command of shuttle.motor x 4: 0.0%, 100.0% of the difference" in output
-    late = "robots.shuttle.receive={go: (0.05 m/s if time > 6 s else 0 m/s) if time < 7 s else 5 m/s}"
+    assert "4 of 4 episodes end in another way in other; before this, in steps 72 to 121" in output
+    assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.76", output)
+    assert "training with command of shuttle.motor x 8: 0.0%, 100.0% of the difference" in output
+    late = "robots.shuttle.receive={go: (0.05 m/s if time > 5.2 s else 0 m/s) if time < 5.8 s else 5 m/s}"
     assert main([*words, late]) == 0
     assert (
         "success: training 100.0%, other 0.0%; no change explains this difference" in capsys.readouterr().out

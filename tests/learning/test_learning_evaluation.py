@@ -451,6 +451,7 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
         trained.run,
         episodes=2,
         min_return=1.0,
+        overrides=["truncation.max_steps=40"],
         build=stand_in.build,
         on_level=lambda done, of: progress.append((done, of)),
     )

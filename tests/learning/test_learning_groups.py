@@ -169,6 +169,22 @@ def test_a_group_that_trains_to_the_end_continues_seeds_that_stopped_as_solved(t
     assert resume_group(group, build=stand_in.build).skipped == (0,)
 
 
+@pytest.mark.parametrize(
+    ("total", "may_stop_early", "complete"),
+    [(2_000, True, True), (2_000, False, False), (500, False, True), (2_001, True, False)],
+)
+def test_a_training_of_2000_steps_that_solved_its_task_after_500_is_complete_unless_more_is_asked(
+    trained_group: GroupTraining, total: int, may_stop_early: bool, complete: bool
+) -> None:
+    record = Run.open(trained_group.trained[0].run).record
+    assert record.result is not None
+    changes = {"total_timesteps": 2_000, "result": record.result.model_copy(update={"steps": 500})}
+    record = record.model_copy(update=changes)
+    assert record.is_complete(total, may_stop_early=may_stop_early) is complete
+    killed = record.model_copy(update={"status": "interrupted"})
+    assert not killed.is_complete(total, may_stop_early=may_stop_early)
+
+
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
     training = train_group(
         SCENARIO,
@@ -346,6 +362,15 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
     )  # such as one that a gate has stopped early
     listed = read_listed(run_copy)
     assert (listed.mean_return, listed.evaluated_episodes) == (plain.mean_return, 3)
+
+
+def test_the_list_has_the_success_rate_of_a_limit(tmp_path: Path) -> None:
+    (tmp_path / "still.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Still\ntruncation: {max_steps: {limit: 2, success: all}}\n"
+        "train: {n_steps: 8, environments: 1, batch_size: 8}\n"
+    )
+    run = train(tmp_path / "still.yaml", run=tmp_path / "run", total_timesteps=16).run
+    assert read_listed(run).success_rate == 1.0
 
 
 def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:
@@ -552,11 +577,21 @@ def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Pa
     assert "cannot be compared with climb, because returns do not mean the same" in rewarded.verdict
     assert same.mean_return is not None
     (note,) = [note for note in comparison.notes if "the rewards of the runs differ" in note]
-    assert note.endswith("compare success rates: reward.alive: 1 -> 2")
+    assert note.endswith("compare success rates, or choose one reward with --scenario: reward.alive: 1 -> 2")
     groups = _data(comparison)["groups"]
     for group in (*groups, *(run for entry in groups for run in entry["runs"])):
         assert {group[name] for name in ("mean_return", "return_interval", "interquartile_mean")} == {None}
     assert " return" not in "\n".join(_lines(comparison)).partition("difference from")[0]
+
+
+def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: Path, tmp_path: Path) -> None:
+    other = trained(tmp_path / "other", reward="{alive: 2, center: 0}")
+    scenario = Run.open(climb).compiled
+    comparison = compare([climb, other], episodes=2, scenario=scenario, build=stand_in.build)
+    (difference,) = comparison.differences
+    assert difference.mean_return is not None
+    assert difference.solved_after is None
+    assert not [note for note in comparison.notes if "the rewards of the runs differ" in note]
 
 
 # By which measure

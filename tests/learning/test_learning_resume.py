@@ -253,7 +253,7 @@ AGENTS = {
     "Carry": ("carry", f"{_SMALL_PPO}, total_timesteps: 3200"),
     "Sumo, self-play": (
         "sumo",
-        f"{_SMALL_PPO}, total_timesteps: 1600, self_play: {{every: 256, pool: 3, newest: 50 %}}",
+        f"{_SMALL_PPO}, total_timesteps: 800, self_play: {{every: 128, pool: 3, newest: 50 %}}",
     ),
 }
 """Shipped scenarios with several agents: the scenario, and its section `train`."""
@@ -875,7 +875,7 @@ extends: cartpole
 name: Knowing
 world: {engine: mujoco}
 evaluation: {episodes: 4}
-train: {total_timesteps: 2048}
+train: {total_timesteps: 512, n_steps: 64}
 """
 STUDENT = """
 deepbots: 1
@@ -887,7 +887,7 @@ remove: [observation.speed, observation.tip_speed]
 observation: {cart.pole_angle: {range: -20 .. 20 deg, history: 3}}
 critic: {CRITIC}
 solved: mean_return >= 1000000 over 2 episodes
-train: {total_timesteps: 4096, algorithm: {algorithm}}
+train: {total_timesteps: 2048, algorithm: {algorithm}}
 """
 CRITIC = "{speed: -0.8 .. 0.8 m/s, tip_speed: -2 .. 2 m/s}"
 

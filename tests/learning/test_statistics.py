@@ -26,7 +26,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.runs import statistics as stats
 from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
 from deepbots_cli.learning.runs.draws import DrawnEffects, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, StatisticsState, Summary, meets_solved
+from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, StatisticsState, Summary
 from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.learning.runs.generations import Generations
 from deepbots_cli.program import Program
@@ -480,9 +480,9 @@ def test_a_solved_task_is_noted_with_the_time_of_the_training() -> None:
 
 def test_both_values_of_solved_must_be_reached() -> None:
     solved = Solved(1, mean_return=10.0, success_rate=1.0)
-    assert not meets_solved(solved, 10.0, 0.0)
-    assert not meets_solved(solved, 9.0, 1.0)
-    assert meets_solved(solved, 10.0, 1.0)
+    assert not solved.is_met(10.0, 0.0)
+    assert not solved.is_met(9.0, 1.0)
+    assert solved.is_met(10.0, 1.0)
 
 
 def test_a_tally_sums_rewards_and_terms_and_starts_anew() -> None:

@@ -282,7 +282,8 @@ except UsageError as error:
 
 
 def test_a_run_names_the_package_that_its_scenario_needs(site, tmp_path):
-    deepbots(site, "train", "acme_spin", "--timesteps", "64", "--run", str(tmp_path / "run"))
+    brief = ("--timesteps", "64", "--set", "evaluation={episodes: 2}")
+    deepbots(site, "train", "acme_spin", *brief, "--run", str(tmp_path / "run"))
     assert json.loads((tmp_path / "run" / "run.json").read_text())["plugins"] == {"acme": "1.0"}
     refused = subprocess.run(
         [sys.executable, "-m", "deepbots_cli", "eval", "run"],

@@ -36,7 +36,7 @@ from deepbots_cli.learning.runs.directories import (
     validation_text,
     write_text,
 )
-from deepbots_cli.learning.runs.records import State, Status, timestamp
+from deepbots_cli.learning.runs.records import State, Status, state_of, timestamp
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
 FORMAT = 2
@@ -159,9 +159,7 @@ class Campaign(ABC, Generic[R]):
     @property
     def state(self) -> State:
         """The status of the record; a campaign whose processes were killed is interrupted."""
-        if self.record.status != "running":
-            return self.record.status
-        return "training" if self.is_training else "interrupted"
+        return state_of(self.record.status, lambda: self.is_training)
 
     @property
     def runs(self) -> list[Path]:

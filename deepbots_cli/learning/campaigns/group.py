@@ -318,16 +318,13 @@ def _is_complete(group: Group, seed: int, changes: Mapping[str, Any]) -> bool:
         record = _record_of(group, seed)
     except DeepbotsError:
         return False
-    if record is None or record.status != "finished":
+    if record is None:
         return False
-    steps = record.result.steps if record.result is not None else 0
-    goal: int | None = changes.get("total_timesteps")
-    if goal is not None:
-        return steps >= goal
+    if "total_timesteps" in changes:
+        return record.is_complete(changes["total_timesteps"], may_stop_early=False)
     missed = _missed_changes(group, record)
-    if "stop_when_solved" in missed:
-        return "total_timesteps" not in missed and steps >= record.total_timesteps
-    return not missed
+    total = missed.get("total_timesteps", record.total_timesteps)
+    return record.is_complete(total, may_stop_early="stop_when_solved" not in missed)
 
 
 def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -372,10 +369,11 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
         options = {**item.options, **item.changes}
         return train(item.compiled, run=item.path, seed=item.seed, **options, **further)
     record = RunRecord.read(item.path)
-    is_done = record.status == "finished" and record.total_timesteps == item.changes.get(
-        "total_timesteps", record.total_timesteps
+    is_complete = record.is_complete(
+        item.changes.get("total_timesteps", record.total_timesteps),
+        may_stop_early=item.changes.get("stop_when_solved", True),
     )
-    if is_repeated and is_done and record.result is not None:
+    if is_repeated and is_complete and record.result is not None:
         return TrainingResult(run=item.path, initialized_from=record.initialized_from, **vars(record.result))
     return resume(item.path, permissions=item.compiled.permissions, **item.changes, **further)
 

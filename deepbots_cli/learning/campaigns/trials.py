@@ -518,7 +518,7 @@ class _Follower(Reporter):
         """Return the score of the best evaluation of a training up to a point."""
         record = RunRecord.read(run)
         study = self._study.record
-        at = record.result.solved_at if record.status == "finished" and record.result is not None else None
+        at = record.result.solved_at if record.is_finished and record.result is not None else None
         share = (
             at.steps / study.total_timesteps
             if at is not None and GRID * at.steps <= point * study.total_timesteps

@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev
 
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
@@ -192,9 +191,7 @@ class Confirmation:
         successes = sum(episode.is_success for episode in episodes)
         if len(episodes) < self.episodes or successes < self.successes:
             return False
-        return meets_solved(self.solved, fmean(returns), successes / len(episodes)) and self._return_passes(
-            returns
-        )
+        return self.solved.is_met(fmean(returns), successes / len(episodes)) and self._return_passes(returns)
 
     def _return_passes(self, returns: Sequence[float]) -> bool:
         """Return whether the lower bound of the mean return is at most `MARGIN` of the range below the

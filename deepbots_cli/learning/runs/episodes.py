@@ -484,13 +484,6 @@ class Statistics:
         self._window.restore(state.recent, state.worlds)
 
 
-def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> bool:
-    """Return whether means over enough episodes reach every threshold that the scenario names."""
-    return (solved.mean_return is None or mean_return >= solved.mean_return) and (
-        solved.success_rate is None or success_rate >= solved.success_rate
-    )
-
-
 # Of an evaluation
 
 SUCCESS_STATISTICS = frozenset({"successes", "success_rate", "success_interval"})
@@ -578,7 +571,7 @@ class Summary(Scores, frozen=True):
 
     def meets_solved(self, solved: Solved | None) -> bool:
         """Return whether these means meet the criterion; False if the scenario has none."""
-        return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
+        return solved is not None and solved.is_met(self.mean_return, self.success_rate)
 
 
 # Several agents

@@ -7,7 +7,7 @@ and the evaluation that is quoted.
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -237,6 +237,14 @@ class QuotedEvaluation(BaseModel):
     evaluation: EvaluationResult
 
 
+def state_of(status: Status, is_at_work: Callable[[], bool]) -> State:
+    """Return the state of a training or a campaign with this status. If its process is not at work, it was
+    killed, and is interrupted."""
+    if status != "running":
+        return status
+    return "training" if is_at_work() else "interrupted"
+
+
 class RunRecord(BaseModel):
     """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it
     went.
@@ -283,10 +291,26 @@ class RunRecord(BaseModel):
     quoted: QuotedEvaluation | None = None
 
     def state(self, folder: Path) -> State:
-        """Return the state of the training in `folder`. One that was killed is interrupted."""
-        if self.status != "running":
-            return self.status
-        return "training" if is_training(folder) else "interrupted"
+        """Return the state of the training in `folder`."""
+        return state_of(self.status, lambda: is_training(folder))
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the training ended by itself: it reached its total, solved its task, or was stopped by a
+        callback."""
+        return self.status == "finished"
+
+    @property
+    def stopped_as_solved(self) -> bool:
+        """Whether the training ended because its task is solved."""
+        is_solved = self.result is not None and self.result.solved_at is not None
+        return self.is_finished and self.stop_when_solved and is_solved
+
+    def is_complete(self, total: int, *, may_stop_early: bool = True) -> bool:
+        """Return whether nothing is left of a training of `total` steps. With `may_stop_early`, a training of
+        at least this total that ended by itself before it is complete."""
+        steps = 0 if self.result is None else self.result.steps
+        return self.is_finished and (steps >= total or (may_stop_early and self.total_timesteps >= total))
 
     def with_evaluation(self, number: int, evaluation: EvaluationResult) -> Self:
         """Return the record after an evaluation, which it quotes if it is one of the best model, in the

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.directories import numbered_files
-from deepbots_cli.learning.runs.episodes import meets_solved
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import QuotedEvaluation, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
@@ -77,7 +76,7 @@ def solved_verdict(
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
     if solved.success_rate is not None:
         reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
-    if not meets_solved(solved, mean_return, success_rate):
+    if not solved.is_met(mean_return, success_rate):
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
@@ -99,6 +98,12 @@ def solved_verdict(
         return SolvedVerdict(None, text, plan.episodes)
     text = f"not solved: {', '.join(reasons)}, and to confirm it, {confirmation.requirement} must be reached"
     return SolvedVerdict(False, text, solved.episodes)
+
+
+def logged_episodes_meet(solved: Solved | None, returns: Sequence[float], successes: Sequence[float]) -> bool:
+    """Return whether episodes in the log of a training meet the criterion; False without one, or without
+    episodes. They are the answer of a run that has no evaluation yet."""
+    return solved is not None and len(returns) > 0 and solved.is_met(fmean(returns), fmean(successes))
 
 
 @dataclass(frozen=True)
