@@ -28,6 +28,7 @@ from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots import kinematics
+from deepbots_cli.robots.meshes import Bounds
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
@@ -414,7 +415,7 @@ def _top_of(engine: Engine, body: ObjectBody) -> Callable[[], float]:
     return lambda: max(kinematics.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
 
 
-def _top_of_robot(engine: Engine, name: str, box: kinematics.Bounds) -> Callable[[], float]:
+def _top_of_robot(engine: Engine, name: str, box: Bounds) -> Callable[[], float]:
     """Return a reader of an upper bound of the height in any attitude of the root, m."""
     pose = engine.pose(name)
     reach = hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))

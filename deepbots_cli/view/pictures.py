@@ -22,7 +22,8 @@ from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.kinematics import Bounds, bounds_of_shape, box_around, box_sides, robot_bounds
+from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides, robot_bounds
+from deepbots_cli.robots.meshes import Bounds
 from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player

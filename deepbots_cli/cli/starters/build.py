@@ -16,7 +16,6 @@ from math import atan2, dist, hypot, inf, pi, prod
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.kinematics import (
-    Bounds,
     bounds_of_shape,
     box_around,
     box_sides,
@@ -24,6 +23,7 @@ from deepbots_cli.robots.kinematics import (
     link_frames,
     robot_bounds,
 )
+from deepbots_cli.robots.meshes import Bounds
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
 Positions = Mapping[str, float]
