@@ -476,6 +476,7 @@ class BatchPlayer(Player):
         return episode + self.worlds
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
+        last_action = self.action
         if by_hand:
             self.action = self.batch.rows.by_row(
                 joined([action_from_values(self.env, self.manual_values)] * self.worlds)
@@ -483,6 +484,9 @@ class BatchPlayer(Player):
         else:
             self.action = self.driver.act(self.observation)
         acting = (~self._running.resting).repeat(self.batch.copies)
+        if not acting.all():  # a world that has ended shows its last action
+            self.action = np.array(self.action)
+            self.action[~acting] = last_action[~acting]
         outcome = self._running.step_all(self.action)
         self._rewards[acting] = outcome.rewards[acting]
         self._terms[:, acting] = outcome.terms[:, acting]

@@ -439,8 +439,8 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     refused = deepbots("eval", group, "--baselines", code=2)
     assert "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err
     shutil.copytree(group, "runs/other")
-    ran = deepbots("compare", group, "runs/other", "--episodes", "2")
-    assert "other: no significant difference from cartpole-seeds-1" in ran.out
+    ran = deepbots("compare", group, "runs/other", "--episodes", "5")
+    assert any(words in ran.out for words in ("no significant difference", "neither is better"))
     assert json.loads(deepbots("resume", group, "--json").out)["training"]["skipped"] == [0, 2]
 
 

@@ -322,8 +322,8 @@ CASES = (
             f"a ball of 10 cm with rolling friction 5 mm and spinning friction 1 mm, on ground with {ground:g}",
             partial(resisted, replace(BALL, rolling_friction=0.005, spinning_friction=0.001), ground),
             (
-                near("rolling, loses 5/7 ρg/r t", 5 / 7 * 0.005 * G / 0.1, "m/s", 2),
-                near("spinning, loses 5/2 σg/r² t", 2.5 * 0.001 * G / 0.01, "rad/s", 2),
+                near("rolling, loses 5/7 ρµg/r t", 5 / 7 * 0.005 * ground * G / 0.1, "m/s", 2),
+                near("spinning, loses 5/2 σµg/r² t", 2.5 * 0.001 * ground * G / 0.01, "rad/s", 2),
             ),
             ALL,
         )

@@ -66,7 +66,7 @@ def stl(claimed: int, held: int) -> bytes:
 
 def robot_with(folder: Path, filename: str) -> tuple[RobotFile | None, list[str]]:
     text = f"""<robot name="r"><link name="a">
-<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"/></inertial>
 <visual><geometry><mesh filename="{filename}" scale="1 2 3"/></geometry></visual></link></robot>"""
     (folder / "robot.urdf").write_text(text)
     findings = Findings()

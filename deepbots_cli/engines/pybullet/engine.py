@@ -183,6 +183,9 @@ class PyBulletEngine:
                     )
                 if any(joint.damping for joint in body.model.moving_joints):
                     self._drives.damp(body)
+                stops = motors.Stops(self._client, body)
+                if stops.ranges:
+                    self._substeps.starts.append(stops.apply)
             self._moving = [body for body in bodies if not body.fixed or body.brakes]
             self._fixed = [body for body in bodies if body.fixed and not body.brakes]
             # `brakes` has the moving joints in this order.

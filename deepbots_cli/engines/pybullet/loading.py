@@ -52,14 +52,6 @@ if TYPE_CHECKING:
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are parked
 DEFAULT_CONTACT_ERP = 0.08  # the share of a penetration that PyBullet removes in a physics step by default
-DEFAULT_LIMIT_ERP = 0.2
-"""The share of what a joint is beyond its limit that PyBullet removes in a physics step by default."""
-LIMIT_RETURN_TIME = 0.02
-"""The time (s) in which a joint returns to its limit, at physics steps below 4 ms.
-
-It leaves the limit with the speed of the return. With the default share, that speed grows as the step falls:
-0.5 rad beyond a limit, 80 rad/s at 1.25 ms. With this time it is 25 rad/s, and 19 rad/s in MuJoCo.
-"""
 CONTACT_DISTANCE_M = 1e-4
 """The distance (m) beyond which surfaces do not touch for the solver.
 
@@ -109,8 +101,6 @@ def create_client(world: WorldModel) -> int:
         fixedTimeStep=step,
         deterministicOverlappingPairs=1,
         enableFileCaching=0,
-        useSplitImpulse=0,  # with it, what is over 0.04 rad or m beyond a limit or in a surface stays there
-        erp=min(DEFAULT_LIMIT_ERP, step / LIMIT_RETURN_TIME),
         physicsClientId=client,
     )
     if any(robot.model.followers for robot in world.robots):

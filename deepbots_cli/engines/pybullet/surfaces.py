@@ -153,12 +153,12 @@ class ForceMonitor:
     """Adds up the contact forces on a link (or `ANY_LINK`) over the engine steps since the last `reset`."""
 
     def __init__(self, client: int, body: Body, link: int) -> None:
-        self._of_points = _contact_points(client, body, link)
+        self._client, self._key = client, (body.number, link)
         # A contact of two of its links counts once in the sum of normal forces.
         self._of_normals: ContactQuery = (
             partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
             if link == ANY_LINK
-            else self._of_points
+            else _contact_points(client, body, link)
         )
         self._normals: list[float] = []
         self._vectors: list[Triple] = []
@@ -172,11 +172,27 @@ class ForceMonitor:
         if self._reads_normals:
             self._normals.append(sum(point[9] for point in self._of_normals()))
         if self._reads_vectors:
-            x = y = z = 0.0
-            for point in self._of_points():
-                for along, force in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
+            self._vectors.append(self._force())
+
+    def _force(self) -> Triple:
+        """Return the force of other links in the last engine step.
+
+        A query for one body turns the normals of contacts whose second body it is, and not the directions of
+        friction. Contacts of all bodies have the force on the first one.
+        """
+        x = y = z = 0.0
+        for point in p.getContactPoints(physicsClientId=self._client):
+            is_first = self._has(point[1], point[3])
+            if is_first != self._has(point[2], point[4]):
+                sign = 1.0 if is_first else -1.0
+                for along, size in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
+                    force = sign * size
                     x, y, z = x + force * along[0], y + force * along[1], z + force * along[2]
-            self._vectors.append((x, y, z))
+        return x, y, z
+
+    def _has(self, body: int, link: int) -> bool:
+        number, own_link = self._key
+        return body == number and own_link in (link, ANY_LINK)
 
     def normal_force(self) -> ForceReader:
         """Return a reader of the mean sum of the normal forces (N)."""
