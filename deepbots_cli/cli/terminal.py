@@ -27,6 +27,8 @@ from deepbots_cli.files import atomic_write, check_output
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from deepbots_cli.learning.runs.run import Run
+
 
 def print_result(text: str = "") -> None:
     """Print a result on stdout."""
@@ -97,6 +99,12 @@ def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:
     """Print a note that there are warnings, and how to see them."""
     if warnings:
         note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
+
+
+def note_physics(run: Run) -> None:
+    """Print a note if the run was trained with another version of the physics."""
+    for text in run.notes_on_physics():
+        note(f"note: {text}")
 
 
 def show_json(data: object) -> None:

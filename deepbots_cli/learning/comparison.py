@@ -614,6 +614,7 @@ def _notes(
             f"a group has {counted(fewest, 'run')}: train at least {MIN_SEEDS} seeds of each, better 5"
         )
     runs = [ref.run for group in members for ref in group.models]
+    notes += [note for run in runs for note in run.notes_on_physics()]
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
     rewards = {change.text: change for world in worlds if not world.own for change in world.trainings.reward}

@@ -371,8 +371,10 @@ class Player:
 
     @property
     def note(self) -> str:
-        """A note for the user."""
-        return self.driver.note
+        """A note for the user: on the driver, and on a run that was trained with other physics."""
+        run = self.opened.run
+        notes = [] if run is None else run.notes_on_physics()
+        return "; ".join([self.driver.note, *notes] if self.driver.note else notes)
 
     def view(self, width: int, height: int) -> View:
         """Return the view of the whole scene, or the one that follows the robot."""

@@ -912,6 +912,7 @@ def test_a_run_of_other_physics_says_so_where_it_is_evaluated(run_copy: Path) ->
     (run_copy / "run.json").write_text(json.dumps(record))
     (note,) = evaluate(run_copy, episodes=3, build=stand_in.build).notes
     assert f"was trained with physics {PHYSICS + 1} of deepbots, and this version simulates" in note
+    assert Run.open(run_copy).notes_on_physics() == [note]
 
 
 def test_a_run_of_before_is_quoted_from_the_files_of_its_evaluations(run_copy: Path) -> None:

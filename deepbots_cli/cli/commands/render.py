@@ -313,7 +313,9 @@ def _model(reference: str, kind: str, permissions: Permissions, *, last: bool) -
             " it"
         )
     if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
-        return ModelRef.open(opened, model="last" if last else "best")
+        ref = ModelRef.open(opened, model="last" if last else "best")
+        terminal.note_physics(ref.run)
+        return ref
     if last:
         raise UsageError(f"--last chooses a model of a run, but {reference} is not a run")
     return None

@@ -106,6 +106,7 @@ def command(
 ) -> None:
     """Evaluate a policy under changed conditions."""
     ref = ModelRef.open(run, permissions, model="last" if last else "best")
+    terminal.note_physics(ref.run)
     gates = Gates(min_success, min_return, False)
     if not ref.run.program.members:  # with several agents, --agent names the one that is evaluated
         gates.check(ref.run.program)

@@ -130,6 +130,7 @@ def command(
     transfers = []
     for ref in opened:
         run = ref.run
+        terminal.note_physics(run)
         judged = _other_scenario(run, scenario, overrides or (), permissions)
         other_engine = engine or (
             run.record.engine if judged is not None else _other_engine(run.record.engine)

@@ -176,6 +176,16 @@ class Run:
             self.record = self.record.model_copy(update={"quoted": record.quoted})
         return path
 
+    def notes_on_physics(self) -> list[str]:
+        """Return a sentence if the run was trained with another version of the physics; else nothing."""
+        physics = self.record.physics
+        if physics == engine_kinds.PHYSICS:
+            return []
+        return [
+            f"{self.path} was trained with physics {physics} of deepbots, and this version simulates physics"
+            f" {engine_kinds.PHYSICS}, in which the same actions may move the robot differently"
+        ]
+
     def notes(self) -> list[str]:
         """Notes on the use of this run, one sentence each."""
         version = deepbots_cli.__version__
@@ -186,12 +196,7 @@ class Run:
             if trained_version == version
             else [f"{self.path} was trained by deepbots {trained_version}, but this is deepbots {version}"]
         )
-        if self.record.physics != engine_kinds.PHYSICS:
-            texts.append(
-                f"{self.path} was trained with physics {self.record.physics} of deepbots, and this version"
-                f" simulates physics {engine_kinds.PHYSICS}, in which the same actions move the robot"
-                " differently"
-            )
+        texts += self.notes_on_physics()
         if self.digest != self.record.digest:
             cause = "with this version of deepbots" if texts else "because it was changed after the training"
             texts.append(
