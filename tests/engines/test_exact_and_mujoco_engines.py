@@ -317,9 +317,7 @@ def test_the_friction_of_a_pair_is_the_product(one, other, build):
         for _ in range(50):
             engine.step(10)
         expected = 9.81 * (sin(pi / 6) - one * (drawn or 1.0) * cos(pi / 6)) * 0.5
-        assert engine.velocity("crate")()[0][0] == pytest.approx(
-            max(expected, 0.0), rel=0.05, abs=5e-3
-        )  # it hops a little
+        assert engine.velocity("crate")()[0][0] == pytest.approx(max(expected, 0.0), rel=0.05, abs=5e-3)
 
 
 def spinner() -> RobotModel:
@@ -349,6 +347,20 @@ def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(b
         drive([5.0])
         engine.step(1)
     assert read()[0][0] == pytest.approx(pi / 2, abs=0.05)
+
+
+@pytest.mark.parametrize("right_angle", [1.57, 1.571, 1.5708, pi / 2])
+def test_a_wheel_whose_file_rounds_a_right_angle_rolls_on_its_tire(right_angle, build):
+    """A tire touches the ground in one point, a cylinder in two."""
+    tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(right_angle, 0, 0))),)
+    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire)
+    axle = Joint("axle", "continuous", "stand", "wheel", Pose((0, 0, 0.0299)), (0, 1, 0))
+    stand = Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1))
+    model = RobotModel("unicycle", (stand, wheel), (axle,), root="stand")
+    world = WorldModel(0.01, 1, ground=Ground(1.0), robots=(RobotBody("robot", model, fixed_base=True),))
+    engine = build("mujoco", world)
+    engine.step(1)
+    assert engine._world.data.ncon == 1
 
 
 def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
