@@ -45,7 +45,8 @@ class ModelBuilder:
         spec.option.timestep = substep
         spec.option.gravity = scene.gravity
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
-        sliding.prepare(spec)
+        # Motors and bounces set rows of constraints, before contacts are corrected.
+        sliding.prepare(spec, by_callback=False)
         # `Physics.step` reports a state that is not finite, which MuJoCo would reset by itself.
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_ISLAND
         spec.compiler.degree = False

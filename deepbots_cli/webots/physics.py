@@ -326,10 +326,10 @@ class Physics:
         targets = self.motors.target_velocities(self.substep * count)
         for left in range(count, 0, -1):
             step1(model, data)
-            sliding.correct_contacts(model, data)
             self.motors.drive(targets, self.substep * left)
             if bounces and data.ncon:
                 self._bounces.apply(data, self.substep)
+            sliding.correct_contacts(model, data)
             if self._damped:
                 self._damp()
             step2(model, data)
@@ -547,12 +547,9 @@ class _BounceTable:
         fast = speeds < -np.maximum(self._speed[ones, others], 1e-6)
         if fast.any():
             fast_rows = rows[fast]
-            # Columns of stiffness, damping, impedance and its derivative.
-            stiffness, damping, impedance, _ = data.efc_KBIP[fast_rows].T
+            impedance = data.efc_KBIP[fast_rows, 2]  # stiffness, damping, impedance and its derivative
             shares = 1.0 + self._bounce[ones, others][fast]
-            # What `sliding` has taken from the reference stays.
-            usual = -damping * speeds[fast] - stiffness * impedance * data.efc_pos[fast_rows]
-            data.efc_aref[fast_rows] += -shares * speeds[fast] / (step * impedance) - usual
+            data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
 
 
 def _damped_bodies(scene: Scene) -> list[tuple[Body, float, float]]:

@@ -4,17 +4,22 @@ MuJoCo solves friction as part of a convex problem, so a body that slides also m
 the coefficient of friction times the acceleration that friction cannot give it. Without a correction, a box
 that slides at 1 m/s hops 6 mm high (steps of 4 ms). De Saxcé's correction lowers the reference acceleration
 along the normal by the same product (de Saxcé and Feng, The bipotential method, Mathematical and Computer
-Modelling 28, 1998). It needs the acceleration that friction does give. While a contact slides, that is the
-one of the step before. In its first step, it is estimated from the depth and the speed of the contact.
+Modelling 28, 1998). It needs the acceleration that friction does give. `begin` takes that of the step before;
+in the first step of a slide, it estimates it from the depth and the speed of the contact. `improve` corrects
+it by a solution of the step on trial.
 
 `advance` corrects the contacts of a world between the two halves of a step. Batches take both halves at once:
-for them, `sliding_callback` compiles `correct` to a callback of MuJoCo, for all models with `USER_DATA`.
+for them, `sliding_callback` compiles the functions to a callback of MuJoCo, for all models with `USER_DATA`.
 """
 
 from __future__ import annotations
 
+import ctypes
+import re
+from functools import cache
 from importlib.util import find_spec
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,25 +37,45 @@ contact sinks for a step, and if it is too high, the body hops."""
 LARGEST_RATIO = 1.5
 """The largest ratio of the deceleration of the step before to an estimate; an impact lasts for a step or two,
 and ends with a deceleration that is too large for the next one."""
+RELAXATION = 0.5
+"""By how much of its error a correction goes beyond the solution on trial, which leaves a half of the error at
+a friction of 1. The trial costs 20 % of a step of a quadruped that slides on its feet. Without it, the buggy of
+docs/own-robot.md rears up at 12 rad/s, lands, and drives at 0.72 of its speed."""
 NO_SLIP_ITERATIONS, NO_SLIP_TOLERANCE = 5, 1e-6
 """The iterations that make friction at rest rigid. They cost 6 to 11 % of a step. Without them, a held box
 creeps 14 mm in 10 s; a stack of five boxes still creeps 0.35 mm in 10 s."""
+NOT_SLIDING = -1.0
 USER_DATA = 1
 """The number of user data that marks a model whose contacts are corrected."""
 PYTHON_STEPS = 20_000
 """The steps that worlds take in Python, about 0.2 s, before the callback takes over: it is loaded in 0.6 s."""
 
+_LIBRARY = re.compile(r"\.(so\.[0-9.]+|dylib|dll)$")
 _python_steps = PYTHON_STEPS if find_spec("numba") else np.inf
 """The steps that are left for Python; less than 0 with the callback."""
 
 
-def prepare(spec: Any) -> None:
-    """Set the options of a model whose contacts are corrected."""
+def prepare(spec: Any, *, by_callback: bool = True) -> None:
+    """Set the options of a model whose contacts are corrected, by the callback once it is installed, or by
+    `correct_contacts` alone."""
     # With elliptic cones, the first row of a contact is its normal force, and the next two are friction.
     spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
     spec.option.noslip_iterations = NO_SLIP_ITERATIONS
     spec.option.noslip_tolerance = NO_SLIP_TOLERANCE
-    spec.nuserdata = USER_DATA
+    if by_callback:
+        spec.nuserdata = USER_DATA
+        # An option without an effect (`mjENBL_OVERRIDE` is off), which the callback reads.
+        spec.option.o_friction[:3] = solver_addresses()
+
+
+@cache
+def solver_addresses() -> tuple[int, int, int]:
+    """Return the addresses of the functions of MuJoCo that solve the constraints of a step."""
+    (path,) = (path for path in Path(mj.__file__).parent.glob("*mujoco*") if _LIBRARY.search(path.name))
+    library = ctypes.CDLL(str(path))
+    names = ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
+    one, two, three = (ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in names)
+    return one, two, three
 
 
 def install() -> None:
@@ -85,7 +110,7 @@ def advance(model: Any, data: Any, steps: int = 1) -> None:
 
 def correct_contacts(model: Any, data: Any) -> None:
     """Correct the contacts of a world between `mj_step1` and `mj_step2`."""
-    if not data.ncon or _python_steps < 0:
+    if not data.ncon or (_python_steps < 0 and model.nuserdata == USER_DATA):
         return
     contacts = data.contact
     reference = data.efc_aref
@@ -95,22 +120,34 @@ def correct_contacts(model: Any, data: Any) -> None:
     wanted = np.hypot(reference[rows + 1], reference[rows + 2])
     if not len(rows) or wanted.max() < LEAST_REFERENCE / 2:
         return
-    references = reference.tolist()
-    correct(
+    references, shifts = reference.tolist(), [NOT_SLIDING] * len(addresses)
+    frictions = contacts.friction[:, 0].tolist()
+    addresses = addresses.tolist()
+    width = 0 if mj.mj_isSparse(model) else model.nv
+    jacobian = _rows(data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    is_sliding = begin(
         references,
-        addresses.tolist(),
+        shifts,
+        addresses,
         contacts.dim.tolist(),
-        contacts.friction[:, 0].tolist(),
+        frictions,
         model.opt.timestep,
         data.efc_pos.tolist(),
         data.efc_vel.tolist(),
         data.efc_KBIP.reshape(-1).tolist(),
         data.efc_R.tolist(),
         data.qacc_warmstart.tolist(),
-        0 if mj.mj_isSparse(model) else model.nv,
-        *_rows(data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind),
+        width,
+        *jacobian,
         *_rows(data.efc_AR, data.efc_AR_rownnz, data.efc_AR_rowadr, data.efc_AR_colind),
     )
+    if not is_sliding:
+        return
+    reference[:] = references
+    mj.mj_fwdActuation(model, data)
+    mj.mj_fwdAcceleration(model, data)
+    mj.mj_fwdConstraint(model, data)
+    improve(references, shifts, addresses, frictions, data.qacc.tolist(), width, *jacobian)
     reference[:] = references
 
 
@@ -144,8 +181,9 @@ def diagonal(row: int, width: int, values: Any, sizes: Any, starts: Any, columns
     return 0.0
 
 
-def correct(
+def begin(
     references: Any,
+    shifts: Any,
     addresses: Any,
     dimensions: Any,
     frictions: Any,
@@ -164,14 +202,17 @@ def correct(
     mobility_sizes: Any,
     mobility_starts: Any,
     mobility_columns: Any,
-) -> None:
-    """Lower the references of the normals of contacts that slide.
+) -> bool:
+    """Lower the references of the normals of contacts that slide, write by how much (m/s^2, divided by the
+    friction), and return whether there are any.
 
-    The arguments are `efc_aref`; the addresses, dimensions and coefficients of sliding friction of the
-    contacts; the time step in s; `efc_pos`, `efc_vel`, `efc_KBIP`, `efc_R`; `qacc` of the step before; and
-    the rows of J (`efc_J`) and of J M^-1 J^T + R (`efc_AR`), dense with `width` columns of J, or sparse.
+    The arguments are `efc_aref`; the shifts, all `NOT_SLIDING`; the addresses, dimensions and coefficients of
+    sliding friction of the contacts; the time step in s; `efc_pos`, `efc_vel`, `efc_KBIP`, `efc_R`; `qacc` of
+    the step before; and the rows of J (`efc_J`) and of J M^-1 J^T + R (`efc_AR`), dense with `width` columns
+    of J, or sparse.
     """
     size = len(references) if width else 0
+    is_sliding = False
     for contact in range(len(addresses)):
         normal = addresses[contact]
         if normal < 0 or dimensions[contact] < 3:
@@ -217,4 +258,39 @@ def correct(
         else:
             largest = LARGEST_RATIO * friction * max(LEAST_LOAD, load * mobility_along)
             deceleration = min(deceleration, largest)
-        references[normal] -= friction * max(0.0, wanted - deceleration)
+        is_sliding = True
+        shifts[contact] = max(0.0, wanted - deceleration)
+        references[normal] -= friction * shifts[contact]
+    return is_sliding
+
+
+def improve(
+    references: Any,
+    shifts: Any,
+    addresses: Any,
+    frictions: Any,
+    accelerations: Any,
+    width: int,
+    jacobian: Any,
+    jacobian_sizes: Any,
+    jacobian_starts: Any,
+    jacobian_columns: Any,
+) -> None:
+    """Correct the references of contacts that slide by the `qacc` of a solution."""
+    for contact in range(len(shifts)):
+        if shifts[contact] == NOT_SLIDING:
+            continue
+        normal = addresses[contact]
+        x, y = (
+            product(
+                normal + 1, width, jacobian, jacobian_sizes, jacobian_starts, jacobian_columns, accelerations
+            )
+            - references[normal + 1],
+            product(
+                normal + 2, width, jacobian, jacobian_sizes, jacobian_starts, jacobian_columns, accelerations
+            )
+            - references[normal + 2],
+        )
+        missing = sqrt(x * x + y * y)
+        shift = max(0.0, missing + RELAXATION * (missing - shifts[contact]))
+        references[normal] -= frictions[contact] * (shift - shifts[contact])

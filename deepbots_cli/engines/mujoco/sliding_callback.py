@@ -1,5 +1,5 @@
-"""`sliding.correct`, compiled by Numba to a callback of MuJoCo. The only module that imports Numba, and that
-depends on the layout of MuJoCo's structures."""
+"""`sliding.begin` and `improve`, compiled by Numba to a callback of MuJoCo. The only module that imports Numba,
+and that depends on the layout of MuJoCo's structures."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from zlib import crc32
 import mujoco
 import numba
 import numpy as np
+from llvmlite import ir
 from mujoco.introspect import ast_nodes, structs
 from numba import types
 from numba.extending import intrinsic
@@ -33,9 +34,10 @@ SPARSE, AUTOMATIC = int(mujoco.mjtJacobian.mjJAC_SPARSE), int(mujoco.mjtJacobian
 AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse matrices itself
 
 _compiled = {name: numba.njit(cache=True)(getattr(sliding, name)) for name in ("product", "diagonal")}
-_correct = numba.njit(cache=True)(
+_begin, _improve = (
     # The same code, which calls the compiled functions.
-    FunctionType(sliding.correct.__code__, {**vars(sliding), **_compiled}, "correct")
+    numba.njit(cache=True)(FunctionType(function.__code__, {**vars(sliding), **_compiled}, function.__name__))
+    for function in (sliding.begin, sliding.improve)
 )
 
 
@@ -73,6 +75,19 @@ def _pointer(element: Any) -> Any:
     return intrinsic(at)
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _call(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
+    """Call a function of MuJoCo for a model and its data."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = context.get_value_type(types.intp)
+        kind = ir.FunctionType(ir.VoidType(), [word, word])
+        builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.intp, types.intp), generate
+
+
 _numbers_at, _integers_at, _words_at = map(_pointer, (types.float64, types.int32, types.int64))
 
 
@@ -80,7 +95,7 @@ def build() -> Any:
     """Return the callback, as a pointer that MuJoCo takes."""
     data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
     option = layout("mjOption")
-    # Numba caches the machine code by the values of these variables. The text of `correct` is one of them:
+    # Numba caches the machine code by the values of these variables. The text of these functions is one of them:
     # Numba does not notice that it has changed.
     text = crc32(Path(sliding.__file__).read_bytes())
     user_data, degrees = model.nuserdata.offset, model.nv.offset
@@ -89,10 +104,11 @@ def build() -> Any:
     contact_count, row_count = data.ncon.offset, data.nefc.offset
     contacts, contact_size = data.contact.offset, ctypes.sizeof(contact)
     address, dimension, friction = contact.efc_address.offset, contact.dim.offset, contact.friction.offset
+    functions = model.opt.offset + option.o_friction.offset
     time_step = model.opt.offset + option.timestep.offset
-    reference, distance, velocity, springs, softness, acceleration = (
+    reference, distance, velocity, springs, softness, last_acceleration, acceleration = (
         getattr(data, name).offset
-        for name in ("efc_aref", "efc_pos", "efc_vel", "efc_KBIP", "efc_R", "qacc_warmstart")
+        for name in ("efc_aref", "efc_pos", "efc_vel", "efc_KBIP", "efc_R", "qacc_warmstart", "qacc")
     )
     rows = [
         tuple(getattr(data, f"{name}{part}").offset for part in ("", "_rownnz", "_rowadr", "_colind"))
@@ -132,8 +148,15 @@ def build() -> Any:
         is_sparse = kind == SPARSE or (kind == AUTOMATIC and width >= AUTOMATIC_SPARSE)
         # No less than what the functions read; Numba checks no bounds.
         largest = total * max(width, total)
-        _correct(
+        columns = 0 if is_sparse else width
+        shifts = np.full(count, sliding.NOT_SLIDING)
+        jacobian_values = numba.carray(_numbers_at(_words_at(d + j_values)[0]), largest)
+        jacobian_sizes = numba.carray(_integers_at(_words_at(d + j_sizes)[0]), total)
+        jacobian_starts = numba.carray(_integers_at(_words_at(d + j_starts)[0]), total)
+        jacobian_columns = numba.carray(_integers_at(_words_at(d + j_columns)[0]), largest)
+        is_sliding = _begin(
             references,
+            shifts,
             addresses,
             dimensions,
             frictions,
@@ -142,16 +165,34 @@ def build() -> Any:
             numba.carray(_numbers_at(_words_at(d + velocity)[0]), total),
             numba.carray(_numbers_at(_words_at(d + springs)[0]), 4 * total),
             numba.carray(_numbers_at(_words_at(d + softness)[0]), total),
-            numba.carray(_numbers_at(_words_at(d + acceleration)[0]), width),
-            0 if is_sparse else width,
-            numba.carray(_numbers_at(_words_at(d + j_values)[0]), largest),
-            numba.carray(_integers_at(_words_at(d + j_sizes)[0]), total),
-            numba.carray(_integers_at(_words_at(d + j_starts)[0]), total),
-            numba.carray(_integers_at(_words_at(d + j_columns)[0]), largest),
+            numba.carray(_numbers_at(_words_at(d + last_acceleration)[0]), width),
+            columns,
+            jacobian_values,
+            jacobian_sizes,
+            jacobian_starts,
+            jacobian_columns,
             numba.carray(_numbers_at(_words_at(d + a_values)[0]), largest),
             numba.carray(_integers_at(_words_at(d + a_sizes)[0]), total),
             numba.carray(_integers_at(_words_at(d + a_starts)[0]), total),
             numba.carray(_integers_at(_words_at(d + a_columns)[0]), largest),
+        )
+        if not is_sliding:
+            return
+        solvers = _numbers_at(m + functions)
+        _call(np.intp(solvers[0]), m, d)
+        _call(np.intp(solvers[1]), m, d)
+        _call(np.intp(solvers[2]), m, d)
+        _improve(
+            references,
+            shifts,
+            addresses,
+            frictions,
+            numba.carray(_numbers_at(_words_at(d + acceleration)[0]), width),
+            columns,
+            jacobian_values,
+            jacobian_sizes,
+            jacobian_starts,
+            jacobian_columns,
         )
 
     return callback.ctypes
