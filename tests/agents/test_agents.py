@@ -850,7 +850,7 @@ def play(scenario: str, seed: int, **drivers: str | list[float]) -> tuple[Infos,
 
 @pytest.mark.parametrize(("right", "delivers"), [("push", True), ("rest", False)])
 def test_two_robots_carry_the_bar_to_the_mark_and_one_alone_does_not(right: str, delivers: bool) -> None:
-    infos, returns = play("carry", 0, left="push", right=right)
+    infos, returns = play("carry", 1, left="push", right=right)
     assert [info["is_success"] for info in infos.values()] == [delivers, delivers]
     assert returns["left"] == returns["right"]
 
