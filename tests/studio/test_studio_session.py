@@ -840,25 +840,26 @@ def looks_often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sessions, "_WATCH_INTERVAL_S", 0.05)
 
 
-def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(trained, tmp_path):
-    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+def acted(trained: Path, folder: Path, *names: str) -> None:
+    shutil.copytree(trained, folder, dirs_exist_ok=True)
 
     async def run() -> None:
-        async with Running(tmp_path) as running:
+        async with Running(folder) as running:
             walk = Walk(running)
-            walk.show(tmp_path / "mine.yaml")
-            for act in (
-                walk.watch,
-                walk.edit,
-                walk.save,
-                walk.watch,
-                walk.watch_and_save,
-                walk.look_at_curve,
-            ):
-                act()
+            walk.show(folder / "mine.yaml")
+            for name in names:
+                getattr(walk, name)()
                 await walk.settle()
 
     asyncio.run(run())
+
+
+def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(trained, tmp_path):
+    acted(trained, tmp_path, "watch", "edit", "save", "watch", "watch_and_save", "look_at_curve")
+
+
+def test_the_evaluations_beside_the_robot_are_those_of_the_run_that_is_watched_now(trained, tmp_path):
+    acted(trained, tmp_path, *("watch", "look_at_curve") * 5)
 
 
 @pytest.mark.slow

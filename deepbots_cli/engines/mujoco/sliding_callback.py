@@ -124,7 +124,8 @@ def build() -> Any:
             or count == 0
             or _words_at(m + user_data)[0] != sliding.USER_DATA
             or _integers_at(m + no_slip)[0] == 0
-            or _numbers_at(m + functions)[0] < 4096.0  # a coefficient, not an address: the model of someone else
+            or _numbers_at(m + functions)[0]
+            < 4096.0  # a coefficient, not an address: the model of someone else
         ):
             return
         total, width = _integers_at(d + row_count)[0], _words_at(m + degrees)[0]
