@@ -363,7 +363,7 @@ class _Parser:
             node.fields[key.text] = self.value()
         self.take()
         self.depth -= 1
-        if name:
+        if name and self.definitions[name][0] is node:  # USE names the node whose DEF comes last
             self.definitions[name] = node, self.deepest - self.depth
         self.deepest = max(outer, self.deepest)
         return node

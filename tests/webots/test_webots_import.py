@@ -1209,6 +1209,12 @@ def test_a_world_at_the_limits_of_size_is_read_in_a_second(text: str):
     assert time.process_time() - start < SECONDS
 
 
+def test_use_names_the_nearest_def_before_it_also_if_that_was_inside_of_another_of_its_name():
+    text = "DEF A Group { children [ DEF A Solid { } ] } Group { children [ USE A ] }"
+    outer, other = read(HEADER + text).nodes
+    assert children(other) == children(outer)
+
+
 def test_an_error_after_a_hundred_warnings_is_reported():
     fields = " ".join(f"field{i} 1" for i in range(200))
     assert errors_and_places(f"Solid {{ {fields} }} Robt {{ }}") == [("there is no node Robt", "Robt")]
