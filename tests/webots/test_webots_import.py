@@ -1252,7 +1252,7 @@ def trees(draw: st.DrawFn) -> tuple[str, int]:
         written = f"Pair {{ x [ {text}] }} " if is_pair else f"Group {{ children [ {text}] }} "
         total = 4 + 2 * size if is_pair else 1 + size
         if name:
-            sizes[name] = total
+            sizes.setdefault(name, total)  # a node inside of this name has come after it
             written = f"DEF {name} {written}"
         return written, total
 
