@@ -1106,12 +1106,6 @@ def errors_and_places(text: str) -> list[tuple[str, str]]:
         pytest.param(doubled(1000), f"nodes are more than {MAX_DEPTH} levels deep", "USE", id="USE in USE"),
         pytest.param("DEF A Group { children [ USE A ] }", "USE of 'A' within itself", "USE", id="USE of itself"),
         pytest.param(
-            "DEF A Group { } DEF A Group { children [ Group { children USE A } ] }",
-            "USE of 'A' within itself",
-            "USE",
-            id="USE of itself, after another of its name",
-        ),
-        pytest.param(
             "PROTO P [ ] { DEF A Solid { boundingObject USE A } } P { }",
             "USE of 'A' within itself",
             "USE",
@@ -1213,6 +1207,11 @@ def test_use_names_the_nearest_def_before_it_also_if_that_was_inside_of_another_
     text = "DEF A Group { children [ DEF A Solid { } ] } Group { children [ USE A ] }"
     outer, other = read(HEADER + text).nodes
     assert children(other) == children(outer)
+
+
+def test_use_inside_of_a_def_names_an_earlier_one_of_the_same_name_as_in_webots():
+    first, second = read(HEADER + "DEF A Solid { } DEF A Group { children [ USE A ] }").nodes
+    assert children(second) == [first]
 
 
 def test_an_error_after_a_hundred_warnings_is_reported():
