@@ -36,10 +36,11 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.comparison import GroupResult
 from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
 from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
-from deepbots_cli.learning.runs.statistics import UNBOUNDED, mean_interval
+from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
@@ -241,12 +242,10 @@ class Report:
         evaluations = [shown.evaluation for shown in self.runs]
         if folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
-        text = "mean return " + _seed_statistics(
-            "{:.4g}", [evaluation.mean_return for evaluation in evaluations]
-        )
-        rates = [evaluation.success_rate for evaluation in evaluations if evaluation.success_rate is not None]
-        if len(rates) == len(evaluations):
-            text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
+        group = GroupResult(self.path.name, tuple(evaluations))
+        text = "mean return " + _over_seeds("{:.4g}", group.mean_return, group.return_interval)
+        if group.success_defined:
+            text += ", success rate " + _over_seeds("{:.1%}", group.success_rate, group.success_interval)
         answers = [shown.verdict.solved for shown in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
         remarks = in_parentheses(words for evaluation in evaluations for words in evaluation.remarks)
@@ -579,14 +578,9 @@ def _name(run: Run, text: Text) -> str:
     return str(path.relative_to(run.path)) if path.is_relative_to(run.path) else text.name
 
 
-def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
-    seed_interval = mean_interval(values, bounds)
-    interval = (
-        ""
-        if seed_interval is None
-        else f" (95 % interval over seeds {form.format(seed_interval[0])} .. {form.format(seed_interval[1])})"
-    )
-    return form.format(fmean(values)) + interval
+def _over_seeds(form: str, mean: float, interval: Interval | None) -> str:
+    low, high = map(form.format, interval or (mean, mean))
+    return form.format(mean) + (f" (95 % interval over seeds {low} .. {high})" if interval else "")
 
 
 def _standing(player: Player, episodes: Sequence[ReportEpisode]) -> list[list[Triple]]:

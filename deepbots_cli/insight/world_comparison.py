@@ -16,7 +16,7 @@ of each kind is simulated in all episodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, exp, floor, log
@@ -184,16 +184,16 @@ def compare_worlds(
     longest = max([MAX_STEPS, *(parting_steps[number] for number in late)])
 
     def record(
-        world: World, numbers: Iterable[int], max_steps: int | None, act: Act | None = None
+        numbers: Iterable[int], max_steps: int | None, world: World, act: Act | None = None
     ) -> list[RecordedEpisode]:
         starts = (Start.of_evaluation(seed, number) for number in numbers)
         return record_episodes(run, world, model, starts, act=act, max_steps=max_steps)
 
-    recorded = record(first, numbers, longest)
+    recorded = record(numbers, longest, first)
     comparison = ValueComparison(columns, recorded, repeat_episodes(second, recorded))
     parting = None
     if late:
-        pairs = [*zip(recorded, record(second, late, longest), strict=False)]
+        pairs = [*zip(recorded, record(late, longest, second), strict=False)]
         parting = Parting(len(parted), len(outcomes), *_phase(columns, pairs))
     size = len(recorded), max(len(episode.actions) for episode in recorded)
     result = WorldComparison(*size, tuple(comparison.differences()), (), parting=parting)
@@ -221,10 +221,10 @@ def compare_worlds(
             return replace(result, causes=tuple(causes))
         for index, (_, row) in enumerate(likely[:_CHECKED]):
             if row.world is not None:
-                changed, act = row.world()
-                rate = fmean(one.is_success for one in record(changed, range(len(checked)), None, act))
-                share = (rates[0] - rate) / (rates[0] - rates[1])
-                causes[index] = replace(causes[index], success=rate, explained_success=share)
+                with suppress(DeepbotsError):  # of another start, such as an ending that holds at its reset
+                    rate = fmean(one.is_success for one in record(range(len(checked)), None, *row.world()))
+                    share = (rates[0] - rate) / (rates[0] - rates[1])
+                    causes[index] = replace(causes[index], success=rate, explained_success=share)
     return replace(result, causes=tuple(causes), success=(rates[0], rates[1]))
 
 

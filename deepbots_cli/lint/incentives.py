@@ -268,7 +268,7 @@ def _lowered(text: str, factor: float) -> str:
     is_number = re.fullmatch(r"\d+(\.\d+)?", value) is not None
     lower = factor * float(value) if is_number else factor
     digit = 10.0 ** (floor(log10(lower)) - 1)
-    rounded = f"{floor(lower / digit) * digit:.2g}"
+    rounded = f"{floor(lower / digit) * digit:.6g}"
     return f"{rounded if is_number else f'{rounded} * ({value})'}{when}{condition}"
 
 

@@ -484,5 +484,7 @@ _KINDS = (
 SENSORS: PluginTable[type[Sensor]] = PluginTable(
     "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read
 )
-_GONE = {"radar": "write the value under `augment`: `gap: {value: ground_distance(cart, ball), noise: 5 cm}`"}
+_GONE = {
+    "radar": 'write the value under `augment`: `gap: {value: "ground_distance(cart, ball)", noise: 5 cm}`'
+}
 AnySensor = Annotated[Sensor, Kinds("type", SENSORS, gone=_GONE)]

@@ -274,8 +274,10 @@ def _check_extent(node: Node, extent: Extent, level: int) -> None:
         WorldSyntaxError: The node stands for too many nodes or levels.
     """
     if extent.nodes > MAX_NODES:
-        message = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
-        raise WorldSyntaxError(node.span, message)
+        raise WorldSyntaxError(
+            node.span,
+            f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it",
+        )
     if level + extent.levels > MAX_LEVELS:
         raise WorldSyntaxError(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
 

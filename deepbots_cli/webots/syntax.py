@@ -350,7 +350,7 @@ class _Parser:
         if self.nodes > MAX_NODES:
             raise self._error(token, f"the file has more than {MAX_NODES:,} nodes")
         if name:
-            self.definitions[name] = node, 0
+            definition = self.definitions.setdefault(name, (node, 0))
         self.expect("{")
         outer, self.deepest = self.deepest, self.depth
         self._deeper(token)
@@ -363,7 +363,7 @@ class _Parser:
             node.fields[key.text] = self.value()
         self.take()
         self.depth -= 1
-        if name:
+        if name and self.definitions[name] is definition:  # as in Webots, an inner DEF of this name stays
             self.definitions[name] = node, self.deepest - self.depth
         self.deepest = max(outer, self.deepest)
         return node

@@ -516,6 +516,16 @@ def test_a_term_that_pays_more_than_the_success_is_lowered_until_the_finding_is_
     assert "DB708" not in deepbots("lint", str(tmp_path / "a.yaml")).out
 
 
+def test_a_term_that_is_lowered_to_hundreds_has_no_exponent(deepbots, tmp_path):
+    (tmp_path / "a.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Copy\naugment: {left: abs(x - 30 cm)}\n"
+        "observation: {left: 0 .. 0.8 m}\nreward: {alive: 0, near: 200 when left < 20 cm, prize: 31_000 when there}\n"
+        "termination: {success: {there: left < 1 mm}}\n"
+    )
+    deepbots("lint", str(tmp_path / "a.yaml"), "--fix", "--unsafe-fixes", "--select", "DB708")
+    assert "near: 150 when left < 20 cm" in (tmp_path / "a.yaml").read_text()
+
+
 UNTIDY = "deepbots:   1\nworld:\n    timestep: 32 ms   # a tick\n"
 TIDY = "deepbots: 1\nworld:\n  timestep: 32 ms   # a tick\n"
 

@@ -815,7 +815,7 @@ OF_ISAAC_LAB = {
         (
             "robots: {cart: {sensors: {gap: {type: radar, link: pole, range: 0 .. 2 m}}}}",
             "the type `radar` is gone",
-            "write the value under `augment`: `gap: {value: ground_distance(cart, ball)",
+            'write the value under `augment`: `gap: {value: "ground_distance(cart, ball)", noise: 5 cm}`',
         ),
     ],
 )

@@ -251,14 +251,20 @@ def test_a_group_leaves_damaged_seeds_out_and_says_so(group):
     assert "1 seed with 12 held-out episodes" in report.result
 
 
-def test_the_interval_of_a_group_is_over_its_seeds(group, run):
+def test_the_report_of_a_group_has_no_success_rate_if_the_scenario_defines_no_success(group):
+    assert "success" not in Report.read(group).result
+
+
+def test_the_interval_of_a_group_is_over_its_seeds_and_within_the_possible_returns(group, run):
     for seed in (1, 2):
         shutil.rmtree(group / f"seed-{seed}")
         shutil.copytree(run, group / f"seed-{seed}")
     path = group / "seed-1" / "evaluations" / "0001.json"
     kept = json.loads(path.read_text())
     path.write_text(json.dumps(kept | {"mean_return": kept["mean_return"] + 3.0}))
-    low, high = mean_interval([kept["mean_return"] + more for more in (0.0, 3.0, 0.0)])
+    values = [kept["mean_return"] + more for more in (0.0, 3.0, 0.0)]
+    low, high = mean_interval(values, kept["return_bounds"])
+    assert high < mean_interval(values)[1]
     assert (
         f"{kept['mean_return'] + 1:.4g} (95 % interval over seeds {low:.4g} .. {high:.4g})"
         in Report.read(group).result

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import cache
 from itertools import islice
@@ -24,7 +24,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.rollout import robot_logs
+from deepbots_cli.rollout import Episode, robot_logs
 from deepbots_cli.rollout.robot_logs import RobotLog
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
@@ -62,12 +62,17 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return of
 
 
-def compared(run: Run, change: dict[str, Any], episodes: int = 6) -> WorldComparison:
+def compared(
+    run: Run,
+    change: dict[str, Any],
+    episodes: int = 6,
+    outcomes: Sequence[tuple[Episode, Episode]] = (),
+) -> WorldComparison:
     source = Source.kept(run.path)
     document = base_document(source)
     here = EngineWorld(api.compile(source.checked()).program, run.record.engine)
     there = EngineWorld(changed_scenario(document, change).program, run.record.engine)
-    return compare_worlds(run, here, there, document, seed=0, episodes=episodes)
+    return compare_worlds(run, here, there, document, seed=0, episodes=episodes, outcomes=outcomes)
 
 
 def cart(change: str) -> str:
@@ -410,6 +415,44 @@ def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect
     assert (
         "success: training 100.0%, other 0.0%; no change explains this difference" in capsys.readouterr().out
     )
+
+
+def test_a_cause_in_measured_numbers_is_not_followed_by_the_sentence_that_no_change_explains_the_difference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = train_shuttle(
+        tmp_path,
+        "robots.shuttle.apply={motor: 0.05 m/s + 0 * drive * speed}",
+        "termination.success={stays: time > 1 s and abs(shuttle.place) < 0.3 m}",
+        "reward.parked=1 when stays",
+    )
+    words = ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
+    assert main([*words, "robots.shuttle.emit={place: 2 * place + 1 m}"]) == 0
+    output = capsys.readouterr().out
+    assert "gap is larger by -1.0" in output
+    assert "success: training 100.0%, other 0.0%; the success under these changes is unknown" in output
+
+
+def test_a_transfer_goes_on_if_an_ending_holds_at_the_reset_of_a_start_under_a_likely_change(
+    tmp_path: Path,
+) -> None:
+    """The carriage sinks 0.4 mm before the first step if its motor is weak; `edge` is nearer in a few starts."""
+    run = Run.open(
+        train_shuttle(
+            tmp_path,
+            "robots.shuttle.pose={pitch: -90 deg}",
+            "robots.shuttle.apply={motor: 0 * drive * speed}",
+            "parameters.edge=uniform(-8 .. -0.1 mm)",
+            "reset={settle: 1 s}",
+            "termination.failure={out: shuttle.place < edge}",
+            "truncation.max_steps=20",
+        )
+    )
+    won, lost = (Episode(0.0, 20, is_success, "") for is_success in (True, False))
+    weak = {"robots": {"shuttle": {"actuators": {"motor": {"max_torque": "0.5 N"}}}}}
+    (cause,) = compared(run, weak, episodes=2, outcomes=[(won, lost)] * 20).causes
+    assert "torque limit of shuttle.motor 0.5 N" in cause.text
+    assert (cause.explained, cause.success) == (pytest.approx(1.0), None)
 
 
 def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any) -> None:

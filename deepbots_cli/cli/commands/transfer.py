@@ -304,7 +304,12 @@ def _success_lines(compared: WorldComparison, first_name: str, second_name: str)
         if cause.success is not None and cause.explained_success is not None
     ]
     if not evaluated:
-        return [f"success: {rates}; no change explains this difference"]
+        reason = (
+            "the success under these changes is unknown"
+            if compared.causes
+            else "no change explains this difference"
+        )
+        return [f"success: {rates}; {reason}"]
     share, text, rate = max(evaluated)
     little = "" if share >= EXPLAINS_MOST else "; the changes explain little of the difference in success"
     return [
