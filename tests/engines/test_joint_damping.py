@@ -184,6 +184,22 @@ def test_a_damped_joint_of_another_mass_does_not_speed_up(engine_name, factor, b
     assert abs(engine.joint_states("robot", ["joint"])()[0][1]) < 0.5
 
 
+def test_a_damped_joint_comes_to_rest_beside_a_link_that_an_episode_makes_heavier(engine_name, build):
+    joints = (
+        Joint("joint", "continuous", "base", "arm", axis=(0, 0, 1), damping=5.0),
+        Joint("other", "continuous", "base", "load", Pose((0, 1, 0)), (0, 0, 1)),
+    )
+    model = RobotModel("pair", (BASE, arm_link("arm"), arm_link("load")), joints, root="base")
+    robot = RobotBody("robot", model, fixed_base=True)
+    engine = build(engine_name, WorldModel(TIMESTEP, 1, ground=None, robots=(robot,)))
+    engine.reset()
+    engine.set_parameter("mass", ("robot", "load"), 6 * MASS)
+    engine.set_joint("robot", "joint", 0.0, 2.0)
+    for _ in range(20):
+        engine.step(1)
+    assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(rest_angle(5.0), rel=0.01)
+
+
 def test_a_spring_motor_moves_a_joint_whose_own_damping_a_step_cannot_follow(engine_name, build):
     stiffness, damping = 100.0, 20.0  # x = 3.2
     engine = build(engine_name, arm(damping))
