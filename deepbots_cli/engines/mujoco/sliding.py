@@ -13,13 +13,15 @@ for them, `sliding_callback` compiles `correct` to a callback of MuJoCo, for all
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from math import sqrt
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.errors import EngineError
+from deepbots_cli.installation import install_hint
 
 LEAST_LOAD = 9.81
 """The least normal force on a contact per mass, in m/s^2, that an estimate assumes."""
@@ -40,8 +42,12 @@ USER_DATA = 1
 PYTHON_STEPS = 20_000
 """The steps that worlds take in Python, about 0.2 s, before the callback takes over: it is loaded in 0.6 s."""
 
-_python_steps = PYTHON_STEPS if find_spec("numba") else np.inf
-"""The steps that are left for Python; less than 0 with the callback."""
+_python_steps: float = PYTHON_STEPS
+"""The steps that are left for Python; infinity if the callback cannot take over."""
+_callback: Any = None
+"""The callback, once MuJoCo has it."""
+_lock = Lock()
+"""Held by each step in Python, so that the callback does not take over in the middle of one."""
 
 
 def prepare(spec: Any) -> None:
@@ -57,35 +63,50 @@ def install() -> None:
     """Let MuJoCo correct contacts by the compiled callback, in all threads, from now on.
 
     Raises:
-        ImportError: Numba is not installed.
+        EngineError: Numba cannot be used, or MuJoCo has a callback of another program.
     """
-    global _python_steps
-    if _python_steps >= 0:
-        from deepbots_cli.engines.mujoco import sliding_callback
+    global _callback
+    with _lock:
+        if _is_installed():
+            return
+        if mj.get_mjcb_control() is not None:
+            raise EngineError("MuJoCo has another control callback, which batches would replace")
+        try:
+            from deepbots_cli.engines.mujoco import sliding_callback
+        except ImportError as error:
+            reason = f"batches in MuJoCo need Numba, which cannot be imported: {error}"
+            raise EngineError(f"{reason}; {install_hint('sim')}") from error
+        _callback = sliding_callback.build()
+        mj.set_mjcb_control(_callback)
 
-        mj.set_mjcb_control(sliding_callback.build())
-        _python_steps = -1
+
+def _is_installed() -> bool:
+    """Return whether MuJoCo has the callback; another program may have replaced it."""
+    return _callback is not None and mj.get_mjcb_control() is _callback
 
 
 def advance(model: Any, data: Any, steps: int = 1) -> None:
     """Take steps of a model, with the same results in Python and by the callback."""
     global _python_steps
-    if _python_steps < 0:
+    if _is_installed():
         mj.mj_step(model, data, steps)
         return
-    for _ in range(steps):
-        mj.mj_step1(model, data)
-        correct_contacts(model, data)
-        mj.mj_step2(model, data)
-    _python_steps -= steps
+    with _lock:
+        for _ in range(steps):
+            mj.mj_step1(model, data)
+            correct_contacts(model, data)
+            mj.mj_step2(model, data)
+        _python_steps -= steps
     if _python_steps <= 0:
-        _python_steps = 0
-        install()
+        try:
+            install()
+        except EngineError:
+            _python_steps = np.inf
 
 
 def correct_contacts(model: Any, data: Any) -> None:
-    """Correct the contacts of a world between `mj_step1` and `mj_step2`."""
-    if not data.ncon or _python_steps < 0:
+    """Correct the contacts of a world between `mj_step1` and `mj_step2`, unless the callback has done so."""
+    if not data.ncon or _is_installed():
         return
     contacts = data.contact
     reference = data.efc_aref

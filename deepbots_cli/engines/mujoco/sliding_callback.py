@@ -32,12 +32,6 @@ _NUMBERS = {
 SPARSE, AUTOMATIC = int(mujoco.mjtJacobian.mjJAC_SPARSE), int(mujoco.mjtJacobian.mjJAC_AUTO)
 AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse matrices itself
 
-_compiled = {name: numba.njit(cache=True)(getattr(sliding, name)) for name in ("product", "diagonal")}
-_correct = numba.njit(cache=True)(
-    # The same code, which calls the compiled functions.
-    FunctionType(sliding.correct.__code__, {**vars(sliding), **_compiled}, "correct")
-)
-
 
 def _c_type(kind: Any) -> Any:
     """Return the type of a field of a structure for ctypes."""
@@ -78,6 +72,17 @@ _numbers_at, _integers_at, _words_at = map(_pointer, (types.float64, types.int32
 
 def build() -> Any:
     """Return the callback, as a pointer that MuJoCo takes."""
+    try:
+        return _compiled(cache=True)
+    except (RuntimeError, OSError):  # no folder can be written
+        return _compiled(cache=False)
+
+
+def _compiled(*, cache: bool) -> Any:
+    compile = numba.njit(cache=cache)
+    functions = {name: compile(getattr(sliding, name)) for name in ("product", "diagonal")}
+    # The same code, which calls the compiled functions.
+    correct = compile(FunctionType(sliding.correct.__code__, {**vars(sliding), **functions}, "correct"))
     data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
     option = layout("mjOption")
     # Numba caches the machine code by the values of these variables. The text of `correct` is one of them:
@@ -100,7 +105,7 @@ def build() -> Any:
     ]
     (j_values, j_sizes, j_starts, j_columns), (a_values, a_sizes, a_starts, a_columns) = rows
 
-    @numba.cfunc(types.void(types.intp, types.intp), cache=True)  # type: ignore[untyped-decorator]
+    @numba.cfunc(types.void(types.intp, types.intp), cache=cache)  # type: ignore[untyped-decorator]
     def callback(m: Any, d: Any) -> None:
         count = _integers_at(d + contact_count)[0]
         if (
@@ -132,7 +137,7 @@ def build() -> Any:
         is_sparse = kind == SPARSE or (kind == AUTOMATIC and width >= AUTOMATIC_SPARSE)
         # No less than what the functions read; Numba checks no bounds.
         largest = total * max(width, total)
-        _correct(
+        correct(
             references,
             addresses,
             dimensions,
