@@ -13,6 +13,7 @@ for them, `sliding_callback` compiles `correct` to a callback of MuJoCo, for all
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import sqrt
 from threading import Lock
 from typing import Any
@@ -74,8 +75,7 @@ def install() -> None:
         try:
             from deepbots_cli.engines.mujoco import sliding_callback
         except ImportError as error:
-            reason = f"batches in MuJoCo need Numba, which cannot be imported: {error}"
-            raise EngineError(f"{reason}; {install_hint('sim')}") from error
+            raise EngineError(f"batches in MuJoCo need Numba: {error}; {install_hint('sim')}") from error
         _callback = sliding_callback.build()
         mj.set_mjcb_control(_callback)
 
@@ -98,10 +98,9 @@ def advance(model: Any, data: Any, steps: int = 1) -> None:
             mj.mj_step2(model, data)
         _python_steps -= steps
     if _python_steps <= 0:
-        try:
+        _python_steps = np.inf
+        with suppress(EngineError):
             install()
-        except EngineError:
-            _python_steps = np.inf
 
 
 def correct_contacts(model: Any, data: Any) -> None:

@@ -79,10 +79,11 @@ def build() -> Any:
 
 
 def _compiled(*, cache: bool) -> Any:
-    compile = numba.njit(cache=cache)
-    functions = {name: compile(getattr(sliding, name)) for name in ("product", "diagonal")}
-    # The same code, which calls the compiled functions.
-    correct = compile(FunctionType(sliding.correct.__code__, {**vars(sliding), **functions}, "correct"))
+    functions = {name: numba.njit(cache=cache)(getattr(sliding, name)) for name in ("product", "diagonal")}
+    correct = numba.njit(cache=cache)(
+        # The same code, which calls the compiled functions.
+        FunctionType(sliding.correct.__code__, {**vars(sliding), **functions}, "correct")
+    )
     data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
     option = layout("mjOption")
     # Numba caches the machine code by the values of these variables. The text of `correct` is one of them:

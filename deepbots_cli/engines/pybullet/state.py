@@ -126,8 +126,11 @@ class Body:
     @property
     def least_inertia_factor(self) -> float:
         """The least factor on the mass or the inertia of a link that moves; 1 for those that were not set."""
-        moving = [index for index in self.links.values() if index != BASE_LINK or not self.fixed]
-        factors = (self._factors.get(index, (1.0, 1.0)) for index in moving)
+        factors = (
+            self._factors.get(index, (1.0, 1.0))
+            for index in self.links.values()
+            if index != BASE_LINK or not self.fixed
+        )
         return min((mass * min(inertia, 1.0) for mass, inertia in factors), default=1.0)
 
     def deactivate(self) -> None:
