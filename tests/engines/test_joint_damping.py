@@ -17,7 +17,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import RobotBody, WorldModel
-from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
+from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Mimic, Pose, RobotModel
 
 MASS, AHEAD = 0.5, 0.2
 INERTIA = 0.005 + MASS * AHEAD**2
@@ -226,6 +226,21 @@ def test_a_motor_holds_a_joint_at_its_limit_that_began_far_beyond_it(engine_name
     # MuJoCo's limits give way by the load, and return in 20 ms, which is one substep here.
     tolerance = 0.005 if engine_name == "pybullet" or substeps > 1 else 0.08
     assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(0.5, rel=tolerance)
+
+
+def test_the_follower_of_a_joint_that_began_far_beyond_its_limit_does_not_jolt_it(build):
+    pytest.importorskip("pybullet")
+    joints = (
+        Joint("leader", "revolute", "base", "arm", axis=(0, 0, 1), limit=Limit(-1.0, 0.5)),
+        Joint("follower", "continuous", "base", "other", axis=(0, 0, 1), mimic=Mimic("leader", 2.0)),
+    )
+    model = RobotModel("pair", (BASE, arm_link("arm"), arm_link("other")), joints, root="base")
+    robot = RobotBody("robot", model, fixed_base=True)
+    engine = build("pybullet", WorldModel(TIMESTEP, 5, ground=None, robots=(robot,)))
+    engine.set_joint("robot", "leader", 1.0, 0.0)
+    engine.step(5)
+    leader, follower = engine.joint_states("robot", ["leader", "follower"])()
+    assert (*leader[:2], *follower[:2]) == pytest.approx((0.5, 0.0, 1.0, 0.0), abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.1, 10.0])

@@ -97,6 +97,12 @@ class Body:
     def link(self, index: int) -> Link:
         return self.model.link(next(name for name, number in self.links.items() if number == index))
 
+    def set_joint(self, joint: str, position: float, velocity: float) -> None:
+        """Set a joint (rad or m, and per s) and its followers, which would be pulled to it with a jolt."""
+        p.resetJointState(self.number, self.joints[joint], position, velocity, self._client)
+        for follower, mimic in self.model.followers_of(joint).items():
+            self.set_joint(follower, mimic.position(position), mimic.multiplier * velocity)
+
     def scale_mass(self, index: int, factor: float) -> None:
         """Multiply the mass with which a link was loaded by a factor, and its inertia."""
         self._scale(index, factor, self._factors.get(index, (1.0, 1.0))[1])
