@@ -114,6 +114,17 @@ truncation: {{max_steps: 100}}
     assert max(speeds) < 15.0
 
 
+@pytest.mark.parametrize("inertia", [1e-12, 1e-14])
+def test_a_damped_joint_of_a_frame_that_weighs_almost_nothing_comes_to_rest(engine_name, inertia, build):
+    tip = Link("tip", Inertial(1e6 * inertia, ixx=inertia, iyy=inertia, izz=inertia))
+    joint = Joint("joint", "continuous", "base", "tip", axis=(0, 0, 1), damping=0.1)
+    robot = RobotBody("robot", RobotModel("arm", (BASE, tip), (joint,), root="base"), fixed_base=True)
+    engine = build(engine_name, WorldModel(TIMESTEP, 5, ground=None, robots=(robot,)))
+    engine.set_joint("robot", "joint", 0.0, 2.0)
+    engine.step(5)
+    assert engine.joint_states("robot", ["joint"])()[0][1] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_joint_beyond_one_that_damping_locks_moves_as_one_body(engine_name, build):
     joints = tuple(
         Joint(name, "continuous", parent, child, Pose((ahead, 0, 0)), (0, 0, 1), damping=damping)
