@@ -55,7 +55,6 @@ _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
 MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
 _SAMPLED_VERTICES = 3_000
-_COLLADA_FACE = re.compile(rb"<(?:\w+:)?(?:triangles|polylist|polygons|trifans|tristrips)[\s/>]")
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _ARCHIVES = (
     b"PK\x03\x04",
@@ -533,10 +532,8 @@ def _dae(data: bytes) -> str | None:
     missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
     if missing:
         return f"the COLLADA file has no <{missing}>"
-    if not _COLLADA_FACE.search(data):
-        return "the COLLADA file contains no triangle or polygon"
     try:
-        placed_triangles(data)
+        has_triangles = any(part.corners for part, _ in placed_triangles(data))
     except FaultyColladaError as error:
         return str(error)
-    return None
+    return None if has_triangles else "the scene of the COLLADA file has no triangle or polygon"

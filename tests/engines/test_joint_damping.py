@@ -17,7 +17,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import RobotBody, WorldModel
-from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Pose, RobotModel
+from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Mimic, Pose, RobotModel
 
 MASS, AHEAD = 0.5, 0.2
 INERTIA = 0.005 + MASS * AHEAD**2
@@ -114,6 +114,17 @@ truncation: {{max_steps: 100}}
     assert max(speeds) < 15.0
 
 
+@pytest.mark.parametrize("inertia", [1e-12, 1e-14])
+def test_a_damped_joint_of_a_frame_that_weighs_almost_nothing_comes_to_rest(engine_name, inertia, build):
+    tip = Link("tip", Inertial(1e6 * inertia, ixx=inertia, iyy=inertia, izz=inertia))
+    joint = Joint("joint", "continuous", "base", "tip", axis=(0, 0, 1), damping=0.1)
+    robot = RobotBody("robot", RobotModel("arm", (BASE, tip), (joint,), root="base"), fixed_base=True)
+    engine = build(engine_name, WorldModel(TIMESTEP, 5, ground=None, robots=(robot,)))
+    engine.set_joint("robot", "joint", 0.0, 2.0)
+    engine.step(5)
+    assert engine.joint_states("robot", ["joint"])()[0][1] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_joint_beyond_one_that_damping_locks_moves_as_one_body(engine_name, build):
     joints = tuple(
         Joint(name, "continuous", parent, child, Pose((ahead, 0, 0)), (0, 0, 1), damping=damping)
@@ -184,6 +195,22 @@ def test_a_damped_joint_of_another_mass_does_not_speed_up(engine_name, factor, b
     assert abs(engine.joint_states("robot", ["joint"])()[0][1]) < 0.5
 
 
+def test_a_damped_joint_comes_to_rest_beside_a_link_that_an_episode_makes_heavier(engine_name, build):
+    joints = (
+        Joint("joint", "continuous", "base", "arm", axis=(0, 0, 1), damping=5.0),
+        Joint("other", "continuous", "base", "load", Pose((0, 1, 0)), (0, 0, 1)),
+    )
+    model = RobotModel("pair", (BASE, arm_link("arm"), arm_link("load")), joints, root="base")
+    robot = RobotBody("robot", model, fixed_base=True)
+    engine = build(engine_name, WorldModel(TIMESTEP, 1, ground=None, robots=(robot,)))
+    engine.reset()
+    engine.set_parameter("mass", ("robot", "load"), 6 * MASS)
+    engine.set_joint("robot", "joint", 0.0, 2.0)
+    for _ in range(20):
+        engine.step(1)
+    assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(rest_angle(5.0), rel=0.01)
+
+
 def test_a_spring_motor_moves_a_joint_whose_own_damping_a_step_cannot_follow(engine_name, build):
     stiffness, damping = 100.0, 20.0  # x = 3.2
     engine = build(engine_name, arm(damping))
@@ -210,6 +237,21 @@ def test_a_motor_holds_a_joint_at_its_limit_that_began_far_beyond_it(engine_name
     # MuJoCo's limits give way by the load, and return in 20 ms, which is one substep here.
     tolerance = 0.005 if engine_name == "pybullet" or substeps > 1 else 0.08
     assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(0.5, rel=tolerance)
+
+
+def test_the_follower_of_a_joint_that_began_far_beyond_its_limit_does_not_jolt_it(build):
+    pytest.importorskip("pybullet")
+    joints = (
+        Joint("leader", "revolute", "base", "arm", axis=(0, 0, 1), limit=Limit(-1.0, 0.5)),
+        Joint("follower", "continuous", "base", "other", axis=(0, 0, 1), mimic=Mimic("leader", 2.0)),
+    )
+    model = RobotModel("pair", (BASE, arm_link("arm"), arm_link("other")), joints, root="base")
+    robot = RobotBody("robot", model, fixed_base=True)
+    engine = build("pybullet", WorldModel(TIMESTEP, 5, ground=None, robots=(robot,)))
+    engine.set_joint("robot", "leader", 1.0, 0.0)
+    engine.step(5)
+    leader, follower = engine.joint_states("robot", ["leader", "follower"])()
+    assert (*leader[:2], *follower[:2]) == pytest.approx((0.5, 0.0, 1.0, 0.0), abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.1, 10.0])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from deepbots_cli.engines import mujoco as engine_package
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.errors import EngineError
 
 sliding_callback = pytest.importorskip("deepbots_cli.engines.mujoco.sliding_callback")
 
@@ -53,21 +57,68 @@ def play(model, speeds) -> np.ndarray:
     return np.array(states)
 
 
-@settings(max_examples=40, deadline=None)
-@given(worlds())
-def test_the_callback_gives_the_same_bits_as_python(world):
-    model, speeds = world
+@pytest.fixture
+def in_python(monkeypatch):
+    """Steps are taken in Python, until `install` is called."""
     callback = mj.get_mjcb_control()
-    python_steps = sliding._python_steps
-    try:
-        mj.set_mjcb_control(None)
-        sliding._python_steps = np.inf
-        expected = play(model, speeds)
+    mj.set_mjcb_control(None)
+    monkeypatch.setattr(sliding, "_python_steps", np.inf)
+    monkeypatch.setattr(sliding, "_callback", None)
+    yield
+    mj.set_mjcb_control(callback)
+
+
+@pytest.fixture
+def crate():
+    spec = mj.MjSpec.from_string(
+        f"""<mujoco><worldbody><geom type="plane" size="9 9 1"/>
+        {BODY.format(x=0, y=0, z=0.05, shape=SHAPES[0], mass=1)}</worldbody></mujoco>"""
+    )
+    sliding.prepare(spec)
+    return spec.compile()
+
+
+SPEEDS = np.array([2.0, 0.3, 0.0, 0.0, 0.0, 1.0])
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(worlds())
+def test_the_callback_gives_the_same_bits_as_python(in_python, world):
+    mj.set_mjcb_control(None)
+    expected = play(*world)
+    sliding.install()
+    assert np.array_equal(play(*world), expected)
+
+
+def test_worlds_go_on_in_python_where_numba_cannot_be_imported(in_python, crate, monkeypatch):
+    expected = play(crate, SPEEDS)
+    monkeypatch.setattr(sliding, "_python_steps", 10)
+    monkeypatch.delattr(engine_package, "sliding_callback")
+    monkeypatch.setitem(sys.modules, "deepbots_cli.engines.mujoco.sliding_callback", None)
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    with pytest.raises(EngineError, match="batches in MuJoCo need Numba"):
         sliding.install()
-        assert np.array_equal(play(model, speeds), expected)
-    finally:
-        sliding._python_steps = python_steps
-        mj.set_mjcb_control(callback)
+
+
+def test_the_callback_is_compiled_where_no_folder_can_be_written(in_python, crate, monkeypatch):
+    def refuse(*args, **options):
+        raise PermissionError("a read-only file system")
+
+    expected = play(crate, SPEEDS)
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    sliding.install()
+    assert np.array_equal(play(crate, SPEEDS), expected)
+
+
+def test_contacts_are_corrected_beside_a_control_callback_of_another_program(in_python, crate, monkeypatch):
+    expected = play(crate, SPEEDS)
+    sliding.install()
+    calls = []
+    mj.set_mjcb_control(lambda model, data: calls.append(data.time))
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    monkeypatch.setattr(sliding, "_python_steps", 10)
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    assert len(calls) == 80
 
 
 def test_the_layout_of_mujocos_data_is_that_of_its_description():

@@ -311,3 +311,22 @@ def test_a_mesh_that_has_gone_rests_at_its_origin(tmp_path: Path) -> None:
     model = robot(tmp_path, "robot", link(mesh("cube.stl", "7 7 7")))
     (tmp_path / "cube.stl").unlink()
     assert resting_height(model) == 0.0
+
+
+def test_a_camera_sees_a_collada_mesh_where_it_is_touched(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet")
+    moved = "<translate>0 0.1 0</translate><rotate>0 0 1 90</rotate><rotate>0 1 0 -90</rotate>"
+    (tmp_path / "moved.dae").write_bytes(collada(moved))
+    shape = robot(tmp_path, "robot", link(mesh("moved.dae"))).links[0].collisions[0].shape
+    points = mesh_triangles(shape).reshape(-1, 3).tolist()
+    faces = [(at, at + 1, at + 2) for at in range(0, len(points), 3)]
+    (tmp_path / "same.obj").write_bytes(as_obj(points, faces))
+    seen = []
+    for file in ("moved.dae", "same.obj"):
+        body = RobotBody("robot", robot(tmp_path, "robot", link(mesh(file))), fixed_base=True)
+        world = WorldModel(TIMESTEP, 1, ground=None, robots=(body,))
+        with closing(engines.create("pybullet", world)) as engine:
+            look = engine.camera(("robot", None), ((-0.6, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)), 32, 32, 0.9)
+            seen.append(look().bodies >= 0)
+    assert seen[1].any()
+    assert (seen[0] == seen[1]).all()

@@ -182,7 +182,15 @@ CONTENTS = {
     ),
     "o.dae": (
         re.sub(b"<triangles.*</triangles>", b"", sheets("o.dae", 1), flags=re.DOTALL),
-        "the COLLADA file contains no triangle or polygon",
+        "the scene of the COLLADA file has no triangle or polygon",
+    ),
+    "p.dae": (
+        sheets("p.dae", 1).replace(b"<instance_geometry", b"<instance_controller"),
+        "the scene of the COLLADA file has no triangle or polygon",
+    ),
+    "q.dae": (
+        sheets("q.dae", 1).replace(b"triangles", b"tristrips"),
+        "the scene of the COLLADA file has no triangle or polygon",
     ),
     "a.dae": (b"<COLLADA/>", "the COLLADA file has no <asset>"),
     "b.dae": (b"hello", "the mesh is not a COLLADA file"),

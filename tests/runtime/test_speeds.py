@@ -83,7 +83,7 @@ def test_a_world_of_a_batch_whose_joint_is_too_fast_is_lost(tmp_path):
     environment = api.make_vec(str(file), num_envs=2)
     try:
         environment.reset(seed=0)
-        with pytest.warns(RuntimeWarning, match="joint 'ankle' of 'arm' turns at"):
+        with pytest.warns(RuntimeWarning, match=r"'ankle' of 'arm' turns at .* spring of 1e\+06"):
             _, reward, _, truncated, _ = environment.step(np.array([[1.0], [0.0]], np.float32))
         assert truncated.tolist() == [True, False]
         assert reward[0] == 0.0

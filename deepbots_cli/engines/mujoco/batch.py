@@ -217,7 +217,8 @@ class MuJoCoBatch(BatchReaders):
         if any(pool.pooled for pool in self._world.pools.values()):
             self.rows |= dict.fromkeys(("body_gravcomp", "geom_group"), np.zeros(0))
         self._pooled = [name for name in self.rows if name not in MOTOR_FIELDS]
-        self._usual_rows = frozenset(self.rows)
+        # `require_finite` of the shared engine names the springs of a world.
+        self._usual_rows = frozenset(self.rows) - {"actuator_biasprm", "actuator_forcelimited"}
         self._batch: Any = None
         self._build()
         self.members = [BatchMember(self, index) for index in range(count)]
@@ -388,9 +389,7 @@ class MuJoCoBatch(BatchReaders):
             self._write_back()
             world = self._world
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
-            changed = (
-                [*(self.rows.keys() - self._usual_rows)] if len(self.rows) > len(self._usual_rows) else []
-            )
+            changed = [*(self.rows.keys() - self._usual_rows)]
             if self._memories[index] != self._remembered:
                 self._remembered = self._memories[index]
                 world.remember(self._remembered)

@@ -94,7 +94,7 @@ class MuJoCoEngine:
                 for _ in range(substeps):
                     sliding.advance(model, data)
                     contact_monitor.update()
-            world.invalidate_after_step()
+            world.invalidate()
             return
         if contact_monitor is not None:
             contact_monitor.reset()
@@ -104,7 +104,7 @@ class MuJoCoEngine:
             for update in gain_updates.values():
                 update()
             advance(model, data)
-            world.invalidate_after_step()
+            world.invalidate()
             if world.has_pushes:
                 data.xfrc_applied[:] = 0.0  # MuJoCo keeps it, but a push lasts for one engine step
                 world.has_pushes = False

@@ -16,15 +16,18 @@ from __future__ import annotations
 
 import ctypes
 import re
+from contextlib import suppress
 from functools import cache
-from importlib.util import find_spec
 from math import sqrt
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.errors import EngineError
+from deepbots_cli.installation import install_hint
 
 LEAST_LOAD = 9.81
 """The least normal force on a contact per mass, in m/s^2, that an estimate assumes."""
@@ -51,8 +54,12 @@ PYTHON_STEPS = 20_000
 """The steps that worlds take in Python, about 0.2 s, before the callback takes over: it is loaded in 0.6 s."""
 
 _LIBRARY = re.compile(r"\.(so\.[0-9.]+|dylib|dll)$")
-_python_steps = PYTHON_STEPS if find_spec("numba") else np.inf
-"""The steps that are left for Python; less than 0 with the callback."""
+_python_steps: float = PYTHON_STEPS
+"""The steps that are left for Python; infinity if the callback cannot take over."""
+_callback: Any = None
+"""The callback, once MuJoCo has it."""
+_lock = Lock()
+"""Held by each step in Python, so that the callback does not take over in the middle of one."""
 
 
 def prepare(spec: Any, *, by_callback: bool = True) -> None:
@@ -82,35 +89,48 @@ def install() -> None:
     """Let MuJoCo correct contacts by the compiled callback, in all threads, from now on.
 
     Raises:
-        ImportError: Numba is not installed.
+        EngineError: Numba cannot be used, or MuJoCo has a callback of another program.
     """
-    global _python_steps
-    if _python_steps >= 0:
-        from deepbots_cli.engines.mujoco import sliding_callback
+    global _callback
+    with _lock:
+        if _is_installed():
+            return
+        if mj.get_mjcb_control() is not None:
+            raise EngineError("MuJoCo has another control callback, which batches would replace")
+        try:
+            from deepbots_cli.engines.mujoco import sliding_callback
+        except ImportError as error:
+            raise EngineError(f"batches in MuJoCo need Numba: {error}; {install_hint('sim')}") from error
+        _callback = sliding_callback.build()
+        mj.set_mjcb_control(_callback)
 
-        mj.set_mjcb_control(sliding_callback.build())
-        _python_steps = -1
+
+def _is_installed() -> bool:
+    """Return whether MuJoCo has the callback; another program may have replaced it."""
+    return _callback is not None and mj.get_mjcb_control() is _callback
 
 
 def advance(model: Any, data: Any, steps: int = 1) -> None:
     """Take steps of a model, with the same results in Python and by the callback."""
     global _python_steps
-    if _python_steps < 0:
+    if _is_installed():
         mj.mj_step(model, data, steps)
         return
-    for _ in range(steps):
-        mj.mj_step1(model, data)
-        correct_contacts(model, data)
-        mj.mj_step2(model, data)
-    _python_steps -= steps
+    with _lock:
+        for _ in range(steps):
+            mj.mj_step1(model, data)
+            correct_contacts(model, data)
+            mj.mj_step2(model, data)
+        _python_steps -= steps
     if _python_steps <= 0:
-        _python_steps = 0
-        install()
+        _python_steps = np.inf
+        with suppress(EngineError):
+            install()
 
 
 def correct_contacts(model: Any, data: Any) -> None:
-    """Correct the contacts of a world between `mj_step1` and `mj_step2`."""
-    if not data.ncon or (_python_steps < 0 and model.nuserdata == USER_DATA):
+    """Correct the contacts of a world between `mj_step1` and `mj_step2`, unless the callback has done so."""
+    if not data.ncon or (_is_installed() and model.nuserdata == USER_DATA):
         return
     contacts = data.contact
     reference = data.efc_aref

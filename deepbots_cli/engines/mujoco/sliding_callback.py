@@ -33,12 +33,9 @@ _NUMBERS = {
 SPARSE, AUTOMATIC = int(mujoco.mjtJacobian.mjJAC_SPARSE), int(mujoco.mjtJacobian.mjJAC_AUTO)
 AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse matrices itself
 
-_compiled = {name: numba.njit(cache=True)(getattr(sliding, name)) for name in ("product", "diagonal")}
-_begin, _improve = (
-    # The same code, which calls the compiled functions.
-    numba.njit(cache=True)(FunctionType(function.__code__, {**vars(sliding), **_compiled}, function.__name__))
-    for function in (sliding.begin, sliding.improve)
-)
+_begin: Any = None
+_improve: Any = None
+"""The compiled functions; global variables, since Numba cannot cache a function with others in its closure."""
 
 
 def _c_type(kind: Any) -> Any:
@@ -93,6 +90,22 @@ _numbers_at, _integers_at, _words_at = map(_pointer, (types.float64, types.int32
 
 def build() -> Any:
     """Return the callback, as a pointer that MuJoCo takes."""
+    try:
+        return _compile(cache=True)
+    except (RuntimeError, OSError):  # no folder can be written
+        return _compile(cache=False)
+
+
+def _compile(*, cache: bool) -> Any:
+    global _begin, _improve
+    compiled = {name: numba.njit(cache=cache)(getattr(sliding, name)) for name in ("product", "diagonal")}
+    _begin, _improve = (
+        # The same code, which calls the compiled functions.
+        numba.njit(cache=cache)(
+            FunctionType(function.__code__, {**vars(sliding), **compiled}, function.__name__)
+        )
+        for function in (sliding.begin, sliding.improve)
+    )
     data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
     option = layout("mjOption")
     # Numba caches the machine code by the values of these variables. The text of these functions is one of them:
@@ -116,7 +129,7 @@ def build() -> Any:
     ]
     (j_values, j_sizes, j_starts, j_columns), (a_values, a_sizes, a_starts, a_columns) = rows
 
-    @numba.cfunc(types.void(types.intp, types.intp), cache=True)  # type: ignore[untyped-decorator]
+    @numba.cfunc(types.void(types.intp, types.intp), cache=cache)  # type: ignore[untyped-decorator]
     def callback(m: Any, d: Any) -> None:
         count = _integers_at(d + contact_count)[0]
         if (

@@ -178,9 +178,6 @@ class MujocoWorld:
     def invalidate(self) -> None:
         self.has_positions = self.has_velocities = False
 
-    def invalidate_after_step(self) -> None:
-        self.has_positions = self.has_velocities = False
-
     # Course of an episode
 
     def reset(self) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE_SHARE = 0.005
 """The x up to which PyBullet damps a joint itself; the way in which it comes to rest is off by this share."""
-SMALL_INERTIA = 1e-12  # kg m^2 or kg; keeps a mass matrix invertible
+SMALL_INERTIA = 1e-16  # kg m^2 or kg; keeps a mass matrix invertible, and is below that of any link
 
 
 class Damping:

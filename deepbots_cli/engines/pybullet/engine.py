@@ -257,17 +257,8 @@ class PyBulletEngine:
         self._cache.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        body = self._pool(robot).current
-        number, (index,) = self._joints(robot, (joint,))
-        p.resetJointState(number, index, position, velocity, self._client)
-        for follower, mimic in body.model.followers_of(joint).items():
-            p.resetJointState(
-                number,
-                body.joints[follower],
-                mimic.position(position),
-                mimic.multiplier * velocity,
-                self._client,
-            )
+        self._joints(robot, (joint,))
+        self._pool(robot).current.set_joint(joint, position, velocity)
         self._cache.invalidate()
 
     def choose(self, body: str, variant: str) -> None:

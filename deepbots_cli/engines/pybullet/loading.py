@@ -390,7 +390,7 @@ def _seen_shape(shape: Shape, folder: Path) -> Shape:
     match shape:
         case Cylinder(radius, length):
             return Mesh(str(folder / _CYLINDER), "", (radius, radius, length))
-        case Mesh(path) if path.lower().endswith(".stl"):
+        case Mesh():
             return _readable(shape, folder)
         case _:
             return shape

@@ -320,20 +320,18 @@ class Stops:
 
     def __init__(self, client: int, body: Body) -> None:
         self._client = client
-        self._number = body.number
-        limited = [
-            (index, low, high)
-            for index, joint in zip(body.brakes, body.model.moving_joints, strict=True)
+        self._body = body
+        self.ranges = [
+            (joint.name, low, high)
+            for joint in body.model.moving_joints
             for low, high in (joint.ends(inf),)
             if low <= high and (-inf < low or high < inf) and joint.mimic is None
         ]
-        self._indices = [index for index, _, _ in limited]
-        self.ranges = [(low, high) for _, low, high in limited]
+        self._indices = [body.joints[name] for name, _, _ in self.ranges]
 
     def apply(self) -> None:
         """Check the joints at the start of a step."""
-        states = p.getJointStates(self._number, self._indices, self._client)
-        for index, (low, high), (position, *_) in zip(self._indices, self.ranges, states, strict=True):
+        states = p.getJointStates(self._body.number, self._indices, self._client)
+        for (name, low, high), (position, *_) in zip(self.ranges, states, strict=True):
             if not low - STOP_REACH <= position <= high + STOP_REACH:
-                end = low if position < low else high
-                p.resetJointState(self._number, index, end, 0.0, self._client)
+                self._body.set_joint(name, low if position < low else high, 0.0)

@@ -97,6 +97,12 @@ class Body:
     def link(self, index: int) -> Link:
         return self.model.link(next(name for name, number in self.links.items() if number == index))
 
+    def set_joint(self, joint: str, position: float, velocity: float) -> None:
+        """Set a joint (rad or m, and per s) and its followers, which would be pulled to it with a jolt."""
+        p.resetJointState(self.number, self.joints[joint], position, velocity, self._client)
+        for follower, mimic in self.model.followers_of(joint).items():
+            self.set_joint(follower, mimic.position(position), mimic.multiplier * velocity)
+
     def scale_mass(self, index: int, factor: float) -> None:
         """Multiply the mass with which a link was loaded by a factor, and its inertia."""
         self._scale(index, factor, self._factors.get(index, (1.0, 1.0))[1])
@@ -125,8 +131,13 @@ class Body:
 
     @property
     def least_inertia_factor(self) -> float:
-        """The least factor on the mass or the inertia of a link."""
-        return min((mass * min(inertia, 1.0) for mass, inertia in self._factors.values()), default=1.0)
+        """The least factor on the mass or the inertia of a link that moves; 1 for those that were not set."""
+        factors = (
+            self._factors.get(index, (1.0, 1.0))
+            for index in self.links.values()
+            if index != BASE_LINK or not self.fixed
+        )
+        return min((mass * min(inertia, 1.0) for mass, inertia in factors), default=1.0)
 
     def deactivate(self) -> None:
         """Take the mass of the body. PyBullet does not simulate a body without mass: it stays in place.
