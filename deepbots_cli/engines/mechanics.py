@@ -151,9 +151,8 @@ def require_possible(speeds: Iterable[JointSpeed], step: float) -> None:
     if impossible:
         robot, joint, speed, stiffness = max(impossible, key=lambda entry: entry.stiffness)
         slides = joint.type == "prismatic"
-        spring = (
-            f"its spring of {stiffness:g} {'N/m' if slides else 'N*m/rad'}" if stiffness else "its motion"
-        )
+        unit = "N/m" if slides else "N*m/rad"
+        spring = f"its spring of {stiffness:g} {unit}" if stiffness else "its motion"
         raise EngineError(
             f"joint '{joint.name}' of '{robot}' {'slides' if slides else 'turns'} at {abs(speed):.3g}"
             f" {'m/s' if slides else 'rad/s'}, which no motor and no fall could give it: {spring} is not stable"

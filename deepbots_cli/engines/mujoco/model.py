@@ -60,8 +60,9 @@ VISUAL_GROUP = 1
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
-MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms. Stiffer
-ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that lands at 1 m/s hops 1.6 mm.
+MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms.
+Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that lands at 1 m/s hops
+1.6 mm.
 """
 CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
 GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])

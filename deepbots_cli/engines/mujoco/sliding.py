@@ -41,9 +41,9 @@ LARGEST_RATIO = 1.5
 """The largest ratio of the deceleration of the step before to an estimate; an impact lasts for a step or two,
 and ends with a deceleration that is too large for the next one."""
 RELAXATION = 0.5
-"""By how much of its error a correction goes beyond the solution on trial, which leaves a half of the error at
-a friction of 1. The trial costs 20 % of a step of a quadruped that slides on its feet. Without it, the buggy of
-docs/own-robot.md rears up at 12 rad/s, lands, and drives at 0.72 of its speed."""
+"""By how much of its error a correction goes beyond the solution on trial, which leaves a half of the error
+at a friction of 1. The trial costs 20 % of a step of a quadruped that slides on its feet. Without it, the
+buggy of docs/own-robot.md rears up at 12 rad/s, lands, and drives at 0.72 of its speed."""
 NO_SLIP_ITERATIONS, NO_SLIP_TOLERANCE = 5, 1e-6
 """The iterations that make friction at rest rigid. They cost 6 to 11 % of a step. Without them, a held box
 creeps 14 mm in 10 s; a stack of five boxes still creeps 0.35 mm in 10 s."""
@@ -51,7 +51,8 @@ NOT_SLIDING = -1.0
 USER_DATA = 1
 """The number of user data that marks a model whose contacts are corrected."""
 PYTHON_STEPS = 20_000
-"""The steps that worlds take in Python, about 0.2 s, before the callback takes over: it is loaded in 0.6 s."""
+"""The steps that worlds take in Python, about 0.2 s, before the callback takes over, which is loaded in
+0.6 s."""
 
 _LIBRARY = re.compile(r"\.(so\.[0-9.]+|dylib|dll)$")
 _python_steps: float = PYTHON_STEPS

@@ -1,5 +1,5 @@
-"""`sliding.begin` and `improve`, compiled by Numba to a callback of MuJoCo. The only module that imports Numba,
-and that depends on the layout of MuJoCo's structures."""
+"""`sliding.begin` and `improve`, compiled by Numba to a callback of MuJoCo. The only module that imports
+Numba, and that depends on the layout of MuJoCo's structures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ AUTOMATIC_SPARSE = 60  # degrees of freedom from which on MuJoCo chooses sparse 
 
 _begin: Any = None
 _improve: Any = None
-"""The compiled functions; global variables, since Numba cannot cache a function with others in its closure."""
+"""The compiled functions; global variables, since Numba cannot cache a function with others in its
+closure."""
 
 
 def _c_type(kind: Any) -> Any:
@@ -108,8 +109,8 @@ def _compile(*, cache: bool) -> Any:
     )
     data, contact, model = layout("mjData"), layout("mjContact"), layout("mjModel", last="opt")
     option = layout("mjOption")
-    # Numba caches the machine code by the values of these variables. The text of these functions is one of them:
-    # Numba does not notice that it has changed.
+    # Numba caches the machine code by the values of these variables. The text of the functions is one of
+    # them, since Numba does not notice that it has changed.
     text = crc32(Path(sliding.__file__).read_bytes())
     user_data, degrees = model.nuserdata.offset, model.nv.offset
     no_slip = model.opt.offset + option.noslip_iterations.offset
