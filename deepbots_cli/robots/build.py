@@ -34,6 +34,7 @@ Positions = Mapping[str, float]
 _PROPELLER = re.compile(r"prop(?!er)|rotor|thruster", re.IGNORECASE)
 _ARM = re.compile(r"arm|shoulder|elbow|wrist|hand|gripper", re.IGNORECASE)
 _LEG = re.compile(r"leg|hip|knee|ankle|foot|thigh|toe|shank|calf|femur|tibia", re.IGNORECASE)
+_HEAD = re.compile(r"neck|head", re.IGNORECASE)
 _JAW = re.compile(r"jaw|grip|finger|claw|pinc|thumb", re.IGNORECASE)
 _TOOL = re.compile(r"(?:^|_)(?:tool0?|tcp|ee|eef|end_?effector|grasp\w*|gripper_?(?:center|frame)\w*)(?:_|$)", re.IGNORECASE)
 _ROLLERS = 5
@@ -616,6 +617,7 @@ class Build:
             if limb.tip not in legs
             and len(limb.joints) > 2
             and not rolling.intersection(joint.name for joint in limb.joints)
+            and not _HEAD.search(limb.joints[0].name)
         ]
         return sorted(arms, key=lambda limb: -limb.reach)
 

@@ -34,8 +34,8 @@ _ROVER_WHEELS = 6
 _SNAKE_JOINTS = 6
 _SNAKE_HEIGHT_SHARE = 0.3
 """The largest height of a snake, as a share of its length."""
-_SNAKE_SPACING = 3.0
-"""The largest distance between neighboring joints of a snake, in the smallest one."""
+_SNAKE_SPREAD = 3.0
+"""The largest distance between neighboring joints of a snake, and mass of a link, in the smallest one."""
 
 
 class Kind(StrEnum):
@@ -232,6 +232,9 @@ def _hand(build: Build) -> str:
     is_named = any(map(_HAND.search, [build.model.name, *build.trunk])) or 2 * len(named) > len(limbs)
     if is_named and len(limbs) == 1 and limbs[0].fingers and len(limbs[0].joints) < 3:
         return f"a wrist carries {len(limbs[0].fingers)} joints of fingers"
+    slides = [joint for limb in limbs for joint in limb.joints if joint.type == "prismatic"]
+    if len(slides) == len(build.model.moving_joints) == 2 and frames.dot(*map(build.axis, slides)) < 0.0:
+        return "two jaws slide against each other"
     if len(limbs) > 1 and (is_named or _are_fingers(build)):
         return f"{len(limbs)} fingers begin at a palm of {build.size:.2g} m"
     return ""
@@ -239,7 +242,7 @@ def _hand(build: Build) -> str:
 
 def _are_fingers(build: Build) -> bool:
     """Whether a robot has several limbs and no legs, and is too small to have arms."""
-    if len(build.limbs) < 3 or build.legs:
+    if len(build.limbs) < 3 or build.legs or any(len(limb.joints) < 2 for limb in build.limbs):
         return False
     return not build.arms or build.size < _MAX_PALM_SIZE
 
@@ -259,7 +262,9 @@ def _snake(build: Build) -> str:
         return ""
     places = [build.frames[joint.child][0] for limb in build.limbs for joint in limb.joints]
     steps = [dist(*pair) for pair in pairwise(places)]
-    if min(steps) * _SNAKE_SPACING < max(steps):
+    masses = [build.model.link(joint.child).mass for limb in build.limbs for joint in limb.joints]
+    masses.append(sum(build.model.link(name).mass for name in build.trunk))
+    if any(min(values) * _SNAKE_SPREAD < max(values) for values in (steps, masses)):
         return ""
     return f"{len(joints)} joints at equal distances along a body on the ground"
 
@@ -305,8 +310,8 @@ def _limbs(limbs: list[Limb], noun: str) -> str:
 _TESTS: dict[Kind, Callable[[Build], str]] = {
     Kind.underwater: _underwater,
     Kind.drone: lambda build: _drone(build) or _flying(build),
-    Kind.balance: _balance,
     Kind.arm_on_base: _arm_on_base,
+    Kind.balance: _balance,
     Kind.omni: _omni,
     Kind.rover: _rover,
     Kind.car: _car,
