@@ -3,6 +3,8 @@
 model.py       links, joints, shapes; mass, volume and inertia in closed form; normalized URDF for an engine;
                a robot with one thing changed (with_scale, with_mass, with_friction, with_joint)
 kinematics.py  frames of links, bounding boxes, the height at which a robot or a shape rests
+build.py       the parts of a robot by their function: wheels, legs, arms, hands, propellers
+kinds.py       the kind of a robot, with its evidence
 elements.py    XML to elements with their position in the file; their numbers and vectors
 reader.py      elements to a checked model, every finding with its place
 meshes.py      the locations, permissions and contents of mesh files

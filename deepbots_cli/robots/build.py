@@ -36,7 +36,9 @@ _ARM = re.compile(r"arm|shoulder|elbow|wrist|hand|gripper", re.IGNORECASE)
 _LEG = re.compile(r"leg|hip|knee|ankle|foot|thigh|toe|shank|calf|femur|tibia", re.IGNORECASE)
 _HEAD = re.compile(r"neck|head", re.IGNORECASE)
 _JAW = re.compile(r"jaw|grip|finger|claw|pinc|thumb", re.IGNORECASE)
-_TOOL = re.compile(r"(?:^|_)(?:tool0?|tcp|ee|eef|end_?effector|grasp\w*|gripper_?(?:center|frame)\w*)(?:_|$)", re.IGNORECASE)
+_TOOL = re.compile(
+    r"(?:^|_)(?:tool0?|tcp|ee|eef|end_?effector|grasp\w*|gripper_?(?:center|frame)\w*)(?:_|$)", re.IGNORECASE
+)
 _ROLLERS = 5
 """The least number of rollers on an omnidirectional wheel."""
 _LONG_SHARE = 0.15
@@ -325,7 +327,9 @@ class Build:
             return None
         links = self.rigid(joint.child)
         rollers = self._joints_on(links)
-        if rollers and (len(rollers) < _ROLLERS or any(self._joints_on([roller.child]) for roller in rollers)):
+        if rollers and (
+            len(rollers) < _ROLLERS or any(self._joints_on([roller.child]) for roller in rollers)
+        ):
             return None
         links = [*links, *(roller.child for roller in rollers)]
         boxes = [self.boxes[name] for name in links if name in self.boxes]

@@ -209,7 +209,9 @@ def _exoskeleton(build: Build) -> str:
 def _humanoid(build: Build) -> str:
     if len(build.legs) != 2 or not build.arms:
         return ""
-    return f"{_limbs(build.legs, 'leg')} carry the trunk and {_limbs(build.arms, 'arm')} do not reach the ground"
+    return (
+        f"{_limbs(build.legs, 'leg')} carry the trunk and {_limbs(build.arms, 'arm')} do not reach the ground"
+    )
 
 
 def _biped(build: Build) -> str:

@@ -2,8 +2,8 @@
 task.
 
 for_robots/   one Jinja template per task; parts.yaml holds the parts that they share
-build.py      the build of a robot: wheels, limbs, rotors; first_scenario.py chooses a task for it
-              and adds the entries of this task; text.py numbers, names and comments
+first_scenario.py  chooses a task for the kind of a robot (`robots/kinds.py`) and adds the entries of this
+              task; text.py numbers, names and comments
 webots.py     the scenario of a project of Webots, from its draft (`webots/imports`)
 templates.py  the templates of `deepbots new --template`, from *.yaml; arm.urdf is the robot of arm.yaml
 """

@@ -7,15 +7,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from itertools import product
 from math import atan2, ceil, cos, degrees, floor, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
 from deepbots_cli.cli.starters.text import aligned, short_number, templates
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import Quaternion, Triple, quaternion
+from deepbots_cli.robots.build import Build, Limb, Wheel, is_endless, neutral, range_of
+from deepbots_cli.robots.kinds import Judgment, Kind, judge
 from deepbots_cli.robots.model import Joint, RobotModel
 
 GRAVITY = 9.81
@@ -31,6 +33,7 @@ class Draft:
 
     build: Build
     urdf: str
+    judgment: Judgment
     groups: dict[str, list[str]] = field(default_factory=dict)
     poses: dict[str, dict[str, str]] = field(default_factory=dict)
     motors: dict[str, tuple[str, str, dict[str, str]]] = field(default_factory=dict)
@@ -41,7 +44,7 @@ class Draft:
 
     @property
     def is_fixed(self) -> bool:
-        return self.build.is_fixed
+        return self.build.is_fixed or self.judgment.kind in _FIXED
 
     def add_group(self, name: str, joints: Sequence[Joint]) -> str:
         """Add a group of joints. Returns its name, which is another one if a link, a joint or a group is
@@ -260,9 +263,9 @@ def hover(draft: Draft) -> dict[str, object]:
 def reach(draft: Draft) -> dict[str, object] | None:
     """Bring the tip of an arm to a place in space; None if no box of places is found that it can reach."""
     build = draft.build
-    if len(build.limbs) != 1 or len(build.limbs[0].joints) < 2:
+    limb = next(iter(build.arms or build.limbs), None)
+    if limb is None or len(limb.joints) < 2:
         return None
-    limb = build.limbs[0]
     joints = limb.joints
     if any(joint not in build.driven or joint.type == "prismatic" for joint in joints):
         return None
@@ -311,14 +314,14 @@ def walk(draft: Draft) -> dict[str, object]:
     positions: dict[str, float] = {}
     off = 0.0
     down = frames.rotate_back(tilt, (0.0, 0.0, -1.0))
-    for limb in build.limbs:
+    for limb in build.legs:
         stance, missing = _standing(build, limb, down)
         positions |= stance
         off = max(off, missing / (limb.reach or 1.0))
-    joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
+    joints = [joint for limb in build.legs for joint in limb.joints if joint in build.driven]
     group = draft.add_group("legs", joints)
     draft.add_start(group, "stand", positions, joints)
-    reach = max(limb.reach for limb in build.limbs)
+    reach = max(limb.reach for limb in build.legs)
     load = build.model.mass * GRAVITY * reach
     gains = {
         "stiffness": f"{short_number(_STIFFNESS_PER_LOAD * load)} N*m/rad",
@@ -328,7 +331,7 @@ def walk(draft: Draft) -> dict[str, object]:
     draft.hold([joint for joint in build.driven if joint not in joints])
     first, second = _gait(build, tilt)
     feet = {"first": draft.add_links("feet_a", first), "second": draft.add_links("feet_b", second)}
-    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.legs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
     axis = 0 if along >= across else 1
     height = build.height(positions, tilt)
@@ -359,7 +362,7 @@ def _front(build: Build, positions: Sequence[float]) -> int:
     ones; 0 if the names of the limbs do not say which are in front."""
     fronts: list[float] = []
     rears: list[float] = []
-    for limb, position in zip(build.limbs, positions, strict=True):
+    for limb, position in zip(build.legs, positions, strict=True):
         names = " ".join(f"{joint.name} {joint.child}" for joint in limb.joints)
         is_front, is_rear = bool(_FRONT.search(names)), bool(_REAR.search(names))
         if is_front is is_rear:
@@ -404,13 +407,13 @@ def _fallen(build: Build, down: Triple) -> str:
 def _gait(build: Build, tilt: Quaternion) -> tuple[list[str], list[str]]:
     """Return the feet that swing first and those that swing second: legs around the body in turn, so that a
     quadruped trots."""
-    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.legs]
     middle = [sum(hip[axis] for hip in hips) / len(hips) for axis in (0, 1)]
     order = sorted(
         range(len(hips)),
         key=lambda leg: atan2(hips[leg][1] - middle[1], hips[leg][0] - middle[0]),
     )
-    tips = [build.limbs[leg].tip for leg in order]
+    tips = [build.legs[leg].tip for leg in order]
     return tips[::2], tips[1::2]
 
 
@@ -419,7 +422,7 @@ def roam(draft: Draft) -> dict[str, object]:
     build = draft.build
     actions = {}
     for kind, unit, joints in grouped_by_unit(build.driven):
-        endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
+        endless = [joint for joint in joints if is_endless(joint)]
         if endless:
             actions[f"spin_{kind}"] = group = draft.add_group(f"turning_{kind}", endless)
             top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
@@ -443,7 +446,7 @@ def roam(draft: Draft) -> dict[str, object]:
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
 
 
-def posture(draft: Draft) -> dict[str, object]:
+def follow(draft: Draft) -> dict[str, object]:
     """Bring the joints of a mechanism to a drawn posture."""
     moved = []
     for kind, unit, joints in grouped_by_unit(draft.build.driven):
@@ -628,16 +631,10 @@ def _moved(point: Triple, axis: int, distance: float) -> Triple:
 def _upright(build: Build) -> tuple[float, float]:
     """Return roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its
     side."""
-    legs = [
-        frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0])
-        for limb in build.limbs
-    ]
-    x, y = (sum(leg[axis] / (hypot(*leg) or 1.0) for leg in legs) / len(legs) for axis in (0, 1))
-    if abs(y) > 0.8:
+    x, y, _ = build.down
+    if y:
         return (90.0 if y < 0 else -90.0), 0.0
-    if abs(x) <= 0.8:
-        return 0.0, 0.0
-    return 0.0, 90.0 if x > 0 else -90.0
+    return 0.0, 90.0 * x
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float], float]:
@@ -674,12 +671,64 @@ def _bending_axis(build: Build, limb: Limb) -> Triple:
     return max(axes, key=lambda axis: sum(abs(frames.dot(axis, second_axis)) > 0.9 for second_axis in axes))
 
 
-def scenario(model: RobotModel, urdf: str, name: str) -> str:
-    """Return the text of a scenario called `name` about a robot file.
+class Task(StrEnum):
+    """What a robot is to do. `deepbots new --task` takes these words."""
+
+    drive = "drive"
+    balance = "balance"
+    hover = "hover"
+    reach = "reach"
+    walk = "walk"
+    grasp = "grasp"
+    follow = "follow"
+    roam = "roam"
+
+
+_WRITERS: dict[Task, Callable[[Draft], dict[str, object] | None]] = {
+    Task.drive: drive,
+    Task.balance: balance,
+    Task.hover: hover,
+    Task.reach: reach,
+    Task.walk: walk,
+    Task.follow: follow,
+    Task.roam: roam,
+}
+_TASKS: dict[Kind, tuple[Task, ...]] = {
+    Kind.drone: (Task.hover,),
+    Kind.underwater: (Task.hover,),
+    Kind.balance: (Task.balance, Task.follow),
+    Kind.omni: (Task.drive,),
+    Kind.rover: (Task.drive,),
+    Kind.car: (Task.drive,),
+    Kind.skid: (Task.drive,),
+    Kind.differential: (Task.drive,),
+    Kind.arm_on_base: (Task.drive,),
+    Kind.humanoid: (Task.walk, Task.roam),
+    Kind.biped: (Task.walk, Task.roam),
+    Kind.quadruped: (Task.walk, Task.roam),
+    Kind.hexapod: (Task.walk, Task.roam),
+    Kind.hand: (Task.follow,),
+    Kind.exoskeleton: (Task.follow, Task.walk),
+    Kind.snake: (Task.roam, Task.follow),
+    Kind.arm: (Task.reach, Task.follow),
+    Kind.arm_with_gripper: (Task.reach, Task.follow),
+    Kind.two_arms: (Task.reach, Task.follow),
+    Kind.mechanism: (Task.follow, Task.roam),
+}
+"""The tasks of each kind, the default first."""
+_FIXED = (Kind.arm, Kind.arm_with_gripper, Kind.two_arms, Kind.hand, Kind.exoskeleton, Kind.mechanism)
+"""The kinds whose base stands still."""
+
+
+def scenario(
+    model: RobotModel, urdf: str, name: str, kind: Kind | None = None, task: Task | None = None
+) -> str:
+    """Return the text of a scenario called `name` about a robot file. The kind of the robot is judged by its
+    structure, unless `kind` names it; `task` is that of its kind by default.
 
     Raises:
-        UsageError: No joint of the robot can be driven, or a joint carries no mass, so that it cannot be
-            simulated.
+        UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
+            simulated, no kind is sure, or the task does not suit the robot.
     """
     build = Build(model)
     if build.weightless:
@@ -692,30 +741,26 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
         raise UsageError(
             f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it"
         )
-    draft = Draft(build, urdf)
-    template, values = next(
-        (task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None
-    )
+    judgment = judge(build) if kind is None else Judgment(kind, "as --kind says")
+    if judgment.kind is None and task is None:
+        raise UsageError(
+            f"deepbots is not sure what robot {urdf} is: {judgment.evidence}. Say it with"
+            f" --kind {'|'.join(Kind)}, or choose a task: --task {'|'.join(_WRITERS)}"
+        )
+    draft = Draft(build, urdf, judgment)
+    tasks = [task] if task else [*_TASKS[judgment.kind or Kind.mechanism]]
+    for task in tasks:
+        values = _WRITERS[task](draft)
+        if values is not None:
+            break
+    else:
+        raise UsageError(f"deepbots finds no way to let {urdf} {tasks[0]}; try another --task")
     text = (
         templates()
-        .get_template(f"{template}.yaml")
+        .get_template(f"{task}.yaml")
         .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
     )
     return "".join(f"{aligned(line)}\n" for line in text.splitlines())
-
-
-def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
-    """Return the tasks that suit a robot, best first; a task may turn out to be impossible."""
-    if build.rotors:
-        return [hover]
-    if build.balances or (build.poles and (build.wheels or build.is_fixed)):
-        return [balance]
-    if build.wheels:
-        return [drive]
-    if build.is_fixed:
-        return [reach, posture]
-    legged = len(build.limbs) > 1 and all(len(limb.joints) > 1 for limb in build.limbs)
-    return [walk] if legged and not any(joint.type == "prismatic" for joint in build.driven) else [roam]
 
 
 def _found(draft: Draft) -> list[str]:
@@ -723,11 +768,9 @@ def _found(draft: Draft) -> list[str]:
     build = draft.build
     model = draft.build.model
     counts = [
-        (len(build.wheels), "of them carries a wheel", "of them carry wheels"),
+        (len(build.wheels), "carries a wheel with a motor", "carry wheels with motors"),
         (len(build.steering), "steers", "steer"),
-        (len(build.rotors), "rotor", "rotors"),
-        (0 if build.wheels else len(build.limbs), "limb", "limbs"),
-        (len(build.idle), "without a motor", "without a motor"),
+        (len(build.idle), "has no motor", "have no motor"),
         (len(model.followers), "follows another joint", "follow another joint"),
     ]
     moving = len(model.moving_joints)
@@ -737,9 +780,9 @@ def _found(draft: Draft) -> list[str]:
     ]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
-        f"What was found in {draft.urdf}: {', '.join(parts)};",
-        f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below"
-        " were chosen from these: change them.",
+        f"{draft.urdf} is {draft.judgment}.",
+        f"{', '.join(parts)}; {build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}.",
+        "The values below were chosen from these: change them.",
         *(
             f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
             " its link."
