@@ -31,6 +31,8 @@ from deepbots_cli.robots.model import Joint, Link, RobotModel
 Positions = Mapping[str, float]
 """Joint positions by name, in rad or m; joints that are not named are at 0."""
 
+GRAVITY = 9.81
+"""The acceleration of gravity, in m/s^2."""
 _PROPELLER = re.compile(r"prop(?!er)|rotor|thruster", re.IGNORECASE)
 _ARM = re.compile(r"arm|shoulder|elbow|wrist|hand|gripper", re.IGNORECASE)
 _LEG = re.compile(r"leg|hip|knee|ankle|foot|thigh|toe|shank|calf|femur|tibia", re.IGNORECASE)
