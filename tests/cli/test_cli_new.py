@@ -26,7 +26,7 @@ from deepbots_cli import api, frames
 from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.new_files import write_new
-from deepbots_cli.cli.starters.build import Build
+from deepbots_cli.robots.build import Build
 from deepbots_cli.cli.starters.first_scenario import Draft
 from deepbots_cli.cli.starters.templates import Template
 from deepbots_cli.document import shipped

@@ -14,7 +14,7 @@ from deepbots_cli.frames import Quaternion, Triple, quaternion
 from deepbots_cli.robots.build import GRAVITY, Build, Limb
 
 if TYPE_CHECKING:
-    from deepbots_cli.cli.starters.first_scenario import Draft
+    from deepbots_cli.cli.starters.draft import Draft
 
 _STIFFNESS_PER_LOAD = 0.7
 """The stiffness of a leg's motors (N m/rad), per torque of the weight at the length of a leg (N m): as the

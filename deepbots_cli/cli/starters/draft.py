@@ -1,0 +1,150 @@
+"""The parts of a robot's entry in a scenario: groups, poses, motors and their commands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, degrees, floor, radians
+
+from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.robots.build import GRAVITY, Build, neutral
+from deepbots_cli.robots.kinds import Judgment, Kind
+from deepbots_cli.robots.model import Joint
+
+_FIXED = (Kind.arm, Kind.arm_with_gripper, Kind.two_arms, Kind.hand, Kind.exoskeleton, Kind.mechanism)
+"""The kinds whose base stands still."""
+
+
+@dataclass
+class Draft:
+    """The parts of a robot's entry that depend on its joints; the templates read them by these names.
+
+    `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions,
+    `starts` groups to poses, `remarks` actuators to comments.
+    """
+
+    build: Build
+    urdf: str
+    judgment: Judgment
+    groups: dict[str, list[str]] = field(default_factory=dict)
+    poses: dict[str, dict[str, str]] = field(default_factory=dict)
+    motors: dict[str, tuple[str, str, dict[str, str]]] = field(default_factory=dict)
+    commands: dict[str, str] = field(default_factory=dict)
+    starts: dict[str, str] = field(default_factory=dict)
+    positions: dict[str, float] = field(default_factory=dict)
+    remarks: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_fixed(self) -> bool:
+        return self.build.is_fixed or self.judgment.kind in _FIXED
+
+    def add_group(self, name: str, joints: Sequence[Joint]) -> str:
+        """Add a group of joints. Returns its name, which is another one if a link, a joint or a group is
+        called `name`."""
+        name = self._free(name)
+        self.groups[name] = [joint.name for joint in joints]
+        return name
+
+    def add_links(self, name: str, links: Sequence[str]) -> str:
+        """Add a group of links. Returns its name; see `add_group`."""
+        name = self._free(name)
+        self.groups[name] = list(links)
+        return name
+
+    def _free(self, name: str) -> str:
+        """Return a name that no link, joint or group has."""
+        model = self.build.model
+        links, joints = (link.name for link in model.links), (joint.name for joint in model.joints)
+        return _unused(name, [*links, *joints, *self.groups])
+
+    def add_start(
+        self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
+    ) -> str:
+        """Add a pose of a group in which episodes begin. Returns its name."""
+        name = _unused(name, [group, *self.poses])
+        rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
+        self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
+        self.starts[group] = name
+        self.positions |= rounded
+        return name
+
+    def add_motor(
+        self,
+        name: str,
+        kind: str,
+        group: str,
+        joints: Sequence[Joint],
+        command: str,
+        gains: Mapping[str, str] | None = None,
+    ) -> None:
+        """Add a motor for a group, with the settings `gains`. If the file names no effort, the motor is
+        strong enough for the robot's weight."""
+        settings = dict(gains or {})
+        if "max_torque" not in settings and not all(joint.limit.effort for joint in joints):
+            weight = max(self.build.model.mass, 0.1) * GRAVITY
+            arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
+            # Twice the weight, so that a vertical slide can also accelerate.
+            settings["max_torque"] = (
+                f"{short_number(2.0 * weight)} N"
+                if joints[0].type == "prismatic"
+                else f"{short_number(weight * arm)} N*m"
+            )
+        self.motors[name] = (kind, group, settings)
+        self.commands[name] = command
+
+    def hold(self, joints: Sequence[Joint]) -> None:
+        """Add motors that keep joints where they start."""
+        for kind, _, unit_joints in grouped_by_unit(joints):
+            group = self.add_group(f"held_{kind}", unit_joints)
+            pose = self.add_start(
+                group, f"rest_{kind}", {joint.name: neutral(joint) for joint in unit_joints}, unit_joints
+            )
+            self.add_motor(f"hold_{kind}", "position_motor", group, unit_joints, pose)
+
+    @property
+    def height(self) -> float:
+        """The height of the root at the start, in m. A fixed base is only raised to keep the rest out of the
+        ground."""
+        height = self.build.height(self.positions)
+        return max(height, 0.0) if self.is_fixed else height
+
+    @property
+    def raised(self) -> dict[str, str]:
+        """The settings of a start above the ground; empty for a robot that is not in the ground by default,
+        where it stands with all joints at 0."""
+        usual = 0.0 if self.is_fixed else self.build.height({})
+        return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
+
+
+def grouped_by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
+    """Return joints that turn apart from joints that slide, which never share a group: their name, their
+    unit, the joints."""
+    hinges, slides = (
+        [joint for joint in joints if (joint.type == "prismatic") is is_prismatic]
+        for is_prismatic in (False, True)
+    )
+    return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
+
+
+def _rounded(joint: Joint, value: float) -> float:
+    """Round to whole degrees or millimeters within the limits of the joint. If no such value lies within
+    them, return their middle."""
+    step = 1e-3 if joint.type == "prismatic" else radians(1.0)
+    low, high = joint.limit.lower, joint.limit.upper
+    rounded = round(value / step) * step
+    if joint.type == "continuous" or low is None or high is None or low <= rounded <= high:
+        return rounded
+    inside = ceil(low / step) * step if rounded < low else floor(high / step) * step
+    return inside if low <= inside <= high else (low + high) / 2
+
+
+def _with_unit(joint: Joint, value: float) -> str:
+    value += 0.0  # turns -0.0 into 0.0
+    return f"{value:.6g} m" if joint.type == "prismatic" else f"{degrees(value):.6g} deg"
+
+
+def _unused(name: str, used: Iterable[str]) -> str:
+    names = set(used)
+    return next(
+        free for free in (name, *(f"{name}_{n}" for n in range(2, len(names) + 3))) if free not in names
+    )
