@@ -9,7 +9,7 @@ coordinates are in the frame of the root link, in m and rad.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -627,6 +627,44 @@ class Build:
         ]
         return sorted(arms, key=lambda limb: -limb.reach)
 
+    def ends(self, joints: Sequence[Joint], around: Sequence[Joint]) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the positions at which finger joints are open and closed: the ends of their ranges at which
+        the links behind them are further from, and nearer to, the links behind the joints `around`."""
+        opened: dict[str, float] = {}
+        closed: dict[str, float] = {}
+        for joint in joints:
+            low, high = range_of(joint)
+            others = [other for other in around if other is not joint]
+            is_wider = self._gap(joint, others, high) > self._gap(joint, others, low)
+            opened[joint.name], closed[joint.name] = (high, low) if is_wider else (low, high)
+        return opened, closed
+
+    def _gap(self, joint: Joint, others: Sequence[Joint], position: float) -> float:
+        """Return the distance between the middle of what a joint moves and the middle of what the others move,
+        or of the link that carries it where there are none."""
+        moved = set(self.model.links_below(joint.child))
+        fixed = {name for other in others for name in self.model.links_below(other.child)} - moved
+        poses = link_frames(self.model, {joint.name: position})
+        return dist(self._middle(moved, poses), self._middle(fixed or {joint.parent}, poses))
+
+    def boxes_at(self, positions: Positions) -> list[Bounds]:
+        """Return the box around each link that has a shape."""
+        poses = link_frames(self.model, positions)
+        return [box for link in self.model.links if (box := _box(link, poses[link.name]))]
+
+    def middles(self, links: Sequence[str], positions: Positions) -> list[Triple]:
+        """Return the middle of the box around each link."""
+        poses = link_frames(self.model, positions)
+        return [self._middle([link], poses) for link in links]
+
+    def _middle(self, names: Iterable[str], poses: Mapping[str, Frame]) -> Triple:
+        """Return the middle of the box around links."""
+        boxes = [box for name in names if (box := _box(self.model.link(name), poses[name]))]
+        if not boxes:
+            boxes = [(poses[name][0], poses[name][0]) for name in names]
+        low, high = box_around(boxes)
+        return frames.scaled(frames.add(low, high), 0.5)
+
     @property
     def is_fixed(self) -> bool:
         """Whether the base is to be fixed: the root is not a body, or all of the robot is one limb that
@@ -642,6 +680,11 @@ class Build:
         # A limb that stays within the foot is a weight in a ball, and no arm.
         width = max((high[axis] - low[axis] for low, high in boxes for axis in (0, 1)), default=0.0)
         return len(limb.joints) == 1 or limb.joints[0].type == "prismatic" or limb.reach > width
+
+
+def mean_point(points: Sequence[Triple]) -> Triple:
+    x, y, z = (sum(values) / len(points) for values in zip(*points, strict=True))
+    return x, y, z
 
 
 def is_endless(joint: Joint) -> bool:

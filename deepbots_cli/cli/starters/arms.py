@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from itertools import product
+from collections.abc import Mapping, Sequence
+from itertools import combinations, product
+from math import degrees, dist, hypot
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.draft import Draft
+from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.frames import Triple
-from deepbots_cli.robots.build import Build, Limb
+from deepbots_cli.robots.build import Build, Limb, mean_point, neutral, range_of
+from deepbots_cli.robots.meshes import Bounds
+from deepbots_cli.robots.model import Joint
 
+_SPREADING_SHARE = 0.02
+"""The least change of the distance between fingertips, as a share of the size of the hand, of a joint that
+closes the hand."""
+_CLOSED_SHARE = 0.9
+"""How far a finger joint closes, as a share of the way to the end of its range."""
+_BENDING_RATIO = 1.5
+"""How much further a finger joint bends than it stretches, at least."""
+_BENDING_SHARE = 0.4
+"""How far a joint bends, as a share of the way to the end of its range, where its direction is tried: at the
+end, fingers have passed each other."""
+_STEPS_OF_CLOSING = 10
 _PARALLEL = 0.999
 """The cosine of the angle between axes that count as parallel."""
 _TIP_TOLERANCE = 0.02
@@ -38,7 +53,9 @@ def reach(draft: Draft) -> dict[str, object] | None:
         joints,
         "angles + stride * move    # each joint goes on from where it is",
     )
-    draft.hold([joint for joint in build.driven if joint not in joints])
+    gripper = add_gripper(draft, limb.fingers, "0.5 - 0.5 * grip")
+    held = [joint for joint in build.driven if joint not in joints and joint.name not in gripper]
+    draft.hold(held)
     lift = (0.0, 0.0, draft.height)
     ends = [
         " ".join(short_number(round(value, 3)) for value in frames.add(corner, lift))
@@ -58,8 +75,153 @@ def reach(draft: Draft) -> dict[str, object] | None:
         "tip": limb.tip,
         "reach": limb.reach,
         "bounded": bounded,
+        "gripper": bool(gripper),
     }
     return values | {"plane": "" if plane == "xyz" else f".{plane}"}
+
+
+def add_gripper(draft: Draft, fingers: Sequence[Joint], command: str) -> list[str]:
+    """Add a gripper that opens and closes the joints of a hand. Returns their names: none for a hand without
+    motors, or with slides and hinges."""
+    joints = [joint for joint in fingers if joint in draft.build.driven]
+    if not joints or len({joint.type == "prismatic" for joint in joints}) > 1:
+        return []
+    opened, closed = draft.build.ends(joints, joints)
+    group = draft.add_group("fingers", joints)
+    settings = {
+        "open": joint_values(joints, opened),
+        "closed": joint_values(joints, closed),
+    }
+    draft.add_start(group, "open", opened, joints)
+    draft.add_motor("gripper", "gripper", group, joints, command, settings)
+    return draft.groups[group]
+
+
+def grasp(draft: Draft) -> dict[str, object] | None:
+    """Close the fingers of a hand around a ball that hangs between them; None for fewer than two fingers."""
+    build = draft.build
+    fingers = _fingers(build)
+    joints = [joint for finger in fingers for joint in finger if joint in build.driven]
+    parts = [_shapes(build, finger) for finger in fingers]
+    tips = [part[-1] for part in parts if part]
+    if len(tips) < 2 or not joints:
+        return None
+    opened, closed = _grasp(build, joints, tips)
+    moved = []
+    for kind, unit, unit_joints in grouped_by_unit(joints):
+        group = draft.add_group(f"finger_{kind}", unit_joints)
+        open_pose = draft.add_start(group, f"open_{kind}", opened, unit_joints)
+        closed_pose = draft.add_pose(group, f"closed_{kind}", closed, unit_joints)
+        draft.add_motor(
+            f"close_{kind}",
+            "position_motor",
+            group,
+            unit_joints,
+            f"{open_pose} + ({closed_pose} - {open_pose}) * ((squeeze_{kind} + 1) / 2)",
+        )
+        moved.append({"name": kind, "group": group, "unit": unit})
+    draft.hold([joint for joint in build.driven if joint not in joints])
+    center, radius = _held_ball(build, tips, opened, closed)
+    center = frames.add(center, (0.0, 0.0, draft.height))
+    return {
+        "moved": moved,
+        "fingers": [
+            draft.add_links(f"finger_{number}", part) for number, part in enumerate(filter(None, parts), start=1)
+        ],
+        "needed": 3 if len(tips) > 3 else 2,
+        "center": " ".join(short_number(round(value, 4)) for value in center),
+        "radius": radius,
+    }
+
+
+def _fingers(build: Build) -> list[list[Joint]]:
+    """Return the joints of each finger: of each limb, or of each part beyond the wrist."""
+    if len(build.limbs) > 1:
+        return [[*limb.joints, *limb.fingers] for limb in build.limbs]
+    beyond = build.limbs[0].fingers
+    behind = {joint.child for joint in beyond}
+    firsts = [joint for joint in beyond if not any(joint.parent in build.rigid(link) for link in behind)]
+    return [[joint for joint in beyond if joint.child in build.model.links_below(first.child)] for first in firsts]
+
+
+def _shapes(build: Build, finger: Sequence[Joint]) -> list[str]:
+    """Return the links of a finger that have a shape, from the palm to the tip."""
+    links = [name for joint in finger for name in build.rigid(joint.child)]
+    return [name for name in dict.fromkeys(links) if name in build.boxes]
+
+
+def _grasp(
+    build: Build, joints: Sequence[Joint], tips: Sequence[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the positions of finger joints in an open and in a closed hand.
+
+    A joint closes toward the end of its range that is further from its neutral position, because fingers bend
+    further than they stretch. Where both ends are alike, it closes toward the middle of all fingertips;
+    where neither is nearer to it, the joint only spreads the fingers, and stays.
+    """
+    opened = {joint.name: neutral(joint) for joint in joints}
+    closed = dict(opened)
+    center = mean_point(build.middles(tips, opened))
+    for joint in joints:
+        start = opened[joint.name]
+        near, far = sorted(range_of(joint), key=lambda end: -abs(end - start))
+        own = [tip for tip in tips if tip in build.model.links_below(joint.child)]
+        if joint.type == "prismatic" or abs(near - start) < _BENDING_RATIO * abs(far - start):
+            distances = {
+                end: _mean_distance(build, own, {joint.name: start + _BENDING_SHARE * (end - start)}, center)
+                for end in (near, far)
+            }
+            near, far = sorted((near, far), key=distances.__getitem__)
+            if distances[far] - distances[near] < _SPREADING_SHARE * build.size:
+                continue
+        closed[joint.name] = start + _CLOSED_SHARE * (near - start)
+        opened[joint.name] = far if joint.type == "prismatic" else start
+    return opened, closed
+
+
+def _mean_distance(
+    build: Build, links: Sequence[str], positions: Mapping[str, float], center: Triple
+) -> float:
+    places = build.middles(links, positions)
+    return sum(dist(center, place) for place in places) / max(len(places), 1)
+
+
+def _held_ball(
+    build: Build, tips: Sequence[str], opened: Mapping[str, float], closed: Mapping[str, float]
+) -> tuple[Triple, float]:
+    """Return the center and the radius of a ball that as many fingertips as possible meet while the hand closes,
+    and that is clear of the open hand."""
+    paths = []
+    for number in range(_STEPS_OF_CLOSING + 1):
+        share = number / _STEPS_OF_CLOSING
+        positions = {name: start + share * (closed[name] - start) for name, start in opened.items()}
+        paths.append(build.middles(tips, positions))
+    boxes = build.boxes_at(opened)
+    balls: list[tuple[int, float, Triple]] = []
+    for places in paths:
+        centers = [mean_point(places), *(mean_point(pair) for pair in combinations(places, 2))]
+        for center in centers:
+            clearance = min(_distance(center, box) for box in boxes)
+            radius = min(0.9 * clearance, 0.25 * build.size)
+            meeting = sum(
+                min(dist(step[finger], center) for step in paths) < radius for finger in range(len(tips))
+            )
+            balls.append((meeting, radius, center))
+    _, radius, center = max(balls)
+    return center, max(radius, 0.02 * build.size)
+
+
+def _distance(point: Triple, box: Bounds) -> float:
+    """Return the distance (m) of a point from a box; 0 inside."""
+    beyond = (max(low - value, value - high, 0.0) for value, low, high in zip(point, *box, strict=True))
+    return hypot(*beyond)
+
+
+def joint_values(joints: Sequence[Joint], positions: Mapping[str, float]) -> str:
+    """Return a position of several joints of one unit as text: one number if they are equal."""
+    scale, unit = (1e3, "mm") if joints[0].type == "prismatic" else (degrees(1.0), "deg")
+    numbers = [short_number(scale * positions[joint.name]) for joint in joints]
+    return f"{numbers[0] if len(set(numbers)) == 1 else ' '.join(numbers)} {unit}"
 
 
 def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:

@@ -61,11 +61,19 @@ class Draft:
         self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
     ) -> str:
         """Add a pose of a group in which episodes begin. Returns its name."""
-        name = _unused(name, [group, *self.poses])
         rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
-        self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
-        self.starts[group] = name
+        self.starts[group] = self.add_pose(group, name, rounded, joints)
         self.positions |= rounded
+        return self.starts[group]
+
+    def add_pose(
+        self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
+    ) -> str:
+        """Add a pose of a group. Returns its name."""
+        name = _unused(name, [group, *self.poses])
+        self.poses[name] = {
+            joint.name: _with_unit(joint, _rounded(joint, positions[joint.name])) for joint in joints
+        }
         return name
 
     def add_motor(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 
-from deepbots_cli.cli.starters.arms import reach
+from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
 from deepbots_cli.cli.starters.legs import walk
 from deepbots_cli.cli.starters.text import aligned, short_number, templates
@@ -104,6 +104,7 @@ _WRITERS: dict[Task, Callable[[Draft], dict[str, object] | None]] = {
     Task.hover: hover,
     Task.reach: reach,
     Task.walk: walk,
+    Task.grasp: grasp,
     Task.follow: follow,
     Task.roam: roam,
 }
@@ -121,7 +122,7 @@ _TASKS: dict[Kind, tuple[Task, ...]] = {
     Kind.biped: (Task.walk, Task.roam),
     Kind.quadruped: (Task.walk, Task.roam),
     Kind.hexapod: (Task.walk, Task.roam),
-    Kind.hand: (Task.follow,),
+    Kind.hand: (Task.grasp, Task.follow),
     Kind.exoskeleton: (Task.follow, Task.walk),
     Kind.snake: (Task.roam, Task.follow),
     Kind.arm: (Task.reach, Task.follow),
