@@ -310,6 +310,8 @@ class Build:
     def all_wheels(self) -> list[Wheel]:
         """The wheels with and without a motor: two at least, or none."""
         wheels = [wheel for joint in self._free if (wheel := self._wheel(joint))]
+        rolling = {wheel.joint.child for wheel in wheels}  # rollers on wheels look like wheels
+        wheels = [wheel for wheel in wheels if wheel.joint.parent not in rolling]
         if all(wheel.is_caster for wheel in wheels):  # a base that steers with all its wheels
             wheels = [replace(wheel, is_caster=False) for wheel in wheels]
         return wheels if len(wheels) > 1 else []

@@ -9,8 +9,13 @@ from deepbots_cli import frames
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.robots.build import GRAVITY, Build, Wheel
+from deepbots_cli.robots.kinds import Kind
 from deepbots_cli.robots.model import Joint
 
+_PARALLEL = 0.94
+"""The cosine of 20 deg: axles with a larger angle between them are not parallel."""
+_MIN_SHARE = 0.05
+"""The least share of an action in the speed of a wheel that is written."""
 _LARGEST_PUSH = 5.0
 """The most that all wheels together may push, in weights of the robot."""
 _LIMITED_PUSH = 1.0
@@ -22,23 +27,56 @@ def drive(draft: Draft) -> dict[str, object]:
     build = draft.build
     speed = _wheel_speed(build, build.size)
     steered = bool(build.steering)
-    wheels = _drive_wheels(
-        draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
-    )
+    is_omni = draft.judgment.kind is Kind.omni and _has_crossed_axles(build)
+    if is_omni:
+        wheels = _drive_any_way(draft)
+    else:
+        wheels = _drive_wheels(
+            draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
+        )
     _limit_push(draft)
     _steer(draft, "turn")
     draft.hold(_others(build))
     field = max(1.0, 4.0 * build.size)
-    heading = degrees(atan2(build.forward[1], build.forward[0]))
+    heading = 0.0 if is_omni else degrees(atan2(build.forward[1], build.forward[0]))
     time = max(10.0, round(12.0 * field / (speed * build.wheels[0].radius)))
     return {
         "wheels": wheels,
         "steered": steered,
+        "omni": is_omni,
+        "rollers": any(wheel.rollers for wheel in build.wheels),
         "speed": speed,
         "field": field,
         "heading": heading,
         "max_time": time,
     }
+
+
+def _has_crossed_axles(build: Build) -> bool:
+    """Whether wheels roll in different directions."""
+    axle = build.wheels[0].axle
+    return any(abs(frames.dot(axle, wheel.axle)) < _PARALLEL for wheel in build.wheels)
+
+
+def _drive_any_way(draft: Draft) -> str:
+    """Add a motor for each of the wheels that roll in different directions: `gas` moves the robot along x,
+    `side` along y, and `turn` turns it. A wheel turns as fast as the robot moves at its place, along its
+    rolling direction. Returns the group of the wheels."""
+    wheels = draft.build.wheels
+    ways = [frames.cross(wheel.axle, (0.0, 0.0, 1.0)) for wheel in wheels]
+    x, y = (sum(wheel.center[axis] for wheel in wheels) / len(wheels) for axis in (0, 1))
+    arms = [
+        (wheel.center[0] - x) * way[1] - (wheel.center[1] - y) * way[0]
+        for wheel, way in zip(wheels, ways, strict=True)
+    ]
+    longest = max(map(abs, arms))
+    for wheel, way, arm in zip(wheels, ways, arms, strict=True):
+        shares = {"gas": way[0], "side": way[1], "turn": arm / longest}
+        terms = [f"{short_number(share)} * {name}" for name, share in shares.items() if abs(share) > _MIN_SHARE]
+        name = draft.add_group(f"wheel_{len(draft.motors) + 1}", [wheel.joint])
+        speed = f"top_speed * ({' + '.join(terms)})".replace("+ -", "- ")
+        draft.add_motor(f"drive_{name}", "velocity_motor", name, [wheel.joint], speed)
+    return draft.add_group("wheels", [wheel.joint for wheel in wheels])
 
 
 def balance(draft: Draft) -> dict[str, object]:
