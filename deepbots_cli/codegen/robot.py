@@ -382,8 +382,13 @@ class ActuatorBindings:
 
     def _rotor(self, link: str, moment_constant: float) -> str:
         """Return the link that carries a rotor, where on it the rotor sits, its axis and its moment
-        constant."""
-        carrier, (position, rotation) = rigid_root(self._model, link)
+        constant. A rotor without mass sits at the origin of its <inertial>, as in the files of
+        gym-pybullet-drones."""
+        carrier, frame = rigid_root(self._model, link)
+        inertial = self._model.link(link).inertial
+        if inertial is not None and inertial.mass == 0.0:
+            frame = frames.compose(frame, (inertial.origin.xyz, frames.IDENTITY_ROTATION))
+        position, rotation = frame
         axis = frames.rotate(rotation, (0.0, 0.0, 1.0))
         return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
 

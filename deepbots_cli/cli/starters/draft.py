@@ -20,7 +20,7 @@ class Draft:
     """The parts of a robot's entry that depend on its joints; the templates read them by these names.
 
     `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions,
-    `starts` groups to poses, `remarks` actuators to comments.
+    `starts` groups to poses, `remarks` actuators to comments, `links` links to settings.
     """
 
     build: Build
@@ -33,6 +33,7 @@ class Draft:
     starts: dict[str, str] = field(default_factory=dict)
     positions: dict[str, float] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)
+    links: dict[str, dict[str, str]] = field(default_factory=dict)
 
     @property
     def is_fixed(self) -> bool:

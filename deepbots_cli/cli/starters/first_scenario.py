@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from enum import StrEnum
+from math import prod
 
 from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
@@ -13,15 +15,36 @@ from deepbots_cli.cli.starters.wheels import balance, drive
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.build import GRAVITY, Build, is_endless, neutral, range_of
 from deepbots_cli.robots.kinds import Judgment, Kind, judge
-from deepbots_cli.robots.model import Joint, RobotModel
+from deepbots_cli.robots.kinematics import bounds_of_shape, box_sides
+from deepbots_cli.robots.model import (
+    Box,
+    Joint,
+    RobotModel,
+    homogeneous_inertial,
+    with_density,
+    with_link,
+)
 
 
-def hover(draft: Draft) -> dict[str, object]:
-    """Fly to a point and stay there."""
-    draft.groups["rotors"] = draft.build.rotors
+_DENSITY = 1000.0
+"""The density (kg/m^3) of a link without a mass, that of water."""
+
+
+def hover(draft: Draft) -> dict[str, object] | None:
+    """Fly or dive to a point and stay there; None without propellers."""
+    build = draft.build
+    is_diving = draft.judgment.kind is Kind.underwater
+    propellers = list(build.propellers) if is_diving else build.rotors or list(build.propellers)
+    if not propellers:
+        return None
+    draft.hold([joint for joint in build.driven if joint.child not in build.propellers])
+    weight = build.model.mass * GRAVITY
     return {
-        "each": draft.build.model.mass * GRAVITY / len(draft.build.rotors),
-        "mark": max(0.1 * draft.build.size, 0.01),
+        "rotors": draft.add_links("rotors", propellers),
+        "each": (0.1 if is_diving else 1.0) * weight / len(propellers),
+        "mark": max(0.1 * build.size, 0.01),
+        "diving": is_diving,
+        "place": {"xyz": "uniform(-0.3 -0.3 0.8 .. 0.3 0.3 1.2 m)", "yaw": "any"},
     }
 
 
@@ -143,6 +166,7 @@ def scenario(
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
             simulated, no kind is sure, or the task does not suit the robot.
     """
+    model, densities = _with_masses(model)
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
@@ -150,9 +174,10 @@ def scenario(
             f"joint '{joint.name}' of {urdf} moves no mass; add an <inertial> with a mass to link"
             f" '{joint.child}'"
         )
-    if not build.driven and not build.rotors:
+    if not build.driven and not build.propellers:
         raise UsageError(
-            f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it"
+            f"{urdf} has neither a joint that a motor can drive nor a propeller, so a policy could not control"
+            " it; a drone needs a link for each propeller, with its z axis along the thrust"
         )
     judgment = judge(build) if kind is None else Judgment(kind, "as --kind says")
     if judgment.kind is None and task is None:
@@ -161,6 +186,7 @@ def scenario(
             f" --kind {'|'.join(Kind)}, or choose a task: --task {'|'.join(_WRITERS)}"
         )
     draft = Draft(build, urdf, judgment)
+    draft.links |= {name: {"density": f"{short_number(_DENSITY)} kg/m^3"} for name in densities}
     tasks = [task] if task else [*_TASKS[judgment.kind or Kind.mechanism]]
     for task in tasks:
         values = _WRITERS[task](draft)
@@ -174,6 +200,22 @@ def scenario(
         .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
     )
     return "".join(f"{aligned(line)}\n" for line in text.splitlines())
+
+
+def _with_masses(model: RobotModel) -> tuple[RobotModel, list[str]]:
+    """Return the robot with a mass for each link that moves, has one shape and no mass in the file, and the names
+    of these links. The masses are those of boxes around the shapes."""
+    moving = {joint.child for joint in model.moving_joints}
+    names = []
+    for link in model.links:
+        if link.name not in moving or link.mass > 0.0 or isinstance(with_density(model, link.name, 1.0), str):
+            continue
+        (shape,) = link.collisions or link.visuals
+        sides = box_sides(bounds_of_shape(shape.shape))
+        inertial = homogeneous_inertial(Box(sides), _DENSITY * prod(sides), shape.origin)
+        model = with_link(model, replace(link, inertial=inertial))
+        names.append(link.name)
+    return model, names
 
 
 def _found(draft: Draft) -> list[str]:
@@ -191,11 +233,17 @@ def _found(draft: Draft) -> list[str]:
         f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
         *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
+    massless = [name for name, settings in draft.links.items() if "density" in settings]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"{draft.urdf} is {draft.judgment}.",
         f"{', '.join(parts)}; {build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}.",
         "The values below were chosen from these: change them.",
+        *(
+            [f"The file gives {len(massless)} links no mass: each is a body of {short_number(_DENSITY)} kg/m^3."]
+            if massless
+            else []
+        ),
         *(
             f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
             " its link."
