@@ -46,6 +46,8 @@ from deepbots_cli.program.task import (
     ImageObservation,
     Schedule,
 )
+from deepbots_cli.robots.build import Build
+from deepbots_cli.robots.kinds import judge
 from deepbots_cli.robots.kinematics import box_sides, resting_height, robot_bounds
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
@@ -132,6 +134,7 @@ def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
             "robot": {
                 "name": model.name,
                 "file": file.source.name,
+                "kind": str(judge(Build(model))),
                 "digest": file.digest,
                 **_counts(model),
                 "size_m": [round(side, 6) for side in box_sides(robot_bounds(model))],

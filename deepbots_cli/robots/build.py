@@ -629,7 +629,9 @@ class Build:
         ]
         return sorted(arms, key=lambda limb: -limb.reach)
 
-    def ends(self, joints: Sequence[Joint], around: Sequence[Joint]) -> tuple[dict[str, float], dict[str, float]]:
+    def ends(
+        self, joints: Sequence[Joint], around: Sequence[Joint]
+    ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the positions at which finger joints are open and closed: the ends of their ranges at which
         the links behind them are further from, and nearer to, the links behind the joints `around`."""
         opened: dict[str, float] = {}

@@ -18,6 +18,7 @@ from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import OUTPUT, Force, Json, option
 from deepbots_cli.cli.new_files import Files, modeline, write_new
 from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.cli.starters.first_scenario import Task
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
@@ -32,6 +33,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
+from deepbots_cli.robots.kinds import Judgment, Kind
 from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
@@ -80,6 +82,14 @@ def command(
             "--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot."
         ),
     ] = None,
+    kind: Annotated[
+        Kind | None,
+        option("--kind", "What the robot of --urdf is, where deepbots judges wrongly."),
+    ] = None,
+    task: Annotated[
+        Task | None,
+        option("--task", "What the robot of --urdf is to do, by default the task of its kind."),
+    ] = None,
     webots: Annotated[
         Path | None,
         option(
@@ -111,6 +121,8 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
+    if (kind or task) and not urdf:
+        raise UsageError("--kind and --task go with --urdf")
     _check_start(
         {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
         has_protos=bool(protos),
@@ -124,7 +136,8 @@ def command(
         folder = project
     starter: Starter | None = None
     if urdf:
-        contents = from_robot(urdf, name, folder, permissions)
+        contents, judgment = from_robot(urdf, name, folder, permissions, kind, task)
+        terminal.note(f"{urdf} is {judgment}")
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
         contents = dict(starter.files)
@@ -245,18 +258,26 @@ def validated_name(name: str) -> str:
     return bare
 
 
-def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
+def from_robot(
+    robot: str,
+    name: str,
+    folder: Path,
+    permissions: Permissions = Permissions(),
+    kind: Kind | None = None,
+    task: Task | None = None,
+) -> tuple[Files, Judgment]:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
-    package://...
+    package://... Also returns the kind of the robot.
 
     Raises:
-        UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no
-            joint that can be driven.
+        UsageError: The file does not exist, a scenario in the folder may not read it, the robot has no joint
+            that can be driven, no kind is sure, or the task does not suit the robot.
         ScenarioError: The file is not a valid robot.
     """
     model = open_robot(robot, permissions.folders)[0].model
-    text = starters.scenario(model, _reference(robot, folder, permissions), scenario_title(name))
-    return {PurePosixPath(f"{name}.yaml"): text.encode()}
+    reference = _reference(robot, folder, permissions)
+    text, judgment = starters.scenario(model, reference, scenario_title(name), kind, task)
+    return {PurePosixPath(f"{name}.yaml"): text.encode()}, judgment
 
 
 def _reference(robot: str, folder: Path, permissions: Permissions) -> str:

@@ -21,6 +21,8 @@ _CLOSED_SHARE = 0.9
 """How far a finger joint closes, as a share of the way to the end of its range."""
 _BENDING_RATIO = 1.5
 """How much further a finger joint bends than it stretches, at least."""
+_SCATTER = 0.1
+"""The largest distance of the ball from its mean place along each axis, in its radius."""
 _BENDING_SHARE = 0.4
 """How far a joint bends, as a share of the way to the end of its range, where its direction is tried: at the
 end, fingers have passed each other."""
@@ -123,13 +125,19 @@ def grasp(draft: Draft) -> dict[str, object] | None:
     draft.hold([joint for joint in build.driven if joint not in joints])
     center, radius = _held_ball(build, tips, opened, closed)
     center = frames.add(center, (0.0, 0.0, draft.height))
+    low, high = (
+        " ".join(short_number(round(value + sign * _SCATTER * radius, 4)) for value in center)
+        for sign in (-1.0, 1.0)
+    )
     return {
         "moved": moved,
         "fingers": [
-            draft.add_links(f"finger_{number}", part) for number, part in enumerate(filter(None, parts), start=1)
+            draft.add_links(f"finger_{number}", part)
+            for number, part in enumerate(filter(None, parts), start=1)
         ],
         "needed": 3 if len(tips) > 3 else 2,
-        "center": " ".join(short_number(round(value, 4)) for value in center),
+        "low": low,
+        "high": high,
         "radius": radius,
     }
 
@@ -141,7 +149,9 @@ def _fingers(build: Build) -> list[list[Joint]]:
     beyond = build.limbs[0].fingers
     behind = {joint.child for joint in beyond}
     firsts = [joint for joint in beyond if not any(joint.parent in build.rigid(link) for link in behind)]
-    return [[joint for joint in beyond if joint.child in build.model.links_below(first.child)] for first in firsts]
+    return [
+        [joint for joint in beyond if joint.child in build.model.links_below(first.child)] for first in firsts
+    ]
 
 
 def _shapes(build: Build, finger: Sequence[Joint]) -> list[str]:

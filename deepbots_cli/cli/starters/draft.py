@@ -37,7 +37,10 @@ class Draft:
 
     @property
     def is_fixed(self) -> bool:
-        return self.build.is_fixed or self.judgment.kind in _FIXED
+        kind = self.judgment.kind
+        if kind in _FIXED or not any(self.build.model.link(name).mass for name in self.build.trunk):
+            return True
+        return self.build.is_fixed and kind in (Kind.balance, None)
 
     def add_group(self, name: str, joints: Sequence[Joint]) -> str:
         """Add a group of joints. Returns its name, which is another one if a link, a joint or a group is
@@ -67,9 +70,7 @@ class Draft:
         self.positions |= rounded
         return self.starts[group]
 
-    def add_pose(
-        self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
-    ) -> str:
+    def add_pose(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
         """Add a pose of a group. Returns its name."""
         name = _unused(name, [group, *self.poses])
         self.poses[name] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import prod
 
@@ -24,7 +24,6 @@ from deepbots_cli.robots.model import (
     with_density,
     with_link,
 )
-
 
 _DENSITY = 1000.0
 """The density (kg/m^3) of a link without a mass, that of water."""
@@ -121,15 +120,26 @@ class Task(StrEnum):
     roam = "roam"
 
 
-_WRITERS: dict[Task, Callable[[Draft], dict[str, object] | None]] = {
-    Task.drive: drive,
-    Task.balance: balance,
-    Task.hover: hover,
-    Task.reach: reach,
-    Task.walk: walk,
-    Task.grasp: grasp,
-    Task.follow: follow,
-    Task.roam: roam,
+@dataclass(frozen=True)
+class _Writer:
+    """The parts that a task needs, in words and as a test, and the function that adds its entries to a draft."""
+
+    needs: str
+    suits: Callable[[Build], object]
+    write: Callable[[Draft], dict[str, object] | None]
+
+
+_WRITERS: dict[Task, _Writer] = {
+    Task.drive: _Writer("wheels with motors", lambda build: build.wheels, drive),
+    Task.balance: _Writer(
+        "wheels, or a pole without a motor", lambda build: build.wheels or build.poles, balance
+    ),
+    Task.hover: _Writer("propellers", lambda build: build.propellers, hover),
+    Task.reach: _Writer("an arm of hinges with motors", lambda build: build.limbs, reach),
+    Task.walk: _Writer("legs", lambda build: build.legs, walk),
+    Task.grasp: _Writer("fingers", lambda build: build.limbs, grasp),
+    Task.follow: _Writer("joints with motors", lambda build: build.driven, follow),
+    Task.roam: _Writer("joints with motors", lambda build: build.driven, roam),
 }
 _TASKS: dict[Kind, tuple[Task, ...]] = {
     Kind.drone: (Task.hover,),
@@ -158,9 +168,9 @@ _TASKS: dict[Kind, tuple[Task, ...]] = {
 
 def scenario(
     model: RobotModel, urdf: str, name: str, kind: Kind | None = None, task: Task | None = None
-) -> str:
-    """Return the text of a scenario called `name` about a robot file. The kind of the robot is judged by its
-    structure, unless `kind` names it; `task` is that of its kind by default.
+) -> tuple[str, Judgment]:
+    """Return the text of a scenario called `name` about a robot file, and the kind of the robot. The kind is
+    judged by the structure of the robot, unless `kind` names it; `task` is that of its kind by default.
 
     Raises:
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
@@ -182,24 +192,37 @@ def scenario(
     judgment = judge(build) if kind is None else Judgment(kind, "as --kind says")
     if judgment.kind is None and task is None:
         raise UsageError(
-            f"deepbots is not sure what robot {urdf} is: {judgment.evidence}. Say it with"
-            f" --kind {'|'.join(Kind)}, or choose a task: --task {'|'.join(_WRITERS)}"
+            f"deepbots is not sure what {urdf} is ({judgment.evidence}); say it with --kind, or say what it"
+            f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment)
     draft.links |= {name: {"density": f"{short_number(_DENSITY)} kg/m^3"} for name in densities}
-    tasks = [task] if task else [*_TASKS[judgment.kind or Kind.mechanism]]
-    for task in tasks:
-        values = _WRITERS[task](draft)
-        if values is not None:
-            break
-    else:
-        raise UsageError(f"deepbots finds no way to let {urdf} {tasks[0]}; try another --task")
+    task, values = _task(draft, task)
     text = (
         templates()
         .get_template(f"{task}.yaml")
         .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
     )
-    return "".join(f"{aligned(line)}\n" for line in text.splitlines())
+    return "".join(f"{aligned(line)}\n" for line in text.splitlines()), judgment
+
+
+def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
+    """Return a task and the values of its template: the one that is asked for, or the first that suits the kind
+    of the robot.
+
+    Raises:
+        UsageError: The robot lacks the parts.
+    """
+    tasks = [task] if task else _TASKS[draft.judgment.kind or Kind.mechanism]
+    for candidate in tasks:
+        writer = _WRITERS[candidate]
+        values = writer.write(draft) if writer.suits(draft.build) else None
+        if values is not None:
+            return candidate, values
+    raise UsageError(
+        f"`--task {tasks[0]}` needs {_WRITERS[tasks[0]].needs}, which deepbots does not find in {draft.urdf};"
+        " choose another task"
+    )
 
 
 def _with_masses(model: RobotModel) -> tuple[RobotModel, list[str]]:
@@ -240,7 +263,9 @@ def _found(draft: Draft) -> list[str]:
         f"{', '.join(parts)}; {build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}.",
         "The values below were chosen from these: change them.",
         *(
-            [f"The file gives {len(massless)} links no mass: each is a body of {short_number(_DENSITY)} kg/m^3."]
+            [
+                f"The file gives {len(massless)} links no mass: each is a body of {short_number(_DENSITY)} kg/m^3."
+            ]
             if massless
             else []
         ),

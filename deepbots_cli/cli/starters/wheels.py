@@ -72,7 +72,9 @@ def _drive_any_way(draft: Draft) -> str:
     longest = max(map(abs, arms))
     for wheel, way, arm in zip(wheels, ways, arms, strict=True):
         shares = {"gas": way[0], "side": way[1], "turn": arm / longest}
-        terms = [f"{short_number(share)} * {name}" for name, share in shares.items() if abs(share) > _MIN_SHARE]
+        terms = [
+            f"{short_number(share)} * {name}" for name, share in shares.items() if abs(share) > _MIN_SHARE
+        ]
         name = draft.add_group(f"wheel_{len(draft.motors) + 1}", [wheel.joint])
         speed = f"top_speed * ({' + '.join(terms)})".replace("+ -", "- ")
         draft.add_motor(f"drive_{name}", "velocity_motor", name, [wheel.joint], speed)
