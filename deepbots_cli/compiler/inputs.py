@@ -90,12 +90,12 @@ class Inputs:
 
         `package://` and the folders above the robot file may lead elsewhere from the copy.
         """
-        text, pieces, end = robot.file.source.text, [], 0
-        for span, mesh in sorted(robot.file.mesh_spans.items(), key=lambda entry: entry[0].start):
+        text, pieces, end = robot.file.text, [], 0
+        for (start, after), mesh in sorted(robot.file.mesh_spans.items()):
             folder = PurePath(self.names[robot.path]).parent
             name = PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
-            pieces += [text[end : span.start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
-            end = span.end
+            pieces += [text[end:start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
+            end = after
         return "".join([*pieces, text[end:]])
 
     def resolved(self) -> str:

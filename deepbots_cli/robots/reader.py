@@ -41,6 +41,7 @@ from deepbots_cli.robots.model import (
     Vector,
 )
 from deepbots_cli.robots.units import unit_faults
+from deepbots_cli.robots.xacro import Expansion, expand, is_xacro, plain_text
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
@@ -94,17 +95,20 @@ class RobotFile:
     """A robot and its text, with the span of the name of each link and joint, of the limits of each joint,
     and of each file name of a mesh, with the real path of that mesh.
 
-    `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its
+    `text` is the URDF, expanded where the file is xacro, and `digest` its sha256 (hex); `mesh_spans` are places
+    in it. `xacro` has what the expansion read. `meshes` maps the real path of each mesh to the digest of its
     bytes.
     """
 
     model: RobotModel
     source: Source
+    text: str
     digest: str
     link_spans: Mapping[str, Span]
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
-    mesh_spans: Mapping[Span, str]
+    mesh_spans: Mapping[tuple[int, int], str]
+    xacro: Expansion | None = None
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -119,11 +123,17 @@ _CACHE: dict[tuple[bytes, str], RobotFile] = {}
 
 
 def read(
-    path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None
+    path: Path,
+    display: str,
+    findings: Findings,
+    *,
+    resolve_mesh: ResolveMesh | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> RobotFile | None:
     """Read the robot file at `path`, which findings call `display`.
 
     Args:
+        arguments: The values of the arguments of a xacro file.
         resolve_mesh: From a mesh file name as written to its real path, or why it may not be read. Without
             it, meshes must lie in the folder of the robot file or in the package they name.
 
@@ -134,9 +144,8 @@ def read(
     if path.is_file():  # a pipe would block for ever
         try:
             data = read_at_most(path, MAX_BYTES + 1)  # one more shows that the file is larger
-            return read_bytes(
-                data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent)
-            )
+            resolve = resolve_mesh or mesh_resolver(path.absolute().parent)
+            return read_bytes(data, display, findings, resolve_mesh=resolve, arguments=arguments)
         except OSError as error:
             headline = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
     findings.add("DB301", Span(Source(display, ""), 0, 0), headline)
@@ -144,7 +153,12 @@ def read(
 
 
 def read_bytes(
-    data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh
+    data: bytes,
+    display: str,
+    findings: Findings,
+    *,
+    resolve_mesh: ResolveMesh,
+    arguments: Mapping[str, str] | None = None,
 ) -> RobotFile | None:
     """Read a robot file that is already in memory.
 
@@ -153,16 +167,18 @@ def read_bytes(
     if (cached := _CACHE.get((data, display))) is not None:
         return cached
     before = len(findings)
-    robot = _read(data, display, findings, resolve_mesh)
+    robot = _read(data, display, findings, resolve_mesh, arguments or {})
     # Files of meshes may change, and each caller gets the findings anew: such robots are read again.
-    if robot is not None and not robot.meshes and len(findings) == before:
+    if robot is not None and not robot.meshes and robot.xacro is None and len(findings) == before:
         if len(_CACHE) >= MAX_CACHED_FILES:
             _CACHE.clear()
         _CACHE[data, display] = robot
     return robot
 
 
-def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
+def _read(
+    data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh, arguments: Mapping[str, str]
+) -> RobotFile | None:
     source = _decode(data, display, findings)
     root = parse(source, findings) if source else None
     if source is None or root is None:
@@ -173,13 +189,13 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
             help="only URDF is read; convert the file first",
         )
         return None
+    xacro = None
+    if is_xacro(source.text):
+        xacro = expand(root, resolve_mesh, arguments, findings)
+        if xacro is None:
+            return None
+        root = xacro.root
     _check_words(root)
-    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
-    if macro is not None:  # the plain elements of a program that writes URDF would give another robot
-        macro.error(
-            "a xacro macro that has not been expanded",
-            help="expand the file first: xacro robot.urdf.xacro > robot.urdf",
-        )
     links, joints = _named(root, "link"), _named(root, "joint")
     if not root.find_all("link"):
         root.error("the robot has no links")
@@ -208,8 +224,23 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
         for name, element in joints.items()
         if (limits := element.find_all("limit"))
     }
-    digest = hashlib.sha256(data).hexdigest()
-    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans)
+    text, mesh_names = plain_text(root) if xacro else (source.text, _mesh_names(root))
+    digest = hashlib.sha256(text.encode() if xacro else data).hexdigest()
+    mesh_spans = {span: meshes.paths[name] for span, name in mesh_names.items() if name in meshes.paths}
+    return RobotFile(model, source, text, digest, link_spans, joint_spans, limit_spans, mesh_spans, xacro)
+
+
+def _mesh_names(root: Element) -> dict[tuple[int, int], str]:
+    """Return the name of each mesh file by its place in the text."""
+    names: dict[tuple[int, int], str] = {}
+    waiting = [root]
+    while waiting:
+        element = waiting.pop()
+        waiting += element.children
+        if element.tag == "mesh" and "filename" in element.attributes:
+            _, start, end = element.value_span("filename")
+            names[start, end] = element.attributes["filename"]
+    return names
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -445,7 +476,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
             " folder, as PyBullet does"
         )
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
-    meshes.spans[element.value_span("filename")] = str(loaded.path)
+    meshes.paths[filename] = str(loaded.path)
     return Mesh(str(loaded.path), loaded.digest, scale)
 
 
