@@ -64,7 +64,7 @@ class Inputs:
         first = next(
             (path for path, source in files.items() if source is main), self.document.base / main.name
         )
-        robots = {robot.path: robot.file.source.text for robot in self._all_robots}
+        robots = {robot.copied_path: robot.file.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
     def write(self, folder: Path) -> None:
@@ -79,7 +79,7 @@ class Inputs:
         Raises:
             UsageError: A mesh has gone since it was checked.
         """
-        texts = self._texts | {robot.path: self._robot_text(robot) for robot in self._all_robots}
+        texts = self._texts | {robot.copied_path: self._robot_text(robot) for robot in self._all_robots}
         return {
             name: texts[file].encode() if file in texts else _read_bytes(file)
             for file, name in self.names.items()
@@ -92,7 +92,7 @@ class Inputs:
         """
         text, pieces, end = robot.file.text, [], 0
         for (start, after), mesh in sorted(robot.file.mesh_spans.items()):
-            folder = PurePath(self.names[robot.path]).parent
+            folder = PurePath(self.names[robot.copied_path]).parent
             name = PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
             pieces += [text[end:start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
             end = after
@@ -100,10 +100,11 @@ class Inputs:
 
     def resolved(self) -> str:
         """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check
-        takes longer than all others."""
+        takes longer than all others; xacro files are expanded."""
         if self.document.root is None:
             return ""
-        root = without_paths(self.document.root, [(TUNE,)])
+        arguments = [("robots", name, "xacro") for name in self.robots]
+        root = without_paths(self.document.root, [(TUNE,), *arguments])
         for path, file in (self._files_by_path | self._files_of_variants()).items():
             node, key, _ = descend(root, path)
             if isinstance(node, ScalarNode) and key is not None:
@@ -114,7 +115,7 @@ class Inputs:
     @property
     def _files_by_path(self) -> dict[NodePath, Path]:
         """Every file that is named in the scenario, by where."""
-        return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(
+        return {("robots", name, "urdf"): robot.copied_path for name, robot in self.robots.items()} | dict(
             self.files
         )
 

@@ -20,7 +20,7 @@ from itertools import chain, islice, product
 from pathlib import Path
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.collada import FaultyColladaError, placed_triangles

@@ -111,6 +111,11 @@ class RobotFile:
     xacro: Expansion | None = None
 
     @property
+    def sources(self) -> tuple[Source, ...]:
+        """The file and those that it includes."""
+        return (self.source, *(self.xacro.included if self.xacro else ()))
+
+    @property
     def meshes(self) -> dict[str, str]:
         shapes = (
             geometry.shape for link in self.model.links for geometry in (*link.visuals, *link.collisions)

@@ -10,15 +10,15 @@ that has them; parameters of macros and conditions at once; macros see the prope
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from itertools import takewhile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Findings, Label, Source
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
 from deepbots_cli.robots.meshes import MeshAboveRobot, ResolveMesh, UnusableMesh
@@ -42,9 +42,10 @@ _PARAMETER = re.compile(
 )
 _WORD = re.compile(r"\s*(\S+)\s*")
 _BOOLEANS = {"true": True, "True": True, "false": False, "False": False}
+# xacro's, of values in YAML files
 _UNITS = {
     "radians": 1.0,
-    "degrees": 0.017453292519943295,
+    "degrees": math.pi / 180,
     "meters": 1.0,
     "millimeters": 0.001,
     "foot": 0.3048,
@@ -117,7 +118,7 @@ class Scope(Mapping[str, Any]):
         raise KeyError(name)
 
     def __iter__(self) -> Iterator[str]:
-        names = {name: None for scope in self.chain for name in scope.properties}
+        names = {name: None for scope in self.chain if scope.above for name in scope.properties}
         return (name for name in names if not name.startswith("*"))
 
     def __len__(self) -> int:

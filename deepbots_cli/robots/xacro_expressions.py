@@ -107,11 +107,9 @@ def _rounded(number: float, digits: int | None = None) -> float:
 
 
 _PLAIN = (abs, all, any, bool, dict, enumerate, float, int, isinstance, len, list, map, max, min, reversed)
-_MATH = (
-    "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh degrees e exp fabs floor fmod hypot inf"
-    " isclose isfinite isinf isnan log log10 log2 nan pi pow radians sin sinh sqrt tan tanh tau trunc"
-).split()
-MATH = Namespace({name: getattr(math, name) for name in _MATH})
+_MATH = """acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh degrees e exp fabs floor fmod hypot inf
+    isclose isfinite isinf isnan log log10 log2 nan pi pow radians sin sinh sqrt tan tanh tau trunc"""
+MATH = Namespace({name: getattr(math, name) for name in _MATH.split()})
 _PYTHON = Namespace(
     {function.__name__: function for function in (*_PLAIN, sorted, str, tuple, zip)},
     range=_range,
@@ -121,11 +119,10 @@ _PYTHON = Namespace(
 FUNCTIONS: Mapping[str, Any] = {**MATH, **_PYTHON, "math": MATH, "python": _PYTHON}
 """The names that every expression may use."""
 
+_TEXT_METHODS = """capitalize count endswith find format index isdigit join lower lstrip replace rfind rsplit
+    rstrip split startswith strip title upper"""
 _METHODS: dict[type, frozenset[str]] = {
-    str: frozenset(
-        "capitalize count endswith find format index isdigit join lower lstrip replace rfind rsplit rstrip"
-        " split startswith strip title upper".split()
-    ),
+    str: frozenset(_TEXT_METHODS.split()),
     list: frozenset(("count", "index", "pop")),
     tuple: frozenset(("count", "index")),
     dict: frozenset(("get", "items", "keys", "values")),
@@ -243,9 +240,8 @@ class Evaluator:
         elif isinstance(node.op, ast.Pow) and isinstance(left, int) and isinstance(right, int):
             if left.bit_length() * abs(right) > _MAX_BITS:
                 raise _too_large()
-        elif isinstance(node.op, ast.Mod) and isinstance(left, str):
-            if _PERCENT.sub("", left):
-                raise XacroError(f"deepbots does not support the format {quoted(left)}", WAY_OUT)
+        elif isinstance(node.op, ast.Mod) and isinstance(left, str) and _PERCENT.sub("", left):
+            raise XacroError(f"deepbots does not support the format {quoted(left)}", WAY_OUT)
         return self._budget.bounded(self._operator(node.op)(left, right))
 
     def _operator(self, node: ast.AST) -> Callable[..., Any]:

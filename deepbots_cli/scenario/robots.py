@@ -94,6 +94,9 @@ class Robot(Section):
     urdf: Annotated[str, FilePath("robot file")]
     """The robot file: a path relative to the scenario file in which it is written, the name of a shipped
     robot, or `package://name/path`."""
+    xacro: dict[str, Scalar | bool] = {}
+    """Arguments of a robot file in xacro, in place of the defaults of its `<xacro:arg>`: `{prefix: left_,
+    use_camera: false}`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
     self_collision: bool = False

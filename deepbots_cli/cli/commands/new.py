@@ -15,9 +15,9 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.command import OUTPUT, Force, Json, option
+from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.cli.sources import open_robot, xacro_arguments
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
@@ -80,6 +80,7 @@ def command(
             "--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot."
         ),
     ] = None,
+    xacro: XacroArguments = None,
     webots: Annotated[
         Path | None,
         option(
@@ -115,6 +116,8 @@ def command(
         {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
         has_protos=bool(protos),
     )
+    if xacro and not urdf:
+        raise UsageError("--xacro-arg goes with --urdf")
     if project is not None:
         if folder != Path(".") or schema:
             raise UsageError(
@@ -124,7 +127,7 @@ def command(
         folder = project
     starter: Starter | None = None
     if urdf:
-        contents = from_robot(urdf, name, folder, permissions)
+        contents = from_robot(urdf, name, folder, permissions, xacro_arguments(xacro))
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
         contents = dict(starter.files)
@@ -245,17 +248,23 @@ def validated_name(name: str) -> str:
     return bare
 
 
-def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
+def from_robot(
+    robot: str,
+    name: str,
+    folder: Path,
+    permissions: Permissions = Permissions(),
+    xacro: Mapping[str, str] | None = None,
+) -> Files:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
-    package://...
+    package://..., with the arguments of a xacro file.
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no
             joint that can be driven.
         ScenarioError: The file is not a valid robot.
     """
-    model = open_robot(robot, permissions.folders)[0].model
-    text = starters.scenario(model, _reference(robot, folder, permissions), scenario_title(name))
+    model = open_robot(robot, permissions.folders, xacro)[0].model
+    text = starters.scenario(model, _reference(robot, folder, permissions), scenario_title(name), xacro)
     return {PurePosixPath(f"{name}.yaml"): text.encode()}
 
 
@@ -306,7 +315,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
             raise UsageError(
                 f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {advice}"
             )
-        if shipped_name.startswith("package://") or shipped_name.endswith(".urdf"):
+        if shipped_name.startswith("package://") or shipped_name.endswith((".urdf", ".xacro")):
             raise UsageError(
                 f"--from copies a scenario, and {shipped_name} is a robot; for a scenario with this robot:"
                 f" deepbots new {quote(name)} --urdf {quote(shipped_name)}"

@@ -12,7 +12,7 @@ from math import atan2, ceil, cos, degrees, floor, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
-from deepbots_cli.cli.starters.text import aligned, short_number, templates
+from deepbots_cli.cli.starters.text import aligned, short_number, templates, yaml_name
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import Quaternion, Triple, quaternion
@@ -31,6 +31,7 @@ class Draft:
 
     build: Build
     urdf: str
+    xacro: Mapping[str, str] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=dict)
     poses: dict[str, dict[str, str]] = field(default_factory=dict)
     motors: dict[str, tuple[str, str, dict[str, str]]] = field(default_factory=dict)
@@ -674,8 +675,8 @@ def _bending_axis(build: Build, limb: Limb) -> Triple:
     return max(axes, key=lambda axis: sum(abs(frames.dot(axis, second_axis)) > 0.9 for second_axis in axes))
 
 
-def scenario(model: RobotModel, urdf: str, name: str) -> str:
-    """Return the text of a scenario called `name` about a robot file.
+def scenario(model: RobotModel, urdf: str, name: str, xacro: Mapping[str, str] | None = None) -> str:
+    """Return the text of a scenario called `name` about a robot file, with the arguments of a xacro file.
 
     Raises:
         UsageError: No joint of the robot can be driven, or a joint carries no mass, so that it cannot be
@@ -692,7 +693,7 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
         raise UsageError(
             f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it"
         )
-    draft = Draft(build, urdf)
+    draft = Draft(build, urdf, {name: yaml_name(value) for name, value in (xacro or {}).items()})
     template, values = next(
         (task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None
     )
