@@ -649,8 +649,8 @@ class ResolvedRobot:
 def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobot | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
     document, values = namespace.document, namespace.values
-    node = descend(values.root, spec.path)[0]
-    if isinstance(node, MappingNode) and node.partial:
+    nodes = (descend(values.root, path)[0] for path in (spec.path, (*spec.path, "xacro")))
+    if any(isinstance(node, MappingNode) and node.partial for node in nodes):
         return None  # a finding took keys away that the rest of the scenario may name
     file_at = locate_file(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
@@ -678,7 +678,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
     names = sorted(file.xacro.arguments) if file.xacro else []
     for argument in [argument for argument in spec.xacro if argument not in names]:
         span = values.key_span((*spec.path, "xacro", argument))
-        values.report_unknown(span, f"xacro argument of `{spec.urdf}`", argument, names)
+        values.report_unknown(span, "xacro argument", argument, names)
     groups = _groups(file.model, spec, values)
     model = Overrides(name, groups, namespace).apply(file.model, spec)
     has_mass = [
