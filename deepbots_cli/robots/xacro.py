@@ -27,11 +27,13 @@ from deepbots_cli.robots.xacro_expressions import WAY_OUT, Budget, Evaluator, Na
 MAX_ELEMENTS = 50_000
 MAX_TEXT = 4_000_000  # characters of all attributes
 MAX_READ = 8 << 20  # bytes of all included files
-MAX_YAML_BYTES, MAX_YAML_SIZE = 256 << 10, 20_000
+MAX_YAML_BYTES, MAX_YAML_SIZE = 128 << 10, 20_000
 _PREFIX = "xacro:"
 _MAX_LABELS = 3
+_STEPS_OF_CALL = 5  # a call takes as long as so many elements
 _MARKS = ("<xacro:", "${", "$(")
 _KEPT = ("link", "joint", "material")
+_NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _XML_NAME = re.compile(r"[A-Za-z_][\w.:-]*")
 _PIECE = re.compile(
     r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)|(?P<open>\$[{(])|(?P<text>[^$]+|\$)"
@@ -118,7 +120,7 @@ class Scope(Mapping[str, Any]):
         raise KeyError(name)
 
     def __iter__(self) -> Iterator[str]:
-        names = {name: None for scope in self.chain if scope.above for name in scope.properties}
+        names = {name: None for scope in self.chain if scope.above is not None for name in scope.properties}
         return (name for name in names if not name.startswith("*"))
 
     def __len__(self) -> int:
@@ -269,7 +271,10 @@ class _Expander:
         try:
             if text is None:
                 raise XacroError(f"<{template.tag}> without the attribute '{key}'")
-            return self.text(text, scope)
+            value = self.text(text, scope)
+            if isinstance(value, str) and (character := _NOT_XML.search(value)):
+                raise XacroError(f"the value has the character {ascii(character[0])}, which XML forbids")
+            return value
         except XacroError as error:
             error.span = error.span or template.value_span(key)
             raise
@@ -380,6 +385,7 @@ class _Expander:
             raise _at(
                 template, None, f"there is no macro {quoted(name)}", known_names_help(name, names, "macros")
             ) from error
+        self.budget.spend(_STEPS_OF_CALL)
         inner = Scope(self._property, above)
         waiting = dict(macro.parameters)
         for key in template.attributes:
