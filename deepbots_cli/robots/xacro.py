@@ -273,7 +273,7 @@ class _Expander:
                 raise XacroError(f"<{template.tag}> without the attribute '{key}'")
             value = self.text(text, scope)
             if isinstance(value, str) and (character := _NOT_XML.search(value)):
-                raise XacroError(f"the value has the character {ascii(character[0])}, which XML forbids")
+                raise XacroError(f"the value has the character {character[0]!a}, which XML forbids")
             return value
         except XacroError as error:
             error.span = error.span or template.value_span(key)

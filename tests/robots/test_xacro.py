@@ -402,12 +402,11 @@ def test_a_file_outside_of_the_allowed_folders_is_not_read(tmp_path):
     assert expand(root, mesh_resolver(inside, [tmp_path]), {}, findings) is not None
 
 
+WORD_TEXT = """a list map t 1 2.5 'x' "y" + - * / ** // % ( ) [ ] : , . .upper() .format .split( if else and or not in is
+    == < > lambda for None True len str int float range max sum math.pi xacro.load_yaml __class__ $ $(arg x) #
+    \\ ; = := @ ! ~ { e9 0x 1_0 j"""
 WORDS = st.lists(
-    st.sampled_from(
-        """a list map t 1 2.5 'x' "y" + - * / ** // % ( ) [ ] : , . .upper() .format .split( if else and or not in is
-        == < > lambda for None True len str int float range max sum math.pi xacro.load_yaml __class__ $ $(arg x) #
-        \\ ; = := @ ! ~ { e9 0x 1_0 j \n""".split(" ")
-    ),
+    st.sampled_from(WORD_TEXT.split()),
     max_size=12,
 ).map(" ".join)
 
@@ -434,8 +433,10 @@ robots:
     joint: axle}}, apply: {m: push * 0.1 N*m}}
   two: {urdf: arm.urdf.xacro, base: fixed, pose: {x: 2 m}, xacro: {side: right, size: 0.2}}
 action: {push: -1 .. 1}
-observation: {one.axle: -10 .. 10 rad}
-reward: {still: -abs(one.axle)}
+world: {timestep: 16 ms}
+augment: {angle: joint_position(one.axle)}
+observation: {angle: -180 .. 180 deg}
+reward: {still: -abs(angle) / rad}
 truncation: {max_steps: 10}
 """
 
@@ -445,12 +446,13 @@ def write_robot(folder: Path) -> None:
     (folder / "meshes").mkdir()
     (folder / "meshes" / "left block.stl").write_bytes(block("x.stl", (0.1, 0.1, 0.1)))
     (folder / "parts.xacro").write_text(WHEEL.replace("${prefix}_axle", "axle"))
-    mesh = '<link name="extra"><visual><geometry><mesh filename="meshes/$(arg side) block.stl"/></geometry></visual></link>'
+    mesh = '<visual><geometry><mesh filename="meshes/$(arg side) block.stl"/></geometry></visual></link>'
+    extra = LINK.format(name="extra", size="1 1 1").replace("</link>", mesh)
     body = [
         '<xacro:arg name="size" default="0.1"/><xacro:arg name="with_mesh" default="false"/>',
         '<xacro:include filename="parts.xacro"/>',
         LINK.format(name="base", size="$(arg size) 0.1 0.1"),
-        f'<xacro:wheel prefix="$(arg side)"/><xacro:if value="$(arg with_mesh)">{mesh}',
+        f'<xacro:wheel prefix="$(arg side)"/><xacro:if value="$(arg with_mesh)">{extra}',
         '<joint name="j" type="fixed"><parent link="base"/><child link="extra"/></joint></xacro:if>',
     ]
     (folder / "arm.urdf.xacro").write_text(robot("".join(body)))
@@ -465,21 +467,19 @@ def scenario(tmp_path: Path) -> Path:
 
 def test_a_run_compiles_to_the_same_robots_from_its_copy_without_the_xacro_file(scenario, tmp_path_factory):
     checked = api.load(scenario)
-    assert checked.findings == []
-    assert checked.program is not None
-    assert [link.name for link in checked.program.robots[0].model.links] == ["base", "left_wheel", "extra"]
+    assert list(checked.findings) == []
+    assert checked.robots is not None
+    assert [link.name for link in checked.robots["one"].model.links] == ["base", "left_wheel", "extra"]
     copy = tmp_path_factory.mktemp("copy")
     checked.inputs.write(copy)
     assert not list(copy.rglob("*.xacro"))
     again = api.load(copy / "resolved.yaml")
-    assert again.findings == []
-    assert again.program is not None
-    for robot_of_run, robot_of_file in zip(again.program.robots, checked.program.robots, strict=True):
-        assert without_meshes(to_urdf(robot_of_run.model)) == without_meshes(to_urdf(robot_of_file.model))
-
-
-def without_meshes(urdf: str) -> str:
-    return re.sub('filename="[^"]*"', "", urdf)
+    assert list(again.findings) == []
+    assert again.robots is not None
+    for name, robot_of_file in checked.robots.items():
+        # the copy of the mesh has another path
+        of_file, of_run = (to_urdf(read.model) for read in (robot_of_file, again.robots[name]))
+        assert re.sub(r'filename="[^"]*"', "", of_run) == re.sub(r'filename="[^"]*"', "", of_file)
 
 
 @pytest.mark.parametrize(
