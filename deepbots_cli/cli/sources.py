@@ -135,12 +135,13 @@ def open_robot(
     file = read(robot, display, findings, resolve_mesh=resolve_mesh, arguments=arguments)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
-    names = file.xacro.arguments if file.xacro else frozenset()
-    for argument in set(arguments or ()) - names:
-        raise UsageError(
-            f"{reference} has no xacro argument {argument}{did_you_mean(argument, sorted(names))}; it has:"
-            f" {', '.join(sorted(names)) or 'none'}"
-        )
+    declared = sorted(file.xacro.arguments) if file.xacro else []
+    for argument in arguments or ():
+        if argument not in declared:
+            raise UsageError(
+                f"{reference} has no xacro argument {argument}{did_you_mean(argument, declared)}; it has:"
+                f" {', '.join(declared) or 'none'}"
+            )
     return file, list(findings)
 
 

@@ -20,7 +20,7 @@ from itertools import chain, islice, product
 from pathlib import Path
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.collada import FaultyColladaError, placed_triangles
@@ -213,12 +213,12 @@ def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | N
 
 
 class MeshReader:
-    """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `paths` has the real path of
-    each mesh that was read, by its file name as written, and `boxes` the box around a sample of its
+    """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
+    each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
     vertices, in its own units, by suffix and digest."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
-        self.paths: dict[str, str] = {}
+        self.spans: dict[Span, str] = {}
         self.boxes: dict[tuple[str, str], Bounds] = {}
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}

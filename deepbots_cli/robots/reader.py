@@ -41,7 +41,7 @@ from deepbots_cli.robots.model import (
     Vector,
 )
 from deepbots_cli.robots.units import unit_faults
-from deepbots_cli.robots.xacro import Expansion, expand, is_xacro, plain_text
+from deepbots_cli.robots.xacro import Expansion, expand, is_xacro
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
@@ -95,19 +95,17 @@ class RobotFile:
     """A robot and its text, with the span of the name of each link and joint, of the limits of each joint,
     and of each file name of a mesh, with the real path of that mesh.
 
-    `text` is the URDF, expanded where the file is xacro, and `digest` its sha256 (hex); `mesh_spans` are places
-    in it. `xacro` has what the expansion read. `meshes` maps the real path of each mesh to the digest of its
-    bytes.
+    `digest` is the sha256 (hex) of the file; of a xacro file, of what it includes and of its arguments, too.
+    `xacro` has what its expansion read. `meshes` maps the real path of each mesh to the digest of its bytes.
     """
 
     model: RobotModel
     source: Source
-    text: str
     digest: str
     link_spans: Mapping[str, Span]
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
-    mesh_spans: Mapping[tuple[int, int], str]
+    mesh_spans: Mapping[Span, str]
     xacro: Expansion | None = None
 
     @property
@@ -229,23 +227,13 @@ def _read(
         for name, element in joints.items()
         if (limits := element.find_all("limit"))
     }
-    text, mesh_names = plain_text(root) if xacro else (source.text, _mesh_names(root))
-    digest = hashlib.sha256(text.encode() if xacro else data).hexdigest()
-    mesh_spans = {span: meshes.paths[name] for span, name in mesh_names.items() if name in meshes.paths}
-    return RobotFile(model, source, text, digest, link_spans, joint_spans, limit_spans, mesh_spans, xacro)
-
-
-def _mesh_names(root: Element) -> dict[tuple[int, int], str]:
-    """Return the name of each mesh file by its place in the text."""
-    names: dict[tuple[int, int], str] = {}
-    waiting = [root]
-    while waiting:
-        element = waiting.pop()
-        waiting += element.children
-        if element.tag == "mesh" and "filename" in element.attributes:
-            _, start, end = element.value_span("filename")
-            names[start, end] = element.attributes["filename"]
-    return names
+    hashed = hashlib.sha256(data)
+    for text in (
+        (*(included.text for included in xacro.included), repr(sorted(arguments.items()))) if xacro else ()
+    ):
+        hashed.update(text.encode())
+    digest = hashed.hexdigest()
+    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans, xacro)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -481,7 +469,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
             " folder, as PyBullet does"
         )
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
-    meshes.paths[filename] = str(loaded.path)
+    meshes.spans[element.value_span("filename")] = str(loaded.path)
     return Mesh(str(loaded.path), loaded.digest, scale)
 
 

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from deepbots_cli.diagnostics import Findings, Label, Source
 from deepbots_cli.files import read_at_most
@@ -28,30 +29,26 @@ MAX_ELEMENTS = 50_000
 MAX_TEXT = 4_000_000  # characters of all attributes
 MAX_READ = 8 << 20  # bytes of all included files
 MAX_YAML_BYTES, MAX_YAML_SIZE = 128 << 10, 20_000
-_PREFIX = "xacro:"
 _MAX_LABELS = 3
 _STEPS_OF_CALL = 5  # a call takes as long as so many elements
 _MARKS = ("<xacro:", "${", "$(")
-_KEPT = ("link", "joint", "material")
 _NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
-_XML_NAME = re.compile(r"[A-Za-z_][\w.:-]*")
 _PIECE = re.compile(
     r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)|(?P<open>\$[{(])|(?P<text>[^$]+|\$)"
 )
-# `default_value` of xacro, without its nested repetition
+# name, whether the property of the caller is the default, and another default; as in xacro, without its nested
+# repetition, which takes exponential time
 _PARAMETER = re.compile(
-    r"\s*([^\s:=]+)\s*:?=\s*(\^\|?)?(\$\{[^}]*\}|\$\([^)]*\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*)(?:\s+|$)"
+    r"\s*([^\s:=]+)(?:\s*:?=\s*(\^\|?)?(\$\{[^}]*\}|\$\([^)]*\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*))?(?:\s+|$)"
 )
-_WORD = re.compile(r"\s*(\S+)\s*")
 _BOOLEANS = {"true": True, "True": True, "false": False, "False": False}
-# xacro's, of values in YAML files
-_UNITS = {
-    "radians": 1.0,
+_YAML_UNITS = {
     "degrees": math.pi / 180,
-    "meters": 1.0,
-    "millimeters": 0.001,
     "foot": 0.3048,
     "inches": 0.0254,
+    "meters": 1.0,
+    "millimeters": 0.001,
+    "radians": 1.0,
 }
 
 
@@ -67,64 +64,38 @@ class Expansion:
 
 @dataclass
 class _Lazy:
-    """The text of a property that was not used so far; `template` is where it is defined."""
+    """A property that was not used so far."""
 
-    text: str
-    template: Element
-    key: str
-    is_open: bool = False
+    evaluate: Callable[[], Any] | None
 
 
 @dataclass(frozen=True)
 class _Macro:
-    """A macro; `parameters` maps each name to whether the property of the caller is its default, and another
-    default."""
-
     template: Element
-    parameters: Mapping[str, tuple[bool, str | None]]
+    parameters: Mapping[str, tuple[str, str]]
 
 
-class Scope(Mapping[str, Any]):
-    """Properties, blocks (`*name`, or `**name` for their content alone) and macros; what is missing is looked
-    up in the scope above."""
-
-    def __init__(
-        self,
-        evaluate: Callable[[_Lazy, Scope], Any],
-        above: Scope | None = None,
-        *,
-        is_namespace: bool = False,
-    ) -> None:
-        self.above, self.is_namespace = above, is_namespace
-        self.properties: dict[str, Any] = {}
-        self.macros: dict[str, _Macro] = {}
-        self._evaluate = evaluate
-
-    @property
-    def chain(self) -> Iterator[Scope]:
-        scope: Scope | None = self
-        while scope is not None:
-            yield scope
-            scope = scope.above
-
-    def __contains__(self, name: object) -> bool:
-        return any(name in scope.properties for scope in self.chain)
+class Scope(ChainMap[str, Any]):
+    """Properties by name, blocks as `*name` (`**name` for their content alone), macros as `<name>`; what is
+    missing is looked up in the scopes above. A namespace has the key `<>`."""
 
     def __getitem__(self, name: str) -> Any:
-        for scope in self.chain:
-            if name in scope.properties:
-                value = scope.properties[name]
-                if isinstance(value, _Lazy):
-                    value = scope.properties[name] = scope._evaluate(value, scope)
-                return value
-        raise KeyError(name)
+        value = super().__getitem__(name)
+        if not isinstance(value, _Lazy):
+            return value
+        if value.evaluate is None:
+            raise XacroError("the value of this property refers to itself")
+        evaluate, value.evaluate = value.evaluate, None
+        evaluated = evaluate()
+        next(names for names in self.maps if name in names)[name] = evaluated
+        return evaluated
 
     def __iter__(self) -> Iterator[str]:
-        names = {name: None for scope in self.chain if scope.above is not None for name in scope.properties}
-        return (name for name in names if not name.startswith("*"))
+        names = dict.fromkeys(name for level in self.maps[:-1] for name in level)
+        return (name for name in names if name.isidentifier())
 
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+    def inner(self, **names: Any) -> Scope:
+        return Scope(names, *self.maps)
 
     def macro(self, name: str) -> tuple[_Macro, Scope]:
         """Return a macro, and the scope above that of its body: the caller's, or its namespace.
@@ -132,12 +103,9 @@ class Scope(Mapping[str, Any]):
         Raises:
             KeyError: There is none.
         """
-        for scope in self.chain:
-            if name in scope.macros:
-                return scope.macros[name], self
         namespace, _, inner = name.partition(".")
-        if not inner or not isinstance(self[namespace], Scope):
-            raise KeyError(name)
+        if not inner or not isinstance(self.get(namespace), Scope):
+            return self[f"<{name}>"], self
         return self[namespace].macro(inner)  # type: ignore[no-any-return]
 
 
@@ -155,7 +123,7 @@ def expand(
         resolve: From the name of a file, relative to that of the robot, to the path that may be read.
         arguments: The values for `$(arg NAME)`.
     """
-    expander = _Expander(root, resolve, dict(arguments), findings)
+    expander = _Expander(root, resolve, arguments, findings)
     try:
         return expander.expanded(root)
     except RecursionError:
@@ -163,9 +131,8 @@ def expand(
     except XacroError as caught:
         error = caught
     if error.code:  # a fault in the XML of an included file is reported where it is
-        findings.add(
-            error.code, error.span or root.span, error.headline, error.help, labels=tuple(error.labels)
-        )
+        span = error.span or root.span
+        findings.add(error.code, span, error.headline, error.help, labels=tuple(error.labels))
     return None
 
 
@@ -175,13 +142,9 @@ def literal(value: Any) -> Any:
         return value
     if len(value) >= 2 and value[0] == value[-1] == "'":
         return value[1:-1]
-    if "_" in value:
-        return value
-    for convert in (int, float, _BOOLEANS.__getitem__):
-        try:
+    for convert in () if "_" in value else (int, float, _BOOLEANS.__getitem__):
+        with suppress(ValueError, KeyError):
             return convert(value)
-        except (ValueError, KeyError):
-            continue
     return value
 
 
@@ -189,27 +152,24 @@ class _Expander:
     """Expands one robot file."""
 
     def __init__(
-        self, root: Element, resolve: ResolveMesh, arguments: dict[str, str], findings: Findings
+        self, root: Element, resolve: ResolveMesh, arguments: Mapping[str, str], findings: Findings
     ) -> None:
         self.report, self.findings = root.report, findings
-        self.resolve, self.arguments = resolve, arguments
+        self.resolve, self.arguments = resolve, dict(arguments)
         self.declared: set[str] = set()
         self.included: dict[Source, Path] = {}
         self.templates: dict[Path, Element] = {}
         self.open: list[Path] = []  # the included files that are being read, innermost last
         self.budget = Budget()
         self.elements = self.characters = self.bytes = 0
-        own: dict[str, Any] = {"load_yaml": self.load_yaml, "arg": self.argument, "dotify": dict}
-        self.top = Scope(self._property)
-        self.top.properties = own | {
-            "xacro": Namespace(own, **dict.fromkeys(("message", "warning", "error"), _silent))
-        }
 
     def expanded(self, template: Element) -> Expansion:
+        names = {"load_yaml": self.load_yaml, "arg": self.argument, "dotify": dict}
+        silent = dict.fromkeys(("message", "warning", "error"), lambda *_: "")
+        scope = Scope({}, names | {"xacro": Namespace(names | silent)})
         root = Element(template.tag, {}, self.report, template.start)
-        scope = Scope(self._property, self.top)
         self.children(template, scope, root)
-        root.attributes |= self.plain_attributes(template, scope)
+        root.attributes = self.plain_attributes(template, scope)
         return Expansion(root, frozenset(self.declared), self.included)
 
     # Texts
@@ -218,7 +178,7 @@ class _Expander:
         """Return the value of a text: that of its only expression, else a text."""
         values: list[Any] = []
         with self.budget:
-            for piece in _PIECE.finditer(text) if "$" in text else ():
+            for piece in _PIECE.finditer(text):
                 if piece["expression"] is not None:
                     expression = str(self.text(piece["expression"], scope))
                     values.append(Evaluator(scope, self.budget).value(expression))
@@ -230,8 +190,6 @@ class _Expander:
                     values.append(piece["escaped"][1:] if piece["escaped"] else piece["text"])
         if len(values) == 1:
             return values[0]
-        if not values:
-            return text
         self.budget.weigh(*values)
         # `file://$(find X)/...` names the file of a package, too
         return self.budget.bounded("".join(map(str, values)).replace("file://package://", "package://"))
@@ -239,38 +197,44 @@ class _Expander:
     def command(self, text: str) -> Any:
         """Return the value of `$(text)`."""
         word, *rest = text.split() or [""]
-        if word == "eval":
-            names = {name: literal(value) for name, value in self.arguments.items()}
-            return Evaluator(_BOOLEANS | names | {"arg": self.argument}, self.budget).value(text.strip()[4:])
-        if word == "find" and len(rest) == 1:
-            return f"package://{rest[0]}"
-        if word == "arg" and len(rest) == 1:
-            return self.argument(rest[0], convert=str)
-        if word == "optenv" and rest:  # a robot must not depend on the computer
-            return " ".join(rest[1:])
-        if word == "dirname":
-            return str(self.open[-1].parent) if self.open else "."
-        if word == "env":
-            help = "write the value into the file, or make it an argument: <xacro:arg .../> and $(arg ...)"
-            raise XacroError("deepbots reads no variables of the environment", help)
+        match word, rest:
+            case "eval", _:
+                names = {name: literal(value) for name, value in self.arguments.items()}
+                names |= _BOOLEANS | {"arg": self.argument}
+                return Evaluator(names, self.budget).value(text.strip().removeprefix("eval"))
+            case "find", [package]:
+                return f"package://{package}"
+            case "arg", [name]:
+                return self.argument(name, str)
+            case "optenv", [_, *default]:  # a robot must not depend on the computer
+                return " ".join(default)
+            case "dirname", []:
+                return str(self.open[-1].parent) if self.open else "."
+            case "env", _:
+                help = "make the value an argument: <xacro:arg .../> and $(arg ...)"
+                raise XacroError("deepbots reads no variables of the environment", help)
         raise XacroError(f"deepbots does not support $({text[:60]})", WAY_OUT)
 
     def argument(self, name: str, convert: Callable[[str], Any] = literal) -> Any:
         self.declared.add(name)
-        if name not in self.arguments:
-            help = (
-                f"write `xacro: {{{name}: VALUE}}` beside `urdf:` in the scenario, or add `--xacro-arg"
-                f" {name}:=VALUE` to the command"
-            )
-            raise XacroError(f"the argument {quoted(name)} has no value", help)
-        return convert(self.arguments[name])
+        if name in self.arguments:
+            return convert(self.arguments[name])
+        help = (
+            f"write `xacro: {{{name}: VALUE}}` beside `urdf:` in the scenario, or add `--xacro-arg"
+            f" {name}:=VALUE` to the command"
+        )
+        raise XacroError(f"the argument {quoted(name)} has no value", help)
 
     def attribute(self, template: Element, key: str, scope: Scope, default: str | None = None) -> Any:
         """Return the value of an attribute, which is required where there is no default."""
         text = template.attributes.get(key, default)
+        if text is None:
+            raise XacroError(f"<{template.tag}> without the attribute '{key}'")
+        return self.placed(text, template, key, scope) if "$" in text else text
+
+    def placed(self, text: str, template: Element, key: str, scope: Scope) -> Any:
+        """Return the value of a text; its place is an attribute of `template`."""
         try:
-            if text is None:
-                raise XacroError(f"<{template.tag}> without the attribute '{key}'")
             value = self.text(text, scope)
             if isinstance(value, str) and (character := _NOT_XML.search(value)):
                 raise XacroError(f"the value has the character {character[0]!a}, which XML forbids")
@@ -281,81 +245,64 @@ class _Expander:
 
     def condition(self, template: Element, key: str, scope: Scope, default: str | None = None) -> bool:
         value = self.attribute(template, key, scope, default)
-        if not isinstance(value, str):
-            return bool(value)
         number = literal(value)
-        if isinstance(number, str | float):
-            raise _at(template, key, f"{quoted(value)} is neither true nor false")
+        if isinstance(value, str) and isinstance(number, str | float):
+            raise _error(template, key, f"{quoted(value)} is neither true nor false")
         return bool(number)
-
-    def _property(self, lazy: _Lazy, scope: Scope) -> Any:
-        """Return the value of a property at its first use."""
-        try:
-            if lazy.is_open:
-                raise XacroError("the value of this property refers to itself")
-            lazy.is_open = True
-            return literal(self.text(lazy.text, scope))
-        except XacroError as error:
-            error.span = error.span or lazy.template.value_span(lazy.key)
-            raise
-        finally:
-            lazy.is_open = False
 
     # Elements
 
     def children(self, template: Element, scope: Scope, into: Element) -> None:
+        """Append to `into` what the elements in one of a file, or of an expanded block, stand for."""
         for child in template.children:
-            self.element(child, scope, into)
+            try:
+                with self.budget:
+                    if child.tag in _STATEMENTS:
+                        _STATEMENTS[child.tag](self, child, scope, into)
+                    elif child.tag.startswith("xacro:"):
+                        self.call(child, child.tag.removeprefix("xacro:"), scope, into)
+                    else:
+                        self.plain(child, scope, into)
+            except XacroError as error:
+                error.span = error.span or child.span
+                raise
 
-    def element(self, template: Element, scope: Scope, into: Element) -> None:
-        """Append to `into` what an element of a file, or of an expanded block, stands for."""
-        with self.budget:
-            if not template.tag.startswith(_PREFIX):
-                self.plain(template, template.tag, scope, into)
-            elif template.tag in _STATEMENTS:
-                _STATEMENTS[template.tag](self, template, scope, into)
-            else:
-                self.call(template, template.tag.removeprefix(_PREFIX), scope, into)
-
-    def plain(self, template: Element, tag: str, scope: Scope, into: Element) -> None:
-        self.elements += 1
-        if self.elements > MAX_ELEMENTS:
-            help = "does a macro call itself without an end?"
-            raise XacroError(f"the expanded robot has more than {MAX_ELEMENTS} elements", help, "DB005")
-        attributes = self.plain_attributes(template, scope)
-        element = Element(tag, attributes, self.report, template.start, source=_source(template))
+    def plain(self, template: Element, scope: Scope, into: Element) -> None:
+        attributes, source = self.plain_attributes(template, scope), template.source or template.report.source
+        element = Element(template.tag, attributes, self.report, template.start, source=source)
         into.children.append(element)
         self.children(template, scope, element)
 
     def plain_attributes(self, template: Element, scope: Scope) -> dict[str, str]:
-        attributes = {
-            key: str(self.attribute(template, key, scope)) for key in template.attributes if ":" not in key
-        }
+        names = [key for key in template.attributes if ":" not in key]  # others are of other tools
+        attributes = {key: str(self.attribute(template, key, scope)) for key in names}
+        self.elements += 1
         self.characters += sum(map(len, attributes.values()))
-        if self.characters > MAX_TEXT:
-            raise XacroError(f"the expanded robot has more than {MAX_TEXT} characters", code="DB005")
+        if self.elements > MAX_ELEMENTS or self.characters > MAX_TEXT:
+            raise XacroError("the expanded robot is too large", code="DB005")
         return attributes
 
     def define_property(self, template: Element, scope: Scope, into: Element) -> None:
         name = str(self.attribute(template, "name", scope))
         if not name.isidentifier() or name.startswith("__"):
-            raise _at(template, "name", f"{quoted(name)} is not a name for a property")
-        key = "value" if "value" in template.attributes else "default"
-        if key == "default" and key in template.attributes and name in scope:
+            raise _error(template, "name", f"{quoted(name)} is not a name for a property")
+        key = next((key for key in ("value", "default") if key in template.attributes), None)
+        if key == "default" and name in scope:
             return
-        target, written = scope, template.attributes.get("scope")
-        if written == "global":
-            *_, target, _ = scope.chain
-        elif written == "parent":
-            above = [other for other in scope.chain if other is not self.top][1:]
-            target = next((other for other in above if scope.is_namespace or not other.is_namespace), scope)
-        if key not in template.attributes:
-            target.properties["**" + name] = template
-        elif written in ("global", "parent") or not self.condition(template, "lazy_eval", scope, "true"):
-            target.properties[name] = literal(self.attribute(template, key, scope))
+        where = template.attributes.get("scope")
+        target = scope.maps[0] if where != "global" else scope.maps[-2]
+        if where == "parent":
+            above = scope.maps[1:-1]
+            target = next((names for names in above if "<>" in scope.maps[0] or "<>" not in names), target)
+        if key is None:
+            target["**" + name] = template
+            return
+        lazy = where is None and self.condition(template, "lazy_eval", scope, "true")
+        value = literal(template.attributes[key])
+        if lazy and isinstance(value, str):
+            target[name] = _Lazy(lambda: literal(self.placed(value, template, key, scope)))
         else:
-            value = literal(template.attributes[key])
-            target.properties[name] = _Lazy(value, template, key) if isinstance(value, str) else value
+            target[name] = value if lazy else literal(self.attribute(template, key, scope))
 
     def define_argument(self, template: Element, scope: Scope, into: Element) -> None:
         name = str(self.attribute(template, "name", scope))
@@ -364,114 +311,89 @@ class _Expander:
             self.arguments[name] = str(self.attribute(template, "default", scope))
 
     def define_macro(self, template: Element, scope: Scope, into: Element) -> None:
-        name, text = str(self.attribute(template, "name", scope)), template.attributes.get("params", "")
-        parameters: dict[str, tuple[bool, str | None]] = {}
-        place = 0
-        while match := _PARAMETER.match(text, place) or _WORD.match(text, place):
-            _, forward, default = match.groups() if match.re is _PARAMETER else (None, None, None)
-            parameters[match[1]] = (bool(forward), default or None)
-            place = match.end()
-        scope.macros[name.removeprefix(_PREFIX)] = _Macro(template, parameters)
+        name = str(self.attribute(template, "name", scope)).removeprefix("xacro:")
+        parameters = _PARAMETER.findall(template.attributes.get("params", ""))
+        macro = _Macro(template, {parameter: tuple(rest) for parameter, *rest in parameters})
+        scope.maps[0][f"<{name}>"] = macro
 
     def call_by_name(self, template: Element, scope: Scope, into: Element) -> None:
         self.call(template, str(self.attribute(template, "macro", scope)), scope, into)
 
     def call(self, template: Element, name: str, scope: Scope, into: Element) -> None:
         """Expand a macro."""
+        self.budget.spend(_STEPS_OF_CALL)
         try:
             macro, above = scope.macro(name)
         except KeyError as error:
-            names = {other: None for level in scope.chain for other in level.macros}
-            raise _at(
-                template, None, f"there is no macro {quoted(name)}", known_names_help(name, names, "macros")
-            ) from error
-        self.budget.spend(_STEPS_OF_CALL)
-        inner = Scope(self._property, above)
-        waiting = dict(macro.parameters)
-        for key in template.attributes:
-            if key == "macro" and template.tag == "xacro:call":
-                continue
-            if key not in waiting:
+            names = [key[1:-1] for level in scope.maps for key in level if isinstance(level[key], _Macro)]
+            help = known_names_help(name, names, "macros")
+            raise XacroError(f"there is no macro {quoted(name)}", help) from error
+        inner, waiting = above.inner(), dict(macro.parameters)
+        for key in [key for key in template.attributes if (template.tag, key) != ("xacro:call", "macro")]:
+            if waiting.pop(key, None) is None:
                 help = known_names_help(key, macro.parameters, "parameters")
-                raise _at(template, key, f"the macro {quoted(name)} has no parameter {quoted(key)}", help)
-            del waiting[key]
-            inner.properties[key] = literal(self.attribute(template, key, scope))
+                raise _error(template, key, f"the macro {quoted(name)} has no parameter {quoted(key)}", help)
+            inner[key] = literal(self.attribute(template, key, scope))
         holder = Element("", {}, self.report, template.start)
         self.children(template, scope, holder)
         blocks = [key for key in waiting if key.startswith("*")]
         if len(blocks) != len(holder.children):
-            headline = f"the macro {quoted(name)} takes {len(blocks)} elements, not {len(holder.children)}"
-            raise _at(template, None, headline)
-        inner.properties |= dict(zip(blocks, holder.children, strict=True))
-        for key, (forwards, default) in waiting.items():
-            if key.startswith("*"):
-                continue
-            if forwards and key in scope:
-                inner.properties[key] = literal(scope[key])
-            elif default is not None:
-                inner.properties[key] = literal(self._default(default, macro, scope))
-            else:
-                help = f'write <{template.tag} {key}="..."/>'
-                raise _at(template, None, f"the macro {quoted(name)} needs a value for {quoted(key)}", help)
+            number = len(holder.children)
+            raise XacroError(f"the macro {quoted(name)} takes {len(blocks)} elements, not {number}")
+        inner |= dict(zip(blocks, holder.children, strict=True))
         try:
+            for key, (forwards, default) in waiting.items():
+                if forwards and key in scope:
+                    inner[key] = literal(scope[key])
+                elif default:
+                    inner[key] = literal(self.text(default, scope))
+                elif key not in blocks:
+                    help = f'write <{template.tag} {key}="..."/>'
+                    raise XacroError(f"the macro {quoted(name)} needs a value for {quoted(key)}", help)
             self.children(macro.template, inner, into)
         except XacroError as error:
-            if len(error.labels) < _MAX_LABELS:
+            if error.span is not None and len(error.labels) < _MAX_LABELS:
                 error.labels.append(Label(template.span, "expanded from here"))
-            raise
-
-    def _default(self, text: str, macro: _Macro, scope: Scope) -> Any:
-        try:
-            return self.text(text, scope)
-        except XacroError as error:
-            error.span = error.span or macro.template.value_span("params")
             raise
 
     def insert_block(self, template: Element, scope: Scope, into: Element) -> None:
         name = str(self.attribute(template, "name", scope))
-        if "**" + name in scope:
-            self.children(scope["**" + name], scope, into)
-        elif "*" + name in scope:
-            self.element(scope["*" + name], scope, into)
-        else:
-            raise _at(template, "name", f"there is no block {quoted(name)}")
+        key = next((key for key in ("**" + name, "*" + name) if key in scope), None)
+        if key is None:
+            raise _error(template, "name", f"there is no block {quoted(name)}")
+        block = scope[key]
+        holder = block if key.startswith("**") else Element("", {}, self.report, 0, [block])
+        self.children(holder, scope, into)
 
     def choose(self, template: Element, scope: Scope, into: Element) -> None:
         if self.condition(template, "value", scope) == (template.tag == "xacro:if"):
             self.children(template, scope, into)
 
-    def named_element(self, template: Element, scope: Scope, into: Element) -> None:
-        tag = str(self.attribute(template, "xacro:name", scope))
-        if not _XML_NAME.fullmatch(tag):
-            raise _at(template, "xacro:name", f"{quoted(tag)} is not a name for an element")
-        self.plain(template, tag, scope, into)
-
-    def named_attribute(self, template: Element, scope: Scope, into: Element) -> None:
-        name = str(self.attribute(template, "name", scope))
-        if not _XML_NAME.fullmatch(name):
-            raise _at(template, "name", f"{quoted(name)} is not a name for an attribute")
-        into.attributes[name] = str(self.attribute(template, "value", scope))
-
     # Files
 
     def include(self, template: Element, scope: Scope, into: Element) -> None:
         reference = str(self.attribute(template, "filename", scope))
+        is_optional = self.condition(template, "optional", scope, "false")
         try:
             path = self.file(reference)
-            if path in self.open:
-                raise XacroError(f"{quoted(reference)} includes itself")
         except XacroError as error:
-            if self.condition(template, "optional", scope, "false"):
-                template.warn(f"the optional file {quoted(reference)} is not included")
-                return
-            error.span = error.span or template.value_span("filename")
-            raise
+            if not is_optional:
+                error.span = template.value_span("filename")
+                raise
+            template.warn(f"the optional file {quoted(reference)} is not included")
+            return
+        if path in self.open:
+            raise _error(template, "filename", f"{quoted(reference)} includes itself")
+        if path not in self.templates:
+            root = parse(self.read(path, MAX_READ // 2), self.findings)
+            if root is None:
+                raise XacroError("", code="")
+            self.templates[path] = root
         inner = scope
         if "ns" in template.attributes:
-            inner = Scope(self._property, scope, is_namespace=True)
-            scope.properties[str(self.attribute(template, "ns", scope))] = inner
+            inner = scope[str(self.attribute(template, "ns", scope))] = scope.inner(**{"<>": None})
         self.open.append(path)
-        self.children(self.template(path, template), inner, into)
+        self.children(self.templates[path], inner, into)
         self.open.pop()
 
     def file(self, reference: str) -> Path:
@@ -482,19 +404,21 @@ class _Expander:
         """
         if "://" not in reference and self.open:
             reference = str(self.open[-1].parent / reference)
-        headline = f"the file {quoted(reference)} cannot be read"
-        try:
+        help: str | None = "check the path"
+        with suppress(OSError, ValueError):  # ValueError: a null character
             located = self.resolve(reference)
             path = located.path if isinstance(located, MeshAboveRobot) else located
-            if isinstance(path, UnusableMesh):
-                raise XacroError(headline, path.help)
-            if not path.is_file():
-                raise XacroError(headline, f"check the path: deepbots looked for {path}")
-        except (OSError, ValueError) as error:  # ValueError: a null character
-            raise XacroError(headline, "check the path") from error
-        return path
+            if isinstance(path, Path) and path.is_file():
+                return path
+            help = path.help if isinstance(path, UnusableMesh) else f"{help}: deepbots looked for {path}"
+        raise XacroError(f"the file {quoted(reference)} cannot be read", help)
 
-    def read(self, path: Path, limit: int) -> str:
+    def read(self, path: Path, limit: int) -> Source:
+        """Return the text of a file that may be read.
+
+        Raises:
+            XacroError: The files are too large, or the system refuses to read it.
+        """
         try:
             data = read_at_most(path, limit + 1)
         except OSError as error:
@@ -502,25 +426,16 @@ class _Expander:
         self.bytes += len(data)
         if len(data) > limit or self.bytes > MAX_READ:
             raise XacroError("the included files are too large", code="DB005")
-        return data.decode("utf-8", errors="replace").removeprefix("\ufeff")
-
-    def template(self, path: Path, include: Element) -> Element:
-        """Return the outermost element of an included file."""
-        if path not in self.templates:
-            name = str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
-            source = Source(name, self.read(path, MAX_READ // 2), include.span)
-            self.included[source] = path
-            root = parse(source, self.findings)
-            if root is None:
-                raise XacroError("", code="")
-            self.templates[path] = root
-        return self.templates[path]
+        name = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+        source = Source(str(name), data.decode("utf-8", errors="replace").removeprefix("\ufeff"))
+        self.included[source] = path
+        return source
 
     def load_yaml(self, name: str) -> Any:
         """Return the content of a YAML file, without aliases: copies of copies fill a memory."""
         import yaml
 
-        text = self.read(self.file(str(name)), MAX_YAML_BYTES)
+        text = self.read(self.file(str(name)), MAX_YAML_BYTES).text
         try:
             if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _yaml_loader())):
                 raise XacroError(f"the YAML file {quoted(name)} has an alias (*NAME)", "write its value out")
@@ -540,22 +455,12 @@ _STATEMENTS: dict[str, Callable[[_Expander, Element, Scope, Element], None]] = {
     "xacro:insert_block": _Expander.insert_block,
     "xacro:if": _Expander.choose,
     "xacro:unless": _Expander.choose,
-    "xacro:element": _Expander.named_element,
-    "xacro:attribute": _Expander.named_attribute,
     "xacro:call": _Expander.call_by_name,
 }
 
 
-def _source(template: Element) -> Source:
-    return template.source or template.report.source
-
-
-def _silent(*_: Any) -> str:
-    return ""
-
-
-def _at(template: Element, key: str | None, headline: str, help: str | None = None) -> XacroError:
-    """Return the error with its place: the value of an attribute, or the start tag."""
+def _error(template: Element, key: str, headline: str, help: str | None = None) -> XacroError:
+    """Return an error whose place is the value of an attribute."""
     error = XacroError(headline, help)
     error.span = template.value_span(key)
     return error
@@ -565,43 +470,9 @@ def _yaml_loader() -> Any:
     """Return a safe loader that knows the units of xacro, such as `!degrees 90`."""
     import yaml
 
-    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-        pass
+    def convert(loader: Any, unit: str, node: Any) -> float:
+        return float(Evaluator({}, Budget()).value(str(loader.construct_scalar(node)))) * _YAML_UNITS[unit]
 
-    def convert(loader: Any, unit: str, node: Any) -> Any:
-        value = Evaluator({}, Budget()).value(str(loader.construct_scalar(node)))
-        return float(value) * _UNITS[unit] if unit in _UNITS else value
-
-    Loader.add_multi_constructor("!", convert)
-    return Loader
-
-
-def plain_text(root: Element) -> tuple[str, dict[tuple[int, int], str]]:
-    """Return links, joints and materials of a robot as URDF, and the name of each mesh file by its place."""
-    pieces: list[str] = []
-    meshes: dict[tuple[int, int], str] = {}
-    length = 0
-
-    def write(text: str) -> None:
-        nonlocal length
-        pieces.append(text)
-        length += len(text)
-
-    def write_element(element: Element, depth: int) -> None:
-        write(f"{'  ' * depth}<{element.tag}")
-        for key, value in element.attributes.items():
-            written = quoteattr(value)
-            if element.tag == "mesh" and key == "filename":
-                start = length + len(key) + 3
-                meshes[start, start + len(written) - 2] = value
-            write(f" {key}={written}")
-        children = [child for child in element.children if depth or child.tag in _KEPT]
-        children = [child for child in children if ":" not in child.tag]  # of namespaces of other tools
-        write(">\n" if children else "/>\n")
-        for child in children:
-            write_element(child, depth + 1)
-        if children:
-            write(f"{'  ' * depth}</{element.tag}>\n")
-
-    write_element(root, 0)
-    return "".join(pieces), meshes
+    loader: Any = type("Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
+    loader.add_multi_constructor("!", convert)
+    return loader

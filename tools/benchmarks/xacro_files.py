@@ -99,8 +99,13 @@ def differs(ours: ElementTree.Element, theirs: ElementTree.Element, folders: dic
 def compare(repository: Path, results: dict[str, dict[str, Any]], empty: Path) -> list[dict[str, object]]:
     """Return a row for each file that ROS expands to a robot with links."""
     from deepbots_cli.diagnostics import Findings, Source
-    from deepbots_cli.robots.elements import parse
-    from deepbots_cli.robots.xacro import expand, plain_text
+    from deepbots_cli.robots.elements import Element, parse
+    from deepbots_cli.robots.xacro import expand
+
+    def as_tree(element: Element) -> ElementTree.Element:
+        tree = ElementTree.Element(element.tag, element.attributes)
+        tree.extend(as_tree(child) for child in element.children if ":" not in child.tag)
+        return tree
 
     folders = packages(repository)
     rows: list[dict[str, object]] = []
@@ -122,9 +127,7 @@ def compare(repository: Path, results: dict[str, dict[str, Any]], empty: Path) -
         findings = Findings()
         root = parse(Source(name, path.read_text(errors="replace")), findings)
         expansion = root and expand(root, resolve, result["arguments"], findings)
-        kept = ("link", "joint", "material")
-        theirs[:] = [child for child in theirs if child.tag in kept]
-        ours = ElementTree.fromstring(plain_text(expansion.root)[0]) if expansion else ElementTree.Element("")
+        ours = as_tree(expansion.root) if expansion else ElementTree.Element("")
         rows.append(
             {
                 "repository": repository.name.replace("+", "/"),
