@@ -93,7 +93,7 @@ def differs(ours: ElementTree.Element, theirs: ElementTree.Element, folders: dic
         if not same:
             return True
     below = [[child for child in element if not child.tag.startswith("{")] for element in (ours, theirs)]
-    return len(below[0]) != len(below[1]) or any(differs(*pair, folders) for pair in zip(*below, strict=True))
+    return len(below[0]) != len(below[1]) or any(differs(a, b, folders) for a, b in zip(*below, strict=True))
 
 
 def compare(repository: Path, results: dict[str, dict[str, Any]], empty: Path) -> list[dict[str, object]]:
