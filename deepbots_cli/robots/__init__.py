@@ -5,6 +5,7 @@ model.py       links, joints, shapes; mass, volume and inertia in closed form; n
 kinematics.py  frames of links, bounding boxes, the height at which a robot or a shape rests
 elements.py    XML to elements with their position in the file; their numbers and vectors
 reader.py      elements to a checked model, every finding with its place
+xacro.py       xacro to plain elements, with includes and limits; xacro_expressions.py computes its expressions
 meshes.py      the locations, permissions and contents of mesh files
 collada.py     the triangles of a COLLADA file, and its faults
 units.py       millimeters, grams and g mm^2 in a robot file
