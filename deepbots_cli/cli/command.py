@@ -228,6 +228,14 @@ Overrides = Annotated[
         SCENARIO,
     ),
 ]
+XacroArguments = Annotated[
+    list[str] | None,
+    option(
+        "--xacro-arg NAME:=VALUE",
+        "Argument of a robot file in xacro, in place of its default; may be repeated.",
+        SCENARIO,
+    ),
+]
 AllowPaths = Annotated[
     list[Path] | None,
     option(

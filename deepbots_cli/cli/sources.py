@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean, nearest_word
 from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -79,6 +79,23 @@ def open_source(
     return OpenedSource(compiled.program, root, findings=compiled.findings, learner=compiled.learner)
 
 
+def xacro_arguments(words: Sequence[str] | None) -> dict[str, str]:
+    """Return the arguments of `--xacro-arg NAME:=VALUE`, or NAME=VALUE, by name.
+
+    Raises:
+        UsageError: A word is none, or an argument has two values.
+    """
+    arguments: dict[str, str] = {}
+    for word in words or ():
+        name, sign, value = word.partition("=")
+        name = name.removesuffix(":").strip()
+        if not sign or not name:
+            raise UsageError(f"--xacro-arg {word}: write NAME:=VALUE")
+        if arguments.setdefault(name, value) != value:
+            raise UsageError(f"--xacro-arg gives {name} twice")
+    return arguments
+
+
 def is_robot(reference: str) -> bool:
     """Return whether this is a robot file, or the name of a shipped robot and of no scenario."""
     if reference.startswith("package://") or reference.lower().endswith((".urdf", ".xacro")):
@@ -90,9 +107,11 @@ def is_robot(reference: str) -> bool:
     )
 
 
-def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[RobotFile, list[Finding]]:
+def open_robot(
+    reference: str, allowed: Sequence[str | Path] = (), arguments: Mapping[str, str] | None = None
+) -> tuple[RobotFile, list[Finding]]:
     """Open a robot file, with the warnings about it. Its meshes are in its folder, the current one, an
-    `allowed` one, or below them.
+    `allowed` one, or below them. `arguments` are those of a xacro file.
 
     Raises:
         UsageError: There is no such file.
@@ -112,9 +131,17 @@ def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[Robo
     resolve_mesh = meshes.mesh_resolver(
         robot.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference))
     )
-    file = read(robot, files.display_path(robot.resolve()), findings, resolve_mesh=resolve_mesh)
+    display = files.display_path(robot.resolve())
+    file = read(robot, display, findings, resolve_mesh=resolve_mesh, arguments=arguments)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
+    declared = sorted(file.xacro.arguments) if file.xacro else []
+    for argument in arguments or ():
+        if argument not in declared:
+            raise UsageError(
+                f"{reference} has no xacro argument {argument}{did_you_mean(argument, declared)}; it has:"
+                f" {', '.join(declared) or 'none'}"
+            )
     return file, list(findings)
 
 

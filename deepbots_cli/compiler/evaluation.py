@@ -459,7 +459,9 @@ class _VariantCompiler:
         steps, _, unresolved = follow_dotted(self._values.root, entry.key.text.strip())
         head = str(steps[0]) if steps else unresolved.split(".")[0]
         parameters = self._values.root.get("parameters")
-        if head not in _FIXED_SECTIONS or (
+        if tuple(steps[:1] + steps[2:3]) == ("robots", "xacro"):  # the run has one copy of the robot
+            head = "xacro"
+        elif head not in _FIXED_SECTIONS or (
             isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
         ):
             return False

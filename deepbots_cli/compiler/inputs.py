@@ -17,7 +17,7 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.robots.model import XML_ESCAPES
+from deepbots_cli.robots.model import XML_ESCAPES, to_urdf
 
 ELSEWHERE = "elsewhere_"
 """The beginning of the names of folders with copies of files outside the project."""
@@ -64,7 +64,7 @@ class Inputs:
         first = next(
             (path for path, source in files.items() if source is main), self.document.base / main.name
         )
-        robots = {robot.path: robot.file.source.text for robot in self._all_robots}
+        robots = {robot.copied_path: robot.file.source.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
     def write(self, folder: Path) -> None:
@@ -79,31 +79,42 @@ class Inputs:
         Raises:
             UsageError: A mesh has gone since it was checked.
         """
-        texts = self._texts | {robot.path: self._robot_text(robot) for robot in self._all_robots}
+        texts = self._texts | {robot.copied_path: self._robot_text(robot) for robot in self._all_robots}
         return {
             name: texts[file].encode() if file in texts else _read_bytes(file)
             for file, name in self.names.items()
         }
 
     def _robot_text(self, robot: ResolvedRobot) -> str:
-        """Return the text of a robot file with the relative paths of the copies of its meshes.
+        """Return the text of a robot file, expanded if it is xacro, with the relative paths of the copies of its
+        meshes.
 
         `package://` and the folders above the robot file may lead elsewhere from the copy.
         """
+        folder = PurePath(self.names[robot.copied_path]).parent
+        names = {mesh: os.path.relpath(self.names[Path(mesh)], folder) for mesh in robot.file.meshes}
+        escaped = {
+            mesh: PurePath(name).as_posix().translate(XML_ESCAPES).replace("'", "&apos;")
+            for mesh, name in names.items()
+        }
+        if robot.file.xacro:
+            text = to_urdf(robot.file.model)
+            for mesh, name in escaped.items():
+                text = text.replace(f'"{mesh.translate(XML_ESCAPES)}"', f'"{name}"')
+            return text
         text, pieces, end = robot.file.source.text, [], 0
         for span, mesh in sorted(robot.file.mesh_spans.items(), key=lambda entry: entry[0].start):
-            folder = PurePath(self.names[robot.path]).parent
-            name = PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
-            pieces += [text[end : span.start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
+            pieces += [text[end : span.start], escaped[mesh]]
             end = span.end
         return "".join([*pieces, text[end:]])
 
     def resolved(self) -> str:
         """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check
-        takes longer than all others."""
+        takes longer than all others; xacro files are expanded."""
         if self.document.root is None:
             return ""
-        root = without_paths(self.document.root, [(TUNE,)])
+        arguments = [("robots", name, "xacro") for name in self.robots]
+        root = without_paths(self.document.root, [(TUNE,), *arguments])
         for path, file in (self._files_by_path | self._files_of_variants()).items():
             node, key, _ = descend(root, path)
             if isinstance(node, ScalarNode) and key is not None:
@@ -114,7 +125,7 @@ class Inputs:
     @property
     def _files_by_path(self) -> dict[NodePath, Path]:
         """Every file that is named in the scenario, by where."""
-        return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(
+        return {("robots", name, "urdf"): robot.copied_path for name, robot in self.robots.items()} | dict(
             self.files
         )
 

@@ -58,6 +58,7 @@ from deepbots_cli.robots.model import (
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.actuators import Actuator
 from deepbots_cli.scenario.base import Section
+from deepbots_cli.scenario.fields.base import Scalar
 from deepbots_cli.scenario.fields.names import choices_help
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 from deepbots_cli.scenario.robots import Robot as RobotSpec
@@ -528,6 +529,15 @@ class ResolvedRobot:
     groups: dict[str, NameGroup]
 
     @property
+    def copied_path(self) -> FilePath:
+        """The robot file, or the path for the URDF that a xacro file was expanded to: it depends on the
+        arguments, too."""
+        if self.file.xacro is None:
+            return self.path
+        stem = self.path.name.partition(".")[0]
+        return self.path.with_name(f"{stem}_{self.file.digest[:8]}.urdf")
+
+    @property
     def link_names(self) -> list[str]:
         return [link.name for link in self.model.links]
 
@@ -639,8 +649,8 @@ class ResolvedRobot:
 def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobot | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
     document, values = namespace.document, namespace.values
-    node = descend(values.root, spec.path)[0]
-    if isinstance(node, MappingNode) and node.partial:
+    nodes = (descend(values.root, path)[0] for path in (spec.path, (*spec.path, "xacro")))
+    if any(isinstance(node, MappingNode) and node.partial for node in nodes):
         return None  # a finding took keys away that the rest of the scenario may name
     file_at = locate_file(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
@@ -655,10 +665,20 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
         return None
     resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
     findings = Findings()
-    file = read(file_at, files.display_path(file_at), findings, resolve_mesh=resolve_mesh)
+    file = read(
+        file_at,
+        files.display_path(file_at),
+        findings,
+        resolve_mesh=resolve_mesh,
+        arguments=xacro_arguments(spec.xacro),
+    )
     if file is None:
         _tell(findings, values, ())
         return None
+    names = sorted(file.xacro.arguments) if file.xacro else []
+    for argument in [argument for argument in spec.xacro if argument not in names]:
+        span = values.key_span((*spec.path, "xacro", argument))
+        values.report_unknown(span, "xacro argument", argument, names)
     groups = _groups(file.model, spec, values)
     model = Overrides(name, groups, namespace).apply(file.model, spec)
     has_mass = [
@@ -666,6 +686,13 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
     ]
     _tell(findings, values, has_mass)
     return ResolvedRobot(name, file_at.resolve(), spec, file, model, groups)
+
+
+def xacro_arguments(values: Mapping[str, Scalar | bool]) -> dict[str, str]:
+    """Return the texts of arguments, as `xacro NAME:=TEXT` takes them."""
+    return {
+        name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in values.items()
+    }
 
 
 def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:

@@ -218,7 +218,7 @@ def all_findings(
     for exploits, None if there was none.
     """
     models = (checked.robots or {}).values()
-    sources = (*checked.document.sources, *(robot.file.source for robot in models))
+    sources = (*checked.document.sources, *(source for robot in models for source in robot.file.sources))
     findings = [*checked.findings, *static_findings(checked, preview=preview)]
     reported = {(finding.code, finding.span) for finding in findings}
     findings += [finding for finding in measured or () if (finding.code, finding.span) not in reported]
@@ -227,7 +227,12 @@ def all_findings(
         findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
     )
     # By name, because each of several agents reads the robot files.
-    packaged = {robot.file.source.name for robot in models if robot.spec.urdf.startswith("package://")}
+    packaged = {
+        source.name
+        for robot in models
+        if robot.spec.urdf.startswith("package://")
+        for source in robot.file.sources
+    }
     ours = [
         finding
         for finding in remaining

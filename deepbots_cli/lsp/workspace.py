@@ -180,10 +180,13 @@ class DocumentAnalysis:
         """The files that the analysis read."""
         if self.checked is None:
             return {}
-        robots = (self.checked.robots or {}).values()
-        return {source: path for path, source in self.checked.document.files.items()} | {
-            robot.file.source: robot.path for robot in robots
-        }
+        paths = {source: path for path, source in self.checked.document.files.items()}
+        for robot in (self.checked.robots or {}).values():
+            paths |= {
+                robot.file.source: robot.path,
+                **(robot.file.xacro.included if robot.file.xacro else {}),
+            }
+        return paths
 
     def path(self, source: Source) -> Path:
         """Return the file of a source. A file that could not be read is found by its name."""

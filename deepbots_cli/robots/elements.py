@@ -32,7 +32,6 @@ _BLANKS = " \t\r\n"
 _START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*>""")
 _ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
-_OPTENV = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
 
 
 def quoted(text: str) -> str:
@@ -61,18 +60,20 @@ class ElementReport:
 
 @dataclass(eq=False, slots=True)
 class Element:
-    """An element; `start` is the offset of its `<`. Text between tags is not kept: URDF has none."""
+    """An element; `start` is the offset of its `<` in `source`, or in that of the report where it is None.
+    Text between tags is not kept: URDF has none."""
 
     tag: str
     attributes: dict[str, str]
     report: ElementReport
     start: int
     children: list[Element] = field(default_factory=list)
+    source: Source | None = None
 
     @property
     def span(self) -> Span:
         """The start tag."""
-        source = self.report.source
+        source = self.source or self.report.source
         # Found again for a finding alone: most elements have none.
         match = _START_TAG.match(source.text, self.start)
         return Span(source, self.start, match.end() if match else self.start + 1)
@@ -174,7 +175,7 @@ class Element:
             if default is None:
                 self.text(name)
             return stand_in
-        words = self._expanded(name).split()
+        words = self.attributes[name].split()
         if len(words) <= MAX_CORRECTED_LENGTH and all(len(word) <= MAX_CORRECTED_LENGTH for word in words):
             words = self._as_pybullet_reads(words, name, size)
         wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
@@ -211,20 +212,6 @@ class Element:
             self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
             return plain[:3]
         return plain
-
-    def _expanded(self, name: str) -> str:
-        """Return the value; `$(optenv NAME default)` of an unexpanded xacro file is replaced by its
-        default."""
-        value = self.attributes[name]
-        match = _OPTENV.fullmatch(value.strip())
-        if match is None:
-            return value
-        self.warn(
-            "a xacro substitution is not expanded",
-            attribute=name,
-            help=f"expand it with xacro; until then deepbots uses its default, {match[1]}",
-        )
-        return match[1]
 
 
 class _RefusedError(Exception):

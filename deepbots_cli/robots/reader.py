@@ -41,6 +41,7 @@ from deepbots_cli.robots.model import (
     Vector,
 )
 from deepbots_cli.robots.units import unit_faults
+from deepbots_cli.robots.xacro import Expansion, expand, is_xacro
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
@@ -94,8 +95,8 @@ class RobotFile:
     """A robot and its text, with the span of the name of each link and joint, of the limits of each joint,
     and of each file name of a mesh, with the real path of that mesh.
 
-    `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its
-    bytes.
+    `digest` is the sha256 (hex) of the file; of a xacro file, of what it includes and of its arguments, too.
+    `xacro` has what its expansion read. `meshes` maps the real path of each mesh to the digest of its bytes.
     """
 
     model: RobotModel
@@ -105,6 +106,12 @@ class RobotFile:
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
     mesh_spans: Mapping[Span, str]
+    xacro: Expansion | None = None
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The file and those that it includes."""
+        return (self.source, *(self.xacro.included if self.xacro else ()))
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -119,11 +126,17 @@ _CACHE: dict[tuple[bytes, str], RobotFile] = {}
 
 
 def read(
-    path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None
+    path: Path,
+    display: str,
+    findings: Findings,
+    *,
+    resolve_mesh: ResolveMesh | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> RobotFile | None:
     """Read the robot file at `path`, which findings call `display`.
 
     Args:
+        arguments: The values of the arguments of a xacro file.
         resolve_mesh: From a mesh file name as written to its real path, or why it may not be read. Without
             it, meshes must lie in the folder of the robot file or in the package they name.
 
@@ -134,9 +147,8 @@ def read(
     if path.is_file():  # a pipe would block for ever
         try:
             data = read_at_most(path, MAX_BYTES + 1)  # one more shows that the file is larger
-            return read_bytes(
-                data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent)
-            )
+            resolve = resolve_mesh or mesh_resolver(path.absolute().parent)
+            return read_bytes(data, display, findings, resolve_mesh=resolve, arguments=arguments)
         except OSError as error:
             headline = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
     findings.add("DB301", Span(Source(display, ""), 0, 0), headline)
@@ -144,7 +156,12 @@ def read(
 
 
 def read_bytes(
-    data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh
+    data: bytes,
+    display: str,
+    findings: Findings,
+    *,
+    resolve_mesh: ResolveMesh,
+    arguments: Mapping[str, str] | None = None,
 ) -> RobotFile | None:
     """Read a robot file that is already in memory.
 
@@ -153,16 +170,18 @@ def read_bytes(
     if (cached := _CACHE.get((data, display))) is not None:
         return cached
     before = len(findings)
-    robot = _read(data, display, findings, resolve_mesh)
+    robot = _read(data, display, findings, resolve_mesh, arguments or {})
     # Files of meshes may change, and each caller gets the findings anew: such robots are read again.
-    if robot is not None and not robot.meshes and len(findings) == before:
+    if robot is not None and not robot.meshes and robot.xacro is None and len(findings) == before:
         if len(_CACHE) >= MAX_CACHED_FILES:
             _CACHE.clear()
         _CACHE[data, display] = robot
     return robot
 
 
-def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh) -> RobotFile | None:
+def _read(
+    data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMesh, arguments: Mapping[str, str]
+) -> RobotFile | None:
     source = _decode(data, display, findings)
     root = parse(source, findings) if source else None
     if source is None or root is None:
@@ -173,13 +192,13 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
             help="only URDF is read; convert the file first",
         )
         return None
+    xacro = None
+    if is_xacro(source.text):
+        xacro = expand(root, resolve_mesh, arguments, findings)
+        if xacro is None:
+            return None
+        root = xacro.root
     _check_words(root)
-    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
-    if macro is not None:  # the plain elements of a program that writes URDF would give another robot
-        macro.error(
-            "a xacro macro that has not been expanded",
-            help="expand the file first: xacro robot.urdf.xacro > robot.urdf",
-        )
     links, joints = _named(root, "link"), _named(root, "joint")
     if not root.find_all("link"):
         root.error("the robot has no links")
@@ -208,8 +227,13 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
         for name, element in joints.items()
         if (limits := element.find_all("limit"))
     }
-    digest = hashlib.sha256(data).hexdigest()
-    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans)
+    hashed = hashlib.sha256(data)
+    for text in (
+        (*(included.text for included in xacro.included), repr(sorted(arguments.items()))) if xacro else ()
+    ):
+        hashed.update(text.encode())
+    digest = hashed.hexdigest()
+    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans, xacro)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:

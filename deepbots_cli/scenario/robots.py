@@ -9,6 +9,7 @@ from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
 from deepbots_cli.scenario.fields.base import Scalar
 from deepbots_cli.scenario.fields.names import (
+    ArgumentValue,
     Color,
     FilePath,
     JointPattern,
@@ -94,6 +95,9 @@ class Robot(Section):
     urdf: Annotated[str, FilePath("robot file")]
     """The robot file: a path relative to the scenario file in which it is written, the name of a shipped
     robot, or `package://name/path`."""
+    xacro: dict[str, Annotated[Scalar | bool, ArgumentValue()]] = {}
+    """Arguments of a robot file in xacro, in place of the defaults of its `<xacro:arg>`: `{prefix: left_,
+    use_camera: false}`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
     self_collision: bool = False

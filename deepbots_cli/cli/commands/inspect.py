@@ -13,14 +13,14 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
+from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, XacroArguments, option
 from deepbots_cli.cli.inspected import BRIEF_TABLES, CAPTIONS, root_of
-from deepbots_cli.cli.sources import is_robot, open_robot, open_source
+from deepbots_cli.cli.sources import is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
+from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
 from deepbots_cli.insight import inspection
 from deepbots_cli.program import Program
 
@@ -47,13 +47,18 @@ def command(
     ros: Annotated[
         bool, option("--ros", "Print the section `ros`: a ROS 2 topic for each sensor and each command.")
     ] = False,
+    xacro: XacroArguments = None,
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Show the tables of a scenario, a run or a robot file."""
     if is_robot(scenario):
-        _inspect_robot(scenario, permissions.folders, as_json)
+        _inspect_robot(scenario, permissions.folders, xacro_arguments(xacro), as_json)
         return
+    if xacro:
+        raise UsageError(
+            "--xacro-arg goes with a robot file; a scenario has them under `xacro`, beside `urdf`"
+        )
     side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
     program = side.program.variant(case, stage)
@@ -132,8 +137,10 @@ def _poses(program: Program, engine: str | None, permissions: Permissions) -> in
         return {}
 
 
-def _inspect_robot(reference: str, allowed: Sequence[str | Path], as_json: bool) -> None:
-    robot, findings = open_robot(reference, allowed)
+def _inspect_robot(
+    reference: str, allowed: Sequence[str | Path], arguments: Mapping[str, str], as_json: bool
+) -> None:
+    robot, findings = open_robot(reference, allowed, arguments)
     tables = inspection.robot_tables(robot, findings)
     terminal.show(
         tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json

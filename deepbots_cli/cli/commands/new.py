@@ -15,10 +15,10 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.command import OUTPUT, Force, Json, option
+from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import open_robot
-from deepbots_cli.cli.starters.first_scenario import Task
+from deepbots_cli.cli.sources import open_robot, xacro_arguments
+from deepbots_cli.cli.starters.first_scenario import Choices, Task
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
@@ -90,6 +90,7 @@ def command(
         Task | None,
         option("--task", "What the robot of --urdf is to do, by default the task of its kind."),
     ] = None,
+    xacro: XacroArguments = None,
     webots: Annotated[
         Path | None,
         option(
@@ -121,8 +122,8 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
-    if (kind or task) and not urdf:
-        raise UsageError("--kind and --task go with --urdf")
+    if (kind or task or xacro) and not urdf:
+        raise UsageError("--kind, --task and --xacro-arg go with --urdf")
     _check_start(
         {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
         has_protos=bool(protos),
@@ -136,7 +137,8 @@ def command(
         folder = project
     starter: Starter | None = None
     if urdf:
-        contents, judgment = from_robot(urdf, name, folder, permissions, kind, task)
+        choices = Choices(kind, task, xacro_arguments(xacro))
+        contents, judgment = from_robot(urdf, name, folder, permissions, choices)
         terminal.note(f"{urdf} is {judgment}")
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
@@ -262,9 +264,8 @@ def from_robot(
     robot: str,
     name: str,
     folder: Path,
-    permissions: Permissions = Permissions(),
-    kind: Kind | None = None,
-    task: Task | None = None,
+    permissions: Permissions,
+    choices: Choices,
 ) -> tuple[Files, Judgment]:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
     package://... Also returns the kind of the robot.
@@ -274,9 +275,9 @@ def from_robot(
             that can be driven, no kind is sure, or the task does not suit the robot.
         ScenarioError: The file is not a valid robot.
     """
-    model = open_robot(robot, permissions.folders)[0].model
+    model = open_robot(robot, permissions.folders, choices.xacro)[0].model
     reference = _reference(robot, folder, permissions)
-    text, judgment = starters.scenario(model, reference, scenario_title(name), kind, task)
+    text, judgment = starters.scenario(model, reference, scenario_title(name), choices)
     return {PurePosixPath(f"{name}.yaml"): text.encode()}, judgment
 
 
@@ -327,7 +328,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
             raise UsageError(
                 f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {advice}"
             )
-        if shipped_name.startswith("package://") or shipped_name.endswith(".urdf"):
+        if shipped_name.startswith("package://") or shipped_name.endswith((".urdf", ".xacro")):
             raise UsageError(
                 f"--from copies a scenario, and {shipped_name} is a robot; for a scenario with this robot:"
                 f" deepbots new {quote(name)} --urdf {quote(shipped_name)}"

@@ -26,6 +26,7 @@ class Draft:
     build: Build
     urdf: str
     judgment: Judgment
+    xacro: Mapping[str, str] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=dict)
     poses: dict[str, dict[str, str]] = field(default_factory=dict)
     motors: dict[str, tuple[str, str, dict[str, str]]] = field(default_factory=dict)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import prod
 
 from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
 from deepbots_cli.cli.starters.legs import walk
-from deepbots_cli.cli.starters.text import aligned, short_number, templates
+from deepbots_cli.cli.starters.text import aligned, short_number, templates, yaml_name
 from deepbots_cli.cli.starters.wheels import balance, drive
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.build import GRAVITY, Build, is_endless, neutral, range_of
@@ -166,11 +166,18 @@ _TASKS: dict[Kind, tuple[Task, ...]] = {
 """The tasks of each kind, the default first."""
 
 
-def scenario(
-    model: RobotModel, urdf: str, name: str, kind: Kind | None = None, task: Task | None = None
-) -> tuple[str, Judgment]:
-    """Return the text of a scenario called `name` about a robot file, and the kind of the robot. The kind is
-    judged by the structure of the robot, unless `kind` names it; `task` is that of its kind by default.
+@dataclass(frozen=True)
+class Choices:
+    """What a person says about a robot file: the kind of the robot, by default judged by its structure, its task, by
+    default that of its kind, and the arguments of a xacro file."""
+
+    kind: Kind | None = None
+    task: Task | None = None
+    xacro: Mapping[str, str] = field(default_factory=dict)
+
+
+def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple[str, Judgment]:
+    """Return the text of a scenario called `name` about a robot file, and the kind of the robot.
 
     Raises:
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
@@ -189,15 +196,15 @@ def scenario(
             f"{urdf} has neither a joint that a motor can drive nor a propeller, so a policy could not control"
             " it; a drone needs a link for each propeller, with its z axis along the thrust"
         )
-    judgment = judge(build) if kind is None else Judgment(kind, "as --kind says")
-    if judgment.kind is None and task is None:
+    judgment = judge(build) if choices.kind is None else Judgment(choices.kind, "as --kind says")
+    if judgment.kind is None and choices.task is None:
         raise UsageError(
             f"deepbots is not sure what {urdf} is ({judgment.evidence}); say it with --kind, or say what it"
             f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
         )
-    draft = Draft(build, urdf, judgment)
+    draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
     draft.links |= {name: {"density": f"{short_number(_DENSITY)} kg/m^3"} for name in densities}
-    task, values = _task(draft, task)
+    task, values = _task(draft, choices.task)
     text = (
         templates()
         .get_template(f"{task}.yaml")

@@ -398,6 +398,17 @@ class FilePath(FieldType):
         return f"the path of {with_article(self.kind)}"
 
 
+class ArgumentValue(FieldType):
+    """The value of an argument of a robot file in xacro, which may be empty."""
+
+    noun = "a text, a number, `true` or `false`"
+    example = "left_"
+    accepted_types = (str, int, float, bool)
+
+    def validate(self, value: object) -> object:
+        return value if value == "" else super().validate(value)
+
+
 SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
 JointPattern = Annotated[str, Pattern("joint")]
