@@ -315,7 +315,7 @@ _FILE_KEYS = {
     "remove": "paths to remove from the extended scenario, such as `[observation.tip_speed]`",
 }
 _VERSION_LINE = Choice(f"deepbots: {VERSION}", CompletionItemKind.Keyword, "the first line of a scenario")
-_SUFFIXES = {"robot file": (".urdf",), "mesh file": MESH_SUFFIXES, "picture": (".png",)}
+_SUFFIXES = {"robot file": (".urdf", ".xacro"), "mesh file": MESH_SUFFIXES, "picture": (".png",)}
 _MAX_FILES = 300
 _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
 _COLON = re.compile(r"[\w]*[ \t]*:")
