@@ -17,7 +17,7 @@ from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.lint.settings import Settings, scenarios_in
-from deepbots_cli.robots import meshes
+from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -99,18 +99,20 @@ def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[Robo
         ScenarioError: The file cannot be read as a robot.
     """
     robot = (
-        meshes.locate_mesh(reference, Path.cwd())
+        packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
         if reference.startswith("package://")
         else shipped.robot_path(reference) or Path(reference)
     )
-    if isinstance(robot, meshes.UnusableMesh) or not robot.is_file():
+    if robot is None or not robot.is_file():
         names = shipped.robot_names()
-        suggestion = meshes.library_reference(reference) or nearest_word(reference, names)
+        suggestion = packages.library_reference(reference) or nearest_word(reference, names)
         hint = f" (did you mean {suggestion}?)" if suggestion else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    resolve_mesh = meshes.mesh_resolver(
-        robot.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference))
+    resolve_mesh = packages.mesh_resolver(
+        robot.absolute().parent,
+        (Path.cwd(), *map(Path, allowed), *packages.package_folders(reference)),
+        suggests=True,
     )
     file = read(robot, files.display_path(robot.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:

@@ -17,6 +17,8 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
+from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import XML_ESCAPES
 
 ELSEWHERE = "elsewhere_"
@@ -176,6 +178,8 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
 
 def _read_bytes(file: Path) -> bytes:
     try:
-        return file.read_bytes()
+        return read_mesh(file) if file.suffix.lower() in GLTF_SUFFIXES else file.read_bytes()
+    except FaultyGltfError as error:
+        raise UsageError(f"{file} cannot be read: {error}") from error
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error
