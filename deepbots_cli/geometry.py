@@ -14,6 +14,7 @@ together. Its measures go from those of the lowest to those of the highest level
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -582,14 +583,12 @@ def _mesh_inertial(link: Link, piece: Geometry, density: float) -> Inertial:
     corners = mesh_triangles(piece.shape).reshape(-1, 3)
     corners = corners @ np.array(rotation_matrix(piece.origin.rpy)).T + piece.origin.xyz
     solid = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3))
-    if not solid.is_watertight or not solid.is_winding_consistent:
-        try:
-            solid = solid.convex_hull
-        except (QhullError, ValueError):  # the mesh is flat
-            solid = trimesh.Trimesh()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        encloses = not solid.is_empty and abs(solid.volume) > _MIN_VOLUME_M3
-    if not encloses:
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a flat mesh
+        if not solid.is_watertight or not solid.is_winding_consistent:
+            with suppress(QhullError, ValueError):
+                solid = solid.convex_hull
+        has_volume = solid.is_watertight and abs(solid.volume) > _MIN_VOLUME_M3
+    if not has_volume:
         raise EngineError(
             f"the mesh of link '{link.name}' encloses no volume, so its mass cannot be computed from the"
             " density; write its `mass` instead"

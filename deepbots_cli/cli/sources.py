@@ -90,34 +90,68 @@ def is_robot(reference: str) -> bool:
     )
 
 
+class RobotError(ScenarioError):
+    """The error for a file that cannot be read as a robot; `allow` has the folders that have its meshes, and
+    that the user did not allow."""
+
+    def __init__(self, findings: Sequence[Finding], allow: Sequence[Path] = ()) -> None:
+        super().__init__(findings)
+        self.allow = tuple(allow)
+
+
 def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[RobotFile, list[Finding]]:
     """Open a robot file, with the warnings about it. Its meshes are in its folder, the current one, an
     `allowed` one, or below them.
 
     Raises:
         UsageError: There is no such file.
-        ScenarioError: The file cannot be read as a robot.
+        RobotError: The file cannot be read as a robot.
     """
-    robot = (
-        packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
-        if reference.startswith("package://")
-        else shipped.robot_path(reference) or Path(reference)
-    )
-    if robot is None or not robot.is_file():
+    file, findings, places = _read_robot(reference, allowed)
+    if file is None or findings.errors:
+        raise RobotError(list(findings), list(places.suggested))
+    return file, list(findings)
+
+
+def robot_findings(reference: str, allowed: Sequence[str | Path] = ()) -> list[Finding]:
+    """Return the findings of a robot file alone.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    return list(_read_robot(reference, allowed)[1])
+
+
+def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
+    """Return the robot file of a path, a shipped name or `package://`.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    if reference.startswith("package://"):
+        path = packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
+    else:
+        path = shipped.robot_path(reference) or Path(reference)
+    if path is None or not path.is_file():
         names = shipped.robot_names()
         suggestion = packages.library_reference(reference) or nearest_word(reference, names)
         hint = f" (did you mean {suggestion}?)" if suggestion else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
+    return path
+
+
+def _read_robot(
+    reference: str, allowed: Sequence[str | Path]
+) -> tuple[RobotFile | None, Findings, packages.Places]:
+    path = robot_path(reference, allowed)
     findings = Findings()
-    resolve_mesh = packages.mesh_resolver(
-        robot.absolute().parent,
+    places = packages.Places(
+        path.absolute().parent,
         (Path.cwd(), *map(Path, allowed), *packages.package_folders(reference)),
         suggests=True,
     )
-    file = read(robot, files.display_path(robot.resolve()), findings, resolve_mesh=resolve_mesh)
-    if file is None or findings.errors:
-        raise ScenarioError(list(findings))
-    return file, list(findings)
+    file = read(path, files.display_path(path.resolve()), findings, resolve_mesh=places.resolve)
+    return file, findings, places
 
 
 def run_to_export(run: Run, agent: str | None) -> Run:
@@ -151,6 +185,6 @@ def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
         is_folder = argument != STDIN and Path(argument).is_dir()
         names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
     for name in names:
-        if name != STDIN:
+        if name != STDIN and not is_robot(name):
             Source.open(name, Permissions(), SourceKind.SCENARIO)
     return list(names)

@@ -19,7 +19,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
 from deepbots_cli.robots.meshes import read_mesh
-from deepbots_cli.robots.model import XML_ESCAPES
 
 ELSEWHERE = "elsewhere_"
 """The beginning of the names of folders with copies of files outside the project."""
@@ -92,13 +91,10 @@ class Inputs:
 
         `package://` and the folders above the robot file may lead elsewhere from the copy.
         """
-        text, pieces, end = robot.file.source.text, [], 0
-        for span, mesh in sorted(robot.file.mesh_spans.items(), key=lambda entry: entry[0].start):
-            folder = PurePath(self.names[robot.path]).parent
-            name = PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
-            pieces += [text[end : span.start], name.translate(XML_ESCAPES).replace("'", "&apos;")]
-            end = span.end
-        return "".join([*pieces, text[end:]])
+        folder = PurePath(self.names[robot.path]).parent
+        return robot.file.with_mesh_names(
+            lambda mesh: PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
+        )
 
     def resolved(self) -> str:
         """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check

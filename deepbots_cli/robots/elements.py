@@ -181,18 +181,13 @@ class Element:
             return default or 0.0
         return value
 
-    def limit(self, name: str) -> float | None:
-        """Return a number that is an upper bound; None for one that is absent, 0 or negative. Files write 0
-        and -1 for "no limit"."""
-        value = self.number(name, 0.0)
-        if value < 0:
-            self.warn(
-                f"the {name} limit is negative; deepbots reads it as no limit",
-                attribute=name,
-                help=f"write the {name} of the motor",
-                kind=f"negative {name}",
-            )
-        return value if value > 0 else None
+    def bound(self, name: str) -> float | None:
+        """Return one number, by default 0; None for one that is too large to bound anything."""
+        try:
+            is_endless = abs(float(self.attributes.get(name, "0"))) > MAX_MAGNITUDE
+        except ValueError:
+            is_endless = False
+        return None if is_endless else self.number(name, 0.0)
 
     def vector(
         self, name: str, default: tuple[float, float, float] | None = None

@@ -65,19 +65,18 @@ ResolveMesh = Callable[[str], Located]
 """A function from a `filename` as written in the robot file to the real path, if it may be read."""
 
 
-def mesh_resolver(folder: Path, allowed: Iterable[Path] = (), *, suggests: bool = False) -> ResolveMesh:
+def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
     """Return a resolver that allows the folder of the robot file, the `allowed` ones, all below them, and the
-    installed package that a `package://` names.
-
-    Args:
-        suggests: Whether a refusal names a folder outside that has the file. Only for a robot file that the
-            user names: files of others must not find out what exists outside.
-    """
-    return Places(folder, allowed, suggests=suggests).resolve
+    installed package that a `package://` names."""
+    return Places(folder, allowed).resolve
 
 
 class Places:
-    """The places where the files of one robot may lie. Folders that were searched are kept."""
+    """The places where the files of one robot may lie. Folders that were searched are kept.
+
+    With `suggests`, a refusal names a folder outside that has the file. Only for a robot file that the user
+    names: files of others must not find out what exists outside.
+    """
 
     def __init__(self, folder: Path, allowed: Iterable[Path] = (), *, suggests: bool = False) -> None:
         self._folder = folder.absolute()
@@ -85,6 +84,8 @@ class Places:
         self._above = [self._folder, *islice(self._folder.parents, _MAX_PARENTS)]
         self._roots = [os.path.realpath(root) for root in (folder, *allowed)]
         self._suggests = suggests
+        self.suggested: dict[Path, None] = {}
+        """The folders that the user has to allow for files that were refused, in the order of the files."""
         self._names: dict[Path, str | None] = {}
         self._below: list[Path] | None = None
         self._packages: dict[str, list[Path]] = {}
@@ -123,9 +124,8 @@ class Places:
         if windows.anchor and (path := self._with_end(windows.parts[1:])) is not None:
             return self._elsewhere(path)
         if is_allowed:
-            return UnusableMesh(
-                "the mesh does not exist", f"check the path: deepbots looked for {real}", (str(real),)
-            )
+            help = self._namesake(written) or f"check the path: deepbots looked for {real}"
+            return UnusableMesh("the mesh does not exist", help)
         allow = self._suggested([written])
         return UnusableMesh("the mesh lies outside the folder of the robot", _outside_help(allow), (), allow)
 
@@ -151,6 +151,8 @@ class Places:
     def _in_package(self, reference: str, path: str) -> Located:
         package, _, inside = path.partition("/")
         inside = inside.lstrip("/")
+        if not inside:  # the name of a package is left out
+            package, inside = "", package
         home = package_folder(package)
         if home is not None:
             real = Path(os.path.realpath(home / inside))
@@ -172,7 +174,17 @@ class Places:
         if package and not self._packages.get(package):
             help += f", and for a package called {package[:60]}"
         help += "; put the file into one of these places, or allow a folder that has it with --allow-path"
-        return UnusableMesh("the mesh does not exist", help, shown)
+        return UnusableMesh("the mesh does not exist", self._namesake(inside) or help, shown)
+
+    def _namesake(self, written: str) -> str | None:
+        """Return the help that names a file of the same name in a folder nearby."""
+        name = PureWindowsPath(written).name
+        near = (self._file(folder / name) for folder in self._searched())
+        path = next((path for path in near if path is not None), None)
+        if path is None:
+            return None
+        reference = os.path.relpath(path, os.path.realpath(self._folder)).replace(os.sep, "/")
+        return f'a file of this name is near: write filename="{reference}" if it is the one'
 
     def _candidates(self, package: str, inside: str) -> Iterator[Path]:
         """Yield the places for a file of a package, in the order of the docstring of this module."""
@@ -263,7 +275,9 @@ class Places:
             path = os.path.realpath(above / ending)
             if os.path.isfile(path) and not self._allows(path):
                 common = Path(os.path.commonpath((path, os.path.realpath(above))))
-                return None if common == Path(common.anchor) else common
+                if common != Path(common.anchor):
+                    self.suggested[common] = None
+                    return common
         return None
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -21,6 +21,7 @@ from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_hel
 from deepbots_cli.robots.meshes import MeshReader
 from deepbots_cli.robots.model import (
     FRICTION_TAGS,
+    XML_ESCAPES,
     Box,
     Capsule,
     Color,
@@ -116,6 +117,14 @@ class RobotFile:
             geometry.shape for link in self.model.links for geometry in (*link.visuals, *link.collisions)
         )
         return {shape.path: shape.digest for shape in shapes if isinstance(shape, Mesh)}
+
+    def with_mesh_names(self, name_of: Callable[[str], str]) -> str:
+        """Return the text with another name for each mesh, from its real path."""
+        text, pieces, end = self.source.text, list[str](), 0
+        for span, mesh in sorted(self.mesh_spans.items(), key=lambda entry: entry[0].start):
+            pieces += [text[end : span.start], name_of(mesh).translate(XML_ESCAPES).replace("'", "&apos;")]
+            end = span.end
+        return "".join([*pieces, text[end:]])
 
 
 MAX_CACHED_FILES = 32
@@ -598,9 +607,9 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 code="DB307",
             )
         return Limit()
-    effort, velocity = element.limit("effort"), element.limit("velocity")
+    effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
     # URDF's own default of both is 0.
-    lower, upper = (_range_end(element, name) for name in ("lower", "upper"))
+    lower, upper = (element.bound(name) for name in ("lower", "upper"))
     if lower is None or upper is None:
         return Limit(lower, upper, velocity, effort)
     if kind in ("revolute", "prismatic"):
@@ -636,13 +645,18 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
     return Limit(None, None, velocity, effort)
 
 
-def _range_end(limit: Element, name: str) -> float | None:
-    """Return an end of a range; None for a number that is too large for a joint to reach."""
-    try:
-        is_endless = abs(float(limit.attributes.get(name, "0"))) > MAX_MAGNITUDE
-    except ValueError:
-        is_endless = False
-    return None if is_endless else limit.number(name, 0.0)
+def _positive(limit: Element, name: str) -> float | None:
+    """Return a limit of effort or velocity; None for one that is absent, 0 or negative: files write 0 and -1
+    for "no limit"."""
+    value = limit.bound(name)
+    if value is not None and value < 0:
+        limit.warn(
+            f"a negative limit of {name}; deepbots reads it as no limit",
+            attribute=name,
+            help=f"write the {name} of the motor",
+            kind="negative limit",
+        )
+    return value if value is not None and value > 0 else None
 
 
 def _mimic(joint: Element) -> Mimic | None:
@@ -738,7 +752,8 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
     leader = joints.get(mimic.joint)
     if leader is None:
         headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
-        element.error(headline, attribute="joint", help=known_names_help(mimic.joint, joints, "joints"))
+        help = f"the joint moves on its own; {known_names_help(mimic.joint, joints, 'joints')}"
+        element.warn(headline, attribute="joint", help=help, kind="mimic of an unknown joint")
     elif not joint.moves:
         element.warn(
             f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing",

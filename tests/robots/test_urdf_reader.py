@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.compiler.robots import matching_names
@@ -873,6 +873,8 @@ def robots(draw: st.DrawFn) -> RobotModel:
 
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
+    # A floating joint below an empty root is a free base, which `to_urdf` never writes.
+    assume(not any(joint.type == "floating" and joint.parent == model.root for joint in model.joints))
     findings = Findings()
     robot = read_bytes(
         to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere"))
