@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import MappingNode, descend
@@ -670,22 +670,29 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
     findings = Findings()
     file = read(file_at, files.display_path(file_at), findings, resolve_mesh=resolve_mesh)
     if file is None:
-        _tell(findings, values, ())
+        _tell(findings, values, {}, ())
         return None
     groups = _groups(file.model, spec, values)
     model = Overrides(name, groups, namespace).apply(file.model, spec)
-    has_mass = [
-        file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None
+    changed = [
+        link.name
+        for link in model.links
+        if link.density is not None or link.inertial != file.model.link(link.name).inertial
     ]
-    _tell(findings, values, has_mass)
+    _tell(findings, values, file.inertial_links, changed)
     return ResolvedRobot(name, file_at.resolve(), spec, file, model, groups)
 
 
-def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
-    """Report the findings of a robot file, except for a link without inertial if the scenario gives it
-    one."""
+def _tell(
+    findings: Iterable[Finding],
+    values: ValueReader,
+    inertial_links: Mapping[Span, tuple[str, ...]],
+    changed: Collection[str],
+) -> None:
+    """Report the findings of a robot file, except for those about inertials that the scenario has `changed`."""
     for finding in findings:
-        if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
+        links = inertial_links.get(finding.span, ())
+        if not links or not set(links) <= set(changed):
             values.findings.append(finding)
 
 

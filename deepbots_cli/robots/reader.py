@@ -110,6 +110,8 @@ class RobotFile:
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
     mesh_spans: Mapping[Span, str]
+    inertial_links: Mapping[Span, tuple[str, ...]]
+    """The links that a finding at this place is about, if their inertial is missing or impossible."""
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -212,7 +214,7 @@ def _robot(root: Element, data: bytes, resolve_mesh: ResolveMesh) -> RobotFile |
     model = _model(root, links, joints, meshes)
     if model is None:
         return None
-    _check_inertia(model, links)
+    inertial_links = _check_inertia(model, links)
     _check_units(model, links, meshes)
     model = _with_free_base(_without_balls(model, joints))
     if root.report.errors:
@@ -231,7 +233,9 @@ def _robot(root: Element, data: bytes, resolve_mesh: ResolveMesh) -> RobotFile |
         if (limits := element.find_all("limit"))
     }
     digest = hashlib.sha256(data).hexdigest()
-    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans)
+    return RobotFile(
+        model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans, inertial_links
+    )
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -871,14 +875,16 @@ def _with_free_base(model: RobotModel) -> RobotModel:
     return replace(model, links=links, joints=joints, root=first.child)
 
 
-def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
+def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[Span, tuple[str, ...]]:
     """Report DB305 and DB306: links whose inertia is missing or impossible, in one finding for each kind.
+    Returns the links by the place of the finding.
 
     A link without an inertial and without anything to touch is a frame, as `world` and `tool0` are, or a
     drawing: it needs none, unless a joint moves it that moves no mass.
     """
     moving = {joint.child for joint in model.joints if joint.type != "fixed"}
     subtree_mass = model.subtree_mass()
+    places: dict[Span, tuple[str, ...]] = {}
 
     def warn(code: str, links: list[Link], lack: str, help: str) -> None:
         if not links:
@@ -890,6 +896,7 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
             headline = f"{len(names)} links have {lack}"
         notes = _listed("they are:", names) if len(names) > 1 else ()
         elements[names[0]].warn(headline, attribute="name", help=help, notes=notes, code=code)
+        places[elements[names[0]].value_span("name")] = tuple(names)
 
     missing = [
         link
@@ -928,3 +935,5 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
             notes=_listed("the same is true of", [other.name for other in wrong[1:]]),
             code="DB306",
         )
+        places[at.value_span(None)] = tuple(other.name for other in wrong)
+    return places

@@ -7,6 +7,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +25,7 @@ from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import did_you_mean
-from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
+from deepbots_cli.document import MappingNode, Permissions, ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
@@ -34,7 +35,9 @@ from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.gltf import GLTF_SUFFIXES
+from deepbots_cli.robots.kinematics import inertial_of_shapes
 from deepbots_cli.robots.meshes import read_mesh
+from deepbots_cli.robots.model import RobotModel, with_link
 from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -65,6 +68,8 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
+_DENSITY = "1000 kg/m^3"
+_GUESSED_MASS_KG = 1.0
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
@@ -299,10 +304,44 @@ def from_robot(
         RobotError: The file is not a valid robot.
     """
     file = open_robot(robot, permissions.folders)[0]
+    model, weightless = _weighed(file.model)
     copies = _copies(file, robot_path(robot, permissions.folders)) if copy else {}
     reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
-    text = starters.scenario(file.model, reference, scenario_title(name))
+    text = _with_densities(starters.scenario(model, reference, scenario_title(name)), weightless)
     return {PurePosixPath(f"{name}.yaml"): text.encode(), **copies}
+
+
+def _weighed(model: RobotModel) -> tuple[RobotModel, list[str]]:
+    """Return a robot that joints can move, and the links that need a density for that: those with a shape and
+    without an inertial, if a joint moves no mass."""
+    subtree_mass = model.subtree_mass()
+    if all(subtree_mass[joint.child] > 0.0 for joint in model.moving_joints):
+        return model, []
+    weightless = []
+    for link in model.links:
+        # The mass of a mesh is computed from its volume later; here that of the box around it will do.
+        inertial = inertial_of_shapes(link, _GUESSED_MASS_KG) if link.inertial is None else None
+        if inertial is not None:
+            model = with_link(model, replace(link, inertial=inertial))
+            weightless.append(link.name)
+    return model, weightless
+
+
+def _with_densities(text: str, weightless: Sequence[str]) -> str:
+    """Return a scenario whose robot gives these links a density."""
+    root = parse(Source("", text), Findings()) if weightless else None
+    robots = node_at(root, "robots") if root is not None else None
+    if not isinstance(robots, MappingNode):
+        return text
+    place = node_at(robots, next(iter(robots.entries)), "urdf")
+    if place is None:
+        return text
+    names = ", ".join(f"{json.dumps(name)}: {{density: {_DENSITY}}}" for name in weightless)
+    column = place.span.start_position.column - len("urdf: ") - 1
+    note = "the robot file states no masses; these follow from the shapes"
+    line = f"\n{' ' * column}links: {{{names}}}  # {note}"
+    end = text.find("\n", place.span.end)
+    return text[:end] + line + text[end:]
 
 
 def _copies(file: RobotFile, path: Path) -> Files:
