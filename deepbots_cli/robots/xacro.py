@@ -22,7 +22,7 @@ from typing import Any
 from deepbots_cli.diagnostics import Findings, Label, Source
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
-from deepbots_cli.robots.meshes import MeshAboveRobot, ResolveMesh, UnusableMesh
+from deepbots_cli.robots.packages import ResolveMesh, UnusableMesh
 from deepbots_cli.robots.xacro_expressions import WAY_OUT, Budget, Evaluator, Namespace, XacroError, size
 
 MAX_ELEMENTS = 50_000
@@ -407,10 +407,9 @@ class _Expander:
         help: str | None = "check the path"
         with suppress(OSError, ValueError):  # ValueError: a null character
             located = self.resolve(reference)
-            path = located.path if isinstance(located, MeshAboveRobot) else located
-            if isinstance(path, Path) and path.is_file():
-                return path
-            help = path.help if isinstance(path, UnusableMesh) else f"{help}: deepbots looked for {path}"
+            if isinstance(located, Path) and located.is_file():
+                return located
+            help = located.help if isinstance(located, UnusableMesh) else "check the path"
         raise XacroError(f"the file {quoted(reference)} cannot be read", help)
 
     def read(self, path: Path, limit: int) -> Source:

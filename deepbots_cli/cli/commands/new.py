@@ -6,7 +6,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -16,14 +17,15 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
+from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import open_robot, xacro_arguments
+from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import did_you_mean
-from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
+from deepbots_cli.document import MappingNode, Permissions, ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
@@ -32,6 +34,11 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES
+from deepbots_cli.robots.kinematics import inertial_of_shapes
+from deepbots_cli.robots.meshes import read_mesh
+from deepbots_cli.robots.model import RobotModel, with_link
+from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
@@ -61,6 +68,8 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
+_DENSITY = "1000 kg/m^3"
+_GUESSED_MASS_KG = 1.0
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
@@ -81,6 +90,10 @@ def command(
         ),
     ] = None,
     xacro: XacroArguments = None,
+    copy: Annotated[
+        bool,
+        option("--copy", "Copy the robot file of --urdf and its meshes into the folder."),
+    ] = False,
     webots: Annotated[
         Path | None,
         option(
@@ -112,6 +125,8 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
+    if copy and not urdf:
+        raise UsageError("--copy goes with --urdf")
     _check_start(
         {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
         has_protos=bool(protos),
@@ -127,7 +142,7 @@ def command(
         folder = project
     starter: Starter | None = None
     if urdf:
-        contents = from_robot(urdf, name, folder, permissions, xacro_arguments(xacro))
+        contents = _from_robot(urdf, name, folder, permissions, xacro, copy=copy)
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
         contents = dict(starter.files)
@@ -139,14 +154,16 @@ def command(
     unchanged = _unchanged(contents, folder)
     write = write_with_schema if schema else write_new
     paths = write(contents, folder, force=force)
+    if copy:
+        permissions = Permissions(code=permissions.code)
     if urdf or starter is not None:
         terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
     if starter is not None:
         _note_places(starter)
     has_schema = bool(schema or project)
-    commands = _next_commands(paths[0], starter, has_schema=has_schema, as_json=as_json)
+    commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
-    _show(paths, unchanged, commands, as_json=as_json, todos=todos)
+    _show(paths, unchanged, commands, permissions, as_json=as_json, todos=todos)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -167,12 +184,14 @@ def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
         raise UsageError("--protos goes with --webots")
 
 
-def _next_commands(scenario: Path, starter: Starter | None, *, has_schema: bool, as_json: bool) -> list[str]:
+def _next_commands(
+    scenario: Path, starter: Starter | None, permissions: Permissions, *, has_schema: bool, as_json: bool
+) -> list[str]:
     """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
     if starter is not None and starter.todos:
         commands = ["lint", "try", "inspect", "train"]
-    program = api.load(scenario).program
+    program = api.load(scenario, permissions=permissions).program
     if program is not None:
         if not as_json:
             _name_faster_engine(program)
@@ -248,27 +267,118 @@ def validated_name(name: str) -> str:
     return bare
 
 
+def _options(folders: Iterable[str | Path]) -> str:
+    """Return the options that allow these folders, with a blank before each."""
+    paths = (folders,) if isinstance(folders, (str, Path)) else folders
+    return "".join(f" --allow-path {quote(str(folder))}" for folder in paths)
+
+
+def _from_robot(
+    robot: str, name: str, folder: Path, permissions: Permissions, xacro: Sequence[str] | None, *, copy: bool
+) -> Files:
+    """Return the files for a robot file; one whose meshes are in folders that are not allowed is refused with
+    the commands that allow them."""
+    try:
+        return from_robot(robot, name, folder, permissions, xacro_arguments(xacro), copy=copy)
+    except RobotError as error:
+        if not error.allow:
+            raise
+        terminal.show_findings(error.findings)
+        allowed = _options([*permissions.folders, *error.allow])
+        words = "".join(f" --xacro-arg {quote(word)}" for word in xacro or ())
+        base = f"deepbots new {quote(name)} --urdf {quote(robot)}{words}{_folder_argument(folder)}{allowed}"
+        terminal.note(
+            f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
+            f"to leave them where they are, and allow the folder in each command:\n  {base}"
+        )
+        raise typer.Exit(FAILED) from error
+
+
+def _folder_argument(folder: Path) -> str:
+    return "" if folder == Path(".") else f" {quote(str(folder))}"
+
+
 def from_robot(
     robot: str,
     name: str,
     folder: Path,
     permissions: Permissions = Permissions(),
     xacro: Mapping[str, str] | None = None,
+    *,
+    copy: bool = False,
 ) -> Files:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
-    package://..., with the arguments of a xacro file.
+    package://..., with the arguments of a xacro file; with `copy` also the robot file and its meshes, in a
+    folder of their own.
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no
             joint that can be driven.
-        ScenarioError: The file is not a valid robot.
+        RobotError: The file is not a valid robot.
     """
-    model = open_robot(robot, permissions.folders, xacro)[0].model
-    text = starters.scenario(model, _reference(robot, folder, permissions), scenario_title(name), xacro)
-    return {PurePosixPath(f"{name}.yaml"): text.encode()}
+    file = open_robot(robot, permissions.folders, xacro)[0]
+    model, weightless = _weighed(file.model)
+    copies = _copies(file, robot_path(robot, permissions.folders)) if copy else {}
+    reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
+    arguments = None if copies else xacro  # a copy is expanded
+    text = starters.scenario(model, reference, scenario_title(name), arguments)
+    text = _with_densities(text, weightless)
+    return {PurePosixPath(f"{name}.yaml"): text.encode(), **copies}
 
 
-def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
+def _weighed(model: RobotModel) -> tuple[RobotModel, list[str]]:
+    """Return a robot that joints can move, and the links that need a density for that: those with a shape and
+    without an inertial, if a joint moves no mass."""
+    subtree_mass = model.subtree_mass()
+    if all(subtree_mass[joint.child] > 0.0 for joint in model.moving_joints):
+        return model, []
+    weightless = []
+    for link in model.links:
+        # The mass of a mesh is computed from its volume later; here that of the box around it will do.
+        inertial = inertial_of_shapes(link, _GUESSED_MASS_KG) if link.inertial is None else None
+        if inertial is not None:
+            model = with_link(model, replace(link, inertial=inertial))
+            weightless.append(link.name)
+    return model, weightless
+
+
+def _with_densities(text: str, weightless: Sequence[str]) -> str:
+    """Return a scenario whose robot gives these links a density."""
+    root = parse(Source("", text), Findings()) if weightless else None
+    robots = node_at(root, "robots") if root is not None else None
+    if not isinstance(robots, MappingNode):
+        return text
+    place = node_at(robots, next(iter(robots.entries)), "urdf")
+    if place is None:
+        return text
+    names = ", ".join(f"{json.dumps(name)}: {{density: {_DENSITY}}}" for name in weightless)
+    column = place.span.start_position.column - len("urdf: ") - 1
+    note = "the robot file states no masses; these follow from the shapes"
+    line = f"\n{' ' * column}links: {{{names}}}  # {note}"
+    end = text.find("\n", place.span.end)
+    return text[:end] + line + text[end:]
+
+
+def _copies(file: RobotFile, path: Path) -> Files:
+    """Return a robot file, which names its meshes by relative paths, and the meshes; the folders between them
+    stay."""
+    path = path.resolve()
+    if file.xacro:
+        path = path.with_name(f"{path.name.partition('.')[0]}.urdf")
+    meshes = {Path(mesh): Path(mesh) for mesh in file.meshes}
+    # A `.gltf` file is copied with its buffers, as `.glb`.
+    meshes |= {mesh: mesh.with_suffix(".glb") for mesh in meshes if mesh.suffix.lower() in GLTF_SUFFIXES}
+    top = Path(os.path.commonpath([path.parent, *(mesh.parent for mesh in meshes)]))
+    home = PurePosixPath(path.stem)
+    text = file.with_mesh_names(
+        lambda mesh: os.path.relpath(meshes[Path(mesh)], path.parent).replace(os.sep, "/")
+    )
+    return {home / path.relative_to(top).as_posix(): text.encode()} | {
+        home / target.relative_to(top).as_posix(): read_mesh(mesh) for mesh, target in meshes.items()
+    }
+
+
+def _reference(robot: str, name: str, folder: Path, permissions: Permissions) -> str:
     """Return the reference to a robot file in a scenario in `folder`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
@@ -279,12 +389,13 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
         [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)],
     )
     if isinstance(referenced, UnusableFile):
+        command = f"deepbots new {quote(name)} --urdf {quote(robot)}{_folder_argument(folder)}"
+        parent = quote(os.path.dirname(robot) or ".")
         raise UsageError(
-            f"a scenario in {folder.resolve()} may not read {robot}, because the file"
-            f" {referenced.problem}; "
-            f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later"
-            " commands, or copy it with "
-            "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"
+            f"a scenario in {folder.resolve()} may not read {robot}, because the file {referenced.problem};"
+            f" copy it with its meshes: `{command} --copy`; or allow its folder, here and in later commands:"
+            f" `{command} --allow-path {parent}`; a robot of an installed package is named as"
+            " package://PACKAGE/PATH"
         )
     return path
 
@@ -408,6 +519,7 @@ def _show(
     paths: Sequence[Path],
     unchanged: set[Path],
     commands: Sequence[str],
+    permissions: Permissions,
     *,
     as_json: bool,
     todos: int | None = None,
@@ -417,7 +529,8 @@ def _show(
     scenario, schema = quote(str(paths[0])), quote(str(paths[0].with_suffix(".schema.json")))
     lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
-        f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
+        f"deepbots {command} {scenario}{_options(permissions.folders)}"
+        + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]
     facts: dict[str, object] = {"scenario": paths[0], "files": paths}
