@@ -14,6 +14,7 @@ together. Its measures go from those of the lowest to those of the highest level
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -28,14 +29,25 @@ from deepbots_cli.arrays import evaluate
 from deepbots_cli.engine_kinds import Diagonal
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
+from deepbots_cli.frames import rotation_matrix
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import TILE_MARGIN_M, Formula, Picture, Pit, Terrain, TerrainShape, Tiles
-from deepbots_cli.robots.collada import placed_triangles
-from deepbots_cli.robots.meshes import mesh_bounds, read_verified
-from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, Vector, to_urdf, with_link
+from deepbots_cli.robots.meshes import PLACED_SUFFIXES, mesh_bounds, placed_triangles, read_verified
+from deepbots_cli.robots.model import (
+    Geometry,
+    Inertial,
+    Link,
+    Mesh,
+    Pose,
+    RobotModel,
+    Vector,
+    combined,
+    homogeneous_inertial,
+    volume,
+    with_link,
+)
 
 if TYPE_CHECKING:
-    import trimesh
     from numpy.typing import NDArray
 
     Column = NDArray[np.float64]
@@ -184,6 +196,7 @@ _LUMPS = 20
 _MAX_HEIGHT_M = 1e4
 """Higher ground is a mistake, and engines lose their digits."""
 _MIN_AREA_M2 = 1e-12
+_MIN_VOLUME_M3 = 1e-15
 """Twice the area, seen from above, of the smallest triangle that is not vertical."""
 _EDGE_TOLERANCE = 1e-9
 """By how much barycentric coordinates of a point in a triangle may miss 0 .. 1, so that no point between two
@@ -504,9 +517,10 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
         EngineError: The file has gone or changed, or holds no triangles.
     """
     data = read_verified(mesh)
-    suffix = Path(mesh.path).suffix[1:].lower()
+    suffix = Path(mesh.path).suffix.lower()
     try:
-        triangles = _collada_triangles(data) if suffix == "dae" else _listed_triangles(data, suffix)
+        read = _placed_triangles if suffix in PLACED_SUFFIXES else _listed_triangles
+        triangles = read(data, suffix)
     except (ValueError, IndexError, AttributeError) as error:  # trimesh has no exception of its own
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     if not len(triangles):
@@ -514,10 +528,10 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(triangles * np.asarray(mesh.scale), np.float64)
 
 
-def _collada_triangles(data: bytes) -> NDArray[np.float64]:
+def _placed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
     corners = [
         np.array(part.moved(rows)).reshape(-1, 3)[np.array(part.corners)]
-        for part, rows in placed_triangles(data)
+        for part, rows in placed_triangles(suffix, data)
         if part.corners
     ]
     return np.concatenate([*corners, np.empty((0, 3))]).reshape(-1, 3, 3)
@@ -526,7 +540,7 @@ def _collada_triangles(data: bytes) -> NDArray[np.float64]:
 def _listed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
     import trimesh
 
-    loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix, process=False, skip_materials=True)
+    loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True)
     return np.asarray(loaded.triangles, np.float64)
 
 
@@ -544,12 +558,39 @@ def with_masses(model: RobotModel) -> RobotModel:
 
 
 def _inertial(link: Link, density: float) -> Inertial:
-    """Return the inertial of a homogeneous link, in axes parallel to those of the link; `density` in
-    kg/m^3."""
-    solid = _solid(link)
-    if not solid.is_watertight or not solid.is_winding_consistent:
+    """Return the inertial of a link whose shapes are homogeneous, in axes parallel to those of the link;
+    `density` in kg/m^3. Where shapes overlap, both count."""
+    parts = []
+    for piece in link.collisions or link.visuals:
+        own = volume(piece.shape)
+        if own is None:
+            parts.append(_mesh_inertial(link, piece, density))
+        else:
+            parts.append(homogeneous_inertial(piece.shape, density * own, piece.origin) or Inertial(0.0))
+    return combined(parts)
+
+
+def _mesh_inertial(link: Link, piece: Geometry, density: float) -> Inertial:
+    """Return the inertial of a mesh; one that is not closed counts as its convex hull.
+
+    Raises:
+        EngineError: The mesh has gone or changed, or encloses no volume.
+    """
+    import trimesh
+    from scipy.spatial import QhullError
+
+    assert isinstance(piece.shape, Mesh)
+    corners = mesh_triangles(piece.shape).reshape(-1, 3)
+    corners = corners @ np.array(rotation_matrix(piece.origin.rpy)).T + piece.origin.xyz
+    solid = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a flat mesh
+        if not solid.is_watertight or not solid.is_winding_consistent:
+            with suppress(QhullError, ValueError):
+                solid = solid.convex_hull
+        has_volume = solid.is_watertight and abs(solid.volume) > _MIN_VOLUME_M3
+    if not has_volume:
         raise EngineError(
-            f"the mesh of link '{link.name}' is not watertight, so its mass cannot be computed from the"
+            f"the mesh of link '{link.name}' encloses no volume, so its mass cannot be computed from the"
             " density; write its `mass` instead"
         )
     if solid.volume < 0.0:  # every face is inside out
@@ -558,27 +599,3 @@ def _inertial(link: Link, density: float) -> Inertial:
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = solid.moment_inertia.tolist()
     x, y, z = solid.center_mass.tolist()
     return Inertial(float(solid.mass), Pose((x, y, z)), ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)
-
-
-def _solid(link: Link) -> trimesh.Trimesh:
-    """Return the collision shapes of the link, or its visuals if it has none, as one mesh in the frame of the
-    link."""
-    import yourdfpy
-
-    shapes = link.collisions or link.visuals
-    # yourdfpy opens the files itself and checks no digest.
-    for geometry in shapes:
-        if isinstance(geometry.shape, Mesh):
-            read_verified(geometry.shape)
-    text = to_urdf(RobotModel("robot", (Link(link.name, collisions=shapes),), (), link.name))
-    robot = yourdfpy.URDF.load(
-        BytesIO(text.encode()),
-        build_scene_graph=False,
-        load_meshes=False,
-        build_collision_scene_graph=True,
-        load_collision_meshes=True,
-        force_collision_mesh=False,
-        filename_handler=lambda fname: fname,
-    )
-    solid: trimesh.Trimesh = robot.collision_scene.to_mesh()
-    return solid

@@ -17,7 +17,7 @@ from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.lint.settings import Settings, scenarios_in
-from deepbots_cli.robots import meshes
+from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -107,6 +107,15 @@ def is_robot(reference: str) -> bool:
     )
 
 
+class RobotError(ScenarioError):
+    """The error for a file that cannot be read as a robot; `allow` has the folders that have its meshes, and
+    that the user did not allow."""
+
+    def __init__(self, findings: Sequence[Finding], allow: Sequence[Path] = ()) -> None:
+        super().__init__(findings)
+        self.allow = tuple(allow)
+
+
 def open_robot(
     reference: str, allowed: Sequence[str | Path] = (), arguments: Mapping[str, str] | None = None
 ) -> tuple[RobotFile, list[Finding]]:
@@ -115,26 +124,11 @@ def open_robot(
 
     Raises:
         UsageError: There is no such file.
-        ScenarioError: The file cannot be read as a robot.
+        RobotError: The file cannot be read as a robot.
     """
-    robot = (
-        meshes.locate_mesh(reference, Path.cwd())
-        if reference.startswith("package://")
-        else shipped.robot_path(reference) or Path(reference)
-    )
-    if isinstance(robot, meshes.UnusableMesh) or not robot.is_file():
-        names = shipped.robot_names()
-        suggestion = meshes.library_reference(reference) or nearest_word(reference, names)
-        hint = f" (did you mean {suggestion}?)" if suggestion else ""
-        raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
-    findings = Findings()
-    resolve_mesh = meshes.mesh_resolver(
-        robot.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference))
-    )
-    display = files.display_path(robot.resolve())
-    file = read(robot, display, findings, resolve_mesh=resolve_mesh, arguments=arguments)
+    file, findings, places = _read_robot(reference, allowed, arguments)
     if file is None or findings.errors:
-        raise ScenarioError(list(findings))
+        raise RobotError(list(findings), list(places.suggested))
     declared = sorted(file.xacro.arguments) if file.xacro else []
     for argument in arguments or ():
         if argument not in declared:
@@ -143,6 +137,48 @@ def open_robot(
                 f" {', '.join(declared) or 'none'}"
             )
     return file, list(findings)
+
+
+def robot_findings(reference: str, allowed: Sequence[str | Path] = ()) -> list[Finding]:
+    """Return the findings of a robot file alone.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    return list(_read_robot(reference, allowed)[1])
+
+
+def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
+    """Return the robot file of a path, a shipped name or `package://`.
+
+    Raises:
+        UsageError: There is no such file.
+    """
+    if reference.startswith("package://"):
+        path = packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
+    else:
+        path = shipped.robot_path(reference) or Path(reference)
+    if path is None or not path.is_file():
+        names = shipped.robot_names()
+        suggestion = packages.library_reference(reference) or nearest_word(reference, names)
+        hint = f" (did you mean {suggestion}?)" if suggestion else ""
+        raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
+    return path
+
+
+def _read_robot(
+    reference: str, allowed: Sequence[str | Path], arguments: Mapping[str, str] | None = None
+) -> tuple[RobotFile | None, Findings, packages.Places]:
+    path = robot_path(reference, allowed)
+    findings = Findings()
+    places = packages.Places(
+        path.absolute().parent,
+        (Path.cwd(), *map(Path, allowed), *packages.package_folders(reference)),
+        suggests=True,
+    )
+    display = files.display_path(path.resolve())
+    file = read(path, display, findings, resolve_mesh=places.resolve, arguments=arguments)
+    return file, findings, places
 
 
 def run_to_export(run: Run, agent: str | None) -> Run:
@@ -176,6 +212,6 @@ def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
         is_folder = argument != STDIN and Path(argument).is_dir()
         names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
     for name in names:
-        if name != STDIN:
+        if name != STDIN and not is_robot(name):
             Source.open(name, Permissions(), SourceKind.SCENARIO)
     return list(names)

@@ -17,7 +17,8 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.robots.model import XML_ESCAPES, to_urdf
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
+from deepbots_cli.robots.meshes import read_mesh
 
 ELSEWHERE = "elsewhere_"
 """The beginning of the names of folders with copies of files outside the project."""
@@ -92,21 +93,9 @@ class Inputs:
         `package://` and the folders above the robot file may lead elsewhere from the copy.
         """
         folder = PurePath(self.names[robot.copied_path]).parent
-        names = {mesh: os.path.relpath(self.names[Path(mesh)], folder) for mesh in robot.file.meshes}
-        escaped = {
-            mesh: PurePath(name).as_posix().translate(XML_ESCAPES).replace("'", "&apos;")
-            for mesh, name in names.items()
-        }
-        if robot.file.xacro:
-            text = to_urdf(robot.file.model)
-            for mesh, name in escaped.items():
-                text = text.replace(f'"{mesh.translate(XML_ESCAPES)}"', f'"{name}"')
-            return text
-        text, pieces, end = robot.file.source.text, [], 0
-        for span, mesh in sorted(robot.file.mesh_spans.items(), key=lambda entry: entry[0].start):
-            pieces += [text[end : span.start], escaped[mesh]]
-            end = span.end
-        return "".join([*pieces, text[end:]])
+        return robot.file.with_mesh_names(
+            lambda mesh: PurePath(os.path.relpath(self.names[Path(mesh)], folder)).as_posix()
+        )
 
     def resolved(self) -> str:
         """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check
@@ -187,6 +176,8 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
 
 def _read_bytes(file: Path) -> bytes:
     try:
-        return file.read_bytes()
+        return read_mesh(file) if file.suffix.lower() in GLTF_SUFFIXES else file.read_bytes()
+    except FaultyGltfError as error:
+        raise UsageError(f"{file} cannot be read: {error}") from error
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error

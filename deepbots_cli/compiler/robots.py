@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import MappingNode, descend
@@ -37,7 +37,8 @@ from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
 from deepbots_cli.program.world import JointParameter, LinkParameter
-from deepbots_cli.robots import meshes
+from deepbots_cli.robots import packages
+from deepbots_cli.robots.kinematics import with_inertia_of_shapes, with_mass_of_shapes
 from deepbots_cli.robots.model import (
     ZERO,
     Joint,
@@ -63,6 +64,7 @@ from deepbots_cli.scenario.fields.names import choices_help
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 from deepbots_cli.scenario.robots import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
+from deepbots_cli.scenario.training import AUTO
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler.namespace import Namespace
@@ -411,6 +413,9 @@ class Overrides:
                 "keep one of the two",
             )
             return model
+        shapes = model.link(link).collisions or model.link(link).visuals
+        if not shapes and link != change.path[-1]:
+            return model  # a pattern means the links that have a shape
         density = self.namespace.fields.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return (
             self._accepted(model, with_density(model, link, density), change, "density") if density else model
@@ -426,7 +431,11 @@ class Overrides:
             self.values.add(
                 "DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg"
             )
-        return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
+        if not mass:
+            return model
+        states_mass = link.inertial is not None and link.inertial.mass > 0.0
+        with_new = with_mass if states_mass else with_mass_of_shapes
+        return self._accepted(model, with_new(model, link.name, mass), change, "mass")
 
     def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
@@ -444,6 +453,8 @@ class Overrides:
     def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
+        if change.inertia == AUTO:
+            return self._accepted(model, with_inertia_of_shapes(model, link.name), change, "inertia")
         subject = OfLink(self.robot, link.name)
         fields = self.namespace.fields
         factor = fields.scalar_or_randomized(change, "inertia", "inertia", subject, None)
@@ -663,7 +674,9 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
             "write the path of a URDF file, or the name of a shipped robot, such as `cartpole`",
         )
         return None
-    resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
+    resolve_mesh = packages.mesh_resolver(
+        file_at.parent, (*document.roots, *packages.package_folders(spec.urdf))
+    )
     findings = Findings()
     file = read(
         file_at,
@@ -673,7 +686,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
         arguments=xacro_arguments(spec.xacro),
     )
     if file is None:
-        _tell(findings, values, ())
+        _tell(findings, values, {}, ())
         return None
     names = sorted(file.xacro.arguments) if file.xacro else []
     for argument in [argument for argument in spec.xacro if argument not in names]:
@@ -681,10 +694,12 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
         values.report_unknown(span, "xacro argument", argument, names)
     groups = _groups(file.model, spec, values)
     model = Overrides(name, groups, namespace).apply(file.model, spec)
-    has_mass = [
-        file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None
+    changed = [
+        link.name
+        for link in model.links
+        if link.density is not None or link.inertial != file.model.link(link.name).inertial
     ]
-    _tell(findings, values, has_mass)
+    _tell(findings, values, file.inertial_links, changed)
     return ResolvedRobot(name, file_at.resolve(), spec, file, model, groups)
 
 
@@ -695,11 +710,16 @@ def xacro_arguments(values: Mapping[str, Scalar | bool]) -> dict[str, str]:
     }
 
 
-def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
-    """Report the findings of a robot file, except for a link without inertial if the scenario gives it
-    one."""
+def _tell(
+    findings: Iterable[Finding],
+    values: ValueReader,
+    inertial_links: Mapping[Span, tuple[str, ...]],
+    changed: Collection[str],
+) -> None:
+    """Report the findings of a robot file, except for those about inertials that the scenario has `changed`."""
     for finding in findings:
-        if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
+        links = inertial_links.get(finding.span, ())
+        if not links or not set(links) <= set(changed):
             values.findings.append(finding)
 
 
@@ -709,7 +729,7 @@ def locate_file(
     """Return the file that the scenario names at `span`: in the project, in an installed package, or, of a
     `robot`, a shipped one."""
     if reference.startswith("package://"):
-        path = meshes.package_file(reference)
+        path = packages.locate_file(reference, document.directory_of(span), document.roots)
         if path is None:
             values.add(
                 "DB204", span, f"`{reference}` does not exist", _package_help(reference, document, span)
@@ -720,7 +740,7 @@ def locate_file(
     )
     if isinstance(located, FilePath):
         return located
-    library = meshes.library_reference(reference)
+    library = packages.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else located.fix(span)
     values.add(
         "DB204",
@@ -736,12 +756,12 @@ def locate_file(
 def _package_help(reference: str, document: Document, span: Span) -> str:
     """Return why `package://X/rest` names no file, and the path of a file of this name in the project."""
     package, _, inside = reference.removeprefix("package://").partition("/")
-    if meshes.package_folder(package):
+    if packages.package_folder(package):
         help = f"the Python package `{package}` is installed, but has no file `{inside}`"
     else:
         help = (
-            "`package://` names a file of an installed Python package, and there is no package"
-            f" `{package}`; write the path of the file"
+            f"there is no package `{package}`: no installed Python package, and no folder near the scenario that"
+            " has this name or whose `package.xml` has it; write the path of the file"
         )
     candidates = (
         files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None

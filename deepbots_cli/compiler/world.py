@@ -52,6 +52,7 @@ from deepbots_cli.program.world import (
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.meshes import mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere, volume
+from deepbots_cli.robots.packages import UnusableMesh
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields.names import COLORS
@@ -138,7 +139,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     if path is None or factors is None:
         return None
     loaded = meshes.MeshReader(lambda _reference: path).load(reference, factors)
-    if isinstance(loaded, meshes.UnusableMesh):
+    if isinstance(loaded, UnusableMesh):
         values.add("DB301", key_path, loaded.headline, loaded.help)
         return None
     if 0.0 in factors:
@@ -154,7 +155,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
 def _is_sensible(namespace: Namespace, path: NodePath, file: FilePath, mesh: Mesh) -> bool:
     """Return whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     values = namespace.values
-    measured = mesh_size(file.suffix.lower(), file.read_bytes())
+    measured = mesh_size(file.suffix.lower(), meshes.read_mesh(file))
     if measured.triangles > MAX_TRIANGLES:
         values.add(
             "DB005",

@@ -54,9 +54,9 @@ _ATTITUDE_SENSORS = frozenset(
 )
 _MAX_NAMES = 4
 """The number of joints that a finding lists."""
-_DEGREES = Interval(10.0, 360.0)
+_DEGREES = Interval(13.0, 360.0)
 """The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint
-are multiples of pi."""
+are multiples of pi. Files of motors that turn without end have up to 10 rad, and none has two turns each way."""
 _JOINT_KEYS = ("joint", "joints")
 
 
@@ -589,23 +589,34 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
             continue
         used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
-        for joint in context.analysis.body(robot.name).model.moving_joints:
-            is_used = joint.name in used or f"{robot.name}.{joint.name}" in subjects
-            is_from_file = (
-                joint.limit == resolved.file.model.joint(joint.name).limit
-                and joint.name in resolved.file.limit_spans
+        used |= {subject.removeprefix(f"{robot.name}.") for subject in subjects}
+        suspects = [
+            joint
+            for joint in context.analysis.body(robot.name).model.moving_joints
+            if joint.name in used
+            and joint.name in resolved.file.limit_spans
+            and joint.limit == resolved.file.model.joint(joint.name).limit
+            and _is_in_degrees(joint)
+        ]
+        for joint in suspects[:1]:
+            low, high = joint.limit.lower or 0.0, joint.limit.upper or 0.0
+            headline = (
+                f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
+                f" {(high - low) / (2 * pi):.3g} turns apart"
             )
-            low, high = joint.limit.lower, joint.limit.upper
-            if not (is_used and is_from_file and joint.type == "revolute") or low is None or high is None:
-                continue
-            if low.is_integer() and high.is_integer() and _DEGREES.low <= max(-low, high) <= _DEGREES.high:
-                headline = (
-                    f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
-                    f" {(high - low) / (2 * pi):.3g} turns apart"
-                )
-                help = (
-                    f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
-                    " in the robot file"
-                )
-                help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
-                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
+            help = (
+                f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
+                f" in the robot file, or `range: {low:g} .. {high:g} deg` under `joints`"
+            )
+            names = [other.name for other in suspects[1:]]
+            notes = (f"the same is true of {', '.join(names)}",) if names else ()
+            yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help, notes=notes)
+
+
+def _is_in_degrees(joint: Joint) -> bool:
+    """Return whether the limits of a hinge are whole numbers that are plausible as degrees alone."""
+    low, high = joint.limit.lower, joint.limit.upper
+    if joint.type != "revolute" or low is None or high is None:
+        return False
+    is_whole = low.is_integer() and high.is_integer()
+    return is_whole and _DEGREES.low <= max(-low, high) <= _DEGREES.high

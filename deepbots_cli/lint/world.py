@@ -111,14 +111,20 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     if kind.implausible_inertia is not None:
         reason, help = kind.implausible_inertia
         for robot in world.robots:
-            for link in robot.model.links:
-                if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
-                    yield Finding(
-                        "DB316",
-                        context.values.key_span(("robots", robot.name)),
-                        f"link `{link.name}` {reason}",
-                        help,
-                    )
+            wrong = [
+                link.name
+                for link in robot.model.links
+                if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible
+            ]
+            if wrong:
+                changes = ", ".join(f"{name}: {{inertia: auto}}" for name in wrong)
+                yield Finding(
+                    "DB316",
+                    context.values.key_span(("robots", robot.name)),
+                    f"link `{wrong[0]}` {reason}",
+                    f"{help}, or compute it from shape and mass: `links: {{{changes}}}`",
+                    notes=(f"the same is true of {', '.join(wrong[1:])}",) if len(wrong) > 1 else (),
+                )
 
 
 def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:

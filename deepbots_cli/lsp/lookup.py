@@ -28,7 +28,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS, Form
 from deepbots_cli.expressions.types import Kind, ValueType, walk
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
-from deepbots_cli.robots import meshes
+from deepbots_cli.robots import packages
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import REFERENCE_KINDS, FilePath, Pattern, Reference, ReferenceKind
@@ -396,7 +396,7 @@ def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> t
 def _located(view: CursorView, reference: str, library: shipped.Library | None) -> Path | None:
     """Return the file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
-        return meshes.package_file(reference)
+        return packages.locate_file(reference, view.document.path.parent, view.roots)
     path = resolve_reference(reference, view.document.path.parent, view.roots, library)
     return path if isinstance(path, Path) else None
 

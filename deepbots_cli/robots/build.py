@@ -422,15 +422,15 @@ class Build:
         rolling = {wheel.joint.child for wheel in self.all_wheels}
         for link in self.model.links:
             joint = joint_above.get(link.name)
-            is_named = bool(_PROPELLER.search(link.name))
-            turns = joint is not None and self._is_flat(link.name, self.axis(joint))
-            if link.name in rolling or carrying.intersection(self.rigid(link.name)):
+            if joint is None or link.name in rolling or carrying.intersection(self.rigid(link.name)):
                 continue
-            is_turning = joint is not None and joint.moves and is_endless(joint)
-            if is_turning and (is_named or (turns and joint.parent in trunk)):
-                axes[link.name] = self.axis(joint)
-            elif is_named and joint is not None and not joint.moves:
+            is_named = bool(_PROPELLER.search(link.name))
+            if not joint.moves and is_named:
                 axes[link.name] = frames.rotate(self.frames[link.name][1], (0.0, 0.0, 1.0))
+            if not joint.moves or not is_endless(joint):
+                continue
+            if is_named or (joint.parent in trunk and self._is_flat(link.name, self.axis(joint))):
+                axes[link.name] = self.axis(joint)
         return axes if len(axes) > 2 else {}
 
     def _is_flat(self, link: str, axis: Triple) -> bool:

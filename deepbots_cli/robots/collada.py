@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from xml.etree import ElementTree
 
 _MAX_INDICES = 6_000_000  # 1,500,000 corners, as of an OBJ file, of four numbers each
-_MAX_CORNERS = 1_500_000
-_MAX_NODES = 10_000  # nodes may place others, so a short file could place billions
+MAX_CORNERS = 1_500_000
+MAX_NODES = 10_000  # nodes may place others, so a short file could place billions
 Rows = tuple[tuple[float, ...], ...]
 """The rows of an affine map: three of four numbers."""
 IDENTITY: Rows = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
@@ -82,8 +82,8 @@ def placed_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
     for url, rows in _instances(root, nodes):
         for part in geometries.get(url, ()):
             corners += len(part.corners)
-            if corners > _MAX_CORNERS:
-                raise FaultyColladaError(f"the COLLADA file places more than {_MAX_CORNERS:,} corners")
+            if corners > MAX_CORNERS:
+                raise FaultyColladaError(f"the COLLADA file places more than {MAX_CORNERS:,} corners")
             placed.append((part, tuple(tuple(meter * entry for entry in row) for row in rows)))
     return tuple(placed)
 
@@ -119,8 +119,8 @@ def _instances(
         node, rows = waiting.pop()
         for element in node:
             placed += element.tag in ("node", "instance_node", "instance_geometry")
-            if placed > _MAX_NODES:
-                raise FaultyColladaError(f"the COLLADA file places more than {_MAX_NODES:,} nodes")
+            if placed > MAX_NODES:
+                raise FaultyColladaError(f"the COLLADA file places more than {MAX_NODES:,} nodes")
             url = element.attrib.get("url", "")
             if element.tag == "instance_geometry":
                 yield url, rows
@@ -129,7 +129,7 @@ def _instances(
             elif element.tag == "instance_node" and url in nodes:
                 waiting.append((nodes[url], rows))
             else:
-                rows = _composed(rows, _map(element))
+                rows = product(rows, _map(element))
 
 
 def _map(element: ElementTree.Element) -> Rows:
@@ -156,7 +156,8 @@ def _map(element: ElementTree.Element) -> Rows:
             return IDENTITY
 
 
-def _composed(outer: Rows, inner: Rows) -> Rows:
+def product(outer: Rows, inner: Rows) -> Rows:
+    """Return the map that applies `inner`, then `outer`."""
     if inner is IDENTITY:
         return outer
     columns = list(zip(*inner, strict=True))
@@ -280,9 +281,9 @@ def _polygon_corners(polygons: ElementTree.Element, offset: int) -> array[int]:
             raise FaultyColladaError("a <polylist> of the COLLADA file has fewer corners than its counts")
     corners = array("q")
     for polygon in indices:
-        if len(corners) + 3 * len(polygon) > 3 * _MAX_CORNERS:
+        if len(corners) + 3 * len(polygon) > 3 * MAX_CORNERS:
             raise FaultyColladaError(
-                f"the polygons of the COLLADA file have more than {_MAX_CORNERS:,} corners"
+                f"the polygons of the COLLADA file have more than {MAX_CORNERS:,} corners"
             )
         for second in range(1, len(polygon) - 1):
             corners.extend((polygon[0], polygon[second], polygon[second + 1]))

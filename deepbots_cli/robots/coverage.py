@@ -12,11 +12,12 @@ from __future__ import annotations
 import re
 import struct
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from random import Random
 from typing import NamedTuple
 
-from deepbots_cli.robots.collada import placed_triangles
+from deepbots_cli.robots import collada, gltf
+from deepbots_cli.robots.collada import Rows, Triangles
 from deepbots_cli.robots.model import Vector
 
 MAX_LAYERS = 100
@@ -52,7 +53,7 @@ def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
         data: The content of the file.
         seed: The seed of the sample, such as a digest: a file cannot be written to fit it.
     """
-    pick = {".stl": _stl, ".obj": _obj, ".dae": _dae}[suffix]
+    pick = {".stl": _stl, ".obj": _obj, ".dae": _dae}.get(suffix, _glb)
     try:
         count, sample = pick(data, Random(seed))
     except (ValueError, LookupError, OverflowError, struct.error):  # no engine draws such a file
@@ -129,8 +130,17 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
 
 def _dae(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     """Return the number of triangles and some of them, without the nodes that place geometries."""
+    return _placed(collada.placed_triangles(data), random)
+
+
+def _glb(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
+    """Return the number of triangles and some of them, without the nodes that place meshes."""
+    return _placed(gltf.placed_triangles(data), random)
+
+
+def _placed(parts: Iterable[tuple[Triangles, Rows]], random: Random) -> tuple[int, list[Triangle]]:
     count, sample = 0, list[Triangle]()
-    for triangles, _ in placed_triangles(data):
+    for triangles, _ in parts:
         for number in _chosen(len(triangles.corners) // 3, random):
             corners = triangles.corners[3 * number : 3 * number + 3]
             a, b, c = (_vector(triangles.numbers[3 * corner : 3 * corner + 3]) for corner in corners)

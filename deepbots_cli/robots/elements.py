@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
@@ -23,6 +23,7 @@ MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
 MAX_REPORTED = 100  # errors, and warnings, of one file
 MAX_MAGNITUDE = 1e18  # PyBullet answered with NaN at 1e200 and worked at 1e18
+_MAX_LINES = 8  # in a note
 MAX_CORRECTED_LENGTH = 40  # words, and characters of one, of a vector that is shown corrected
 
 _BLANKS = " \t\r\n"
@@ -56,6 +57,17 @@ class ElementReport:
     findings: Findings
     errors: int = 0
     warnings: int = 0
+    repeated: dict[str, list[tuple[Element, Callable[[tuple[str, ...]], None]]]] = field(default_factory=dict)
+    """The warnings that are reported once for each kind: the elements, and functions that report them."""
+
+    def report_repeated(self) -> None:
+        """Report the first warning of each kind, with the lines of the others."""
+        for places in self.repeated.values():
+            lines = [str(element.span.start_position.line) for element, _ in places[1:]]
+            shown = ", ".join(lines[:_MAX_LINES]) + (" ..." if len(lines) > _MAX_LINES else "")
+            note = f"the same is true of {len(lines)} more, in lines {shown}" if lines else ""
+            places[0][1]((note,) if note else ())
+        self.repeated.clear()
 
 
 @dataclass(eq=False, slots=True)
@@ -94,13 +106,16 @@ class Element:
         attribute: str | None = None,
         help: str | None = None,
         labels: tuple[Label, ...] = (),
+        notes: tuple[str, ...] = (),
         code: str = "DB301",
     ) -> None:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file
         are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help, labels=labels)
+            self.report.findings.add(
+                code, self.value_span(attribute), headline, help, labels=labels, notes=notes
+            )
 
     def warn(
         self,
@@ -110,7 +125,17 @@ class Element:
         help: str | None = None,
         notes: tuple[str, ...] = (),
         code: str = "DB311",
+        kind: str | None = None,
     ) -> None:
+        """Report a warning at the value of `attribute`, or at the start tag; of several of one `kind`, only the
+        first."""
+        if kind is not None:
+
+            def report(more: tuple[str, ...]) -> None:
+                self.warn(headline, attribute=attribute, help=help, notes=(*notes, *more), code=code)
+
+            self.report.repeated.setdefault(kind, []).append((self, report))
+            return
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
             self.report.findings.add(code, self.value_span(attribute), headline, help, notes=notes)
@@ -122,7 +147,8 @@ class Element:
         """Return the first child called `tag`; further ones are reported and not read."""
         first = self.find_all(tag)
         for extra in first[1:]:
-            extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", help="remove it")
+            headline = f"deepbots ignores a second <{tag}> in the same <{self.tag}>"
+            extra.warn(headline, help="remove it", kind=f"second {tag} in {self.tag}")
         return first[0] if first else None
 
     def require_one(self, tag: str) -> Element | None:
@@ -155,6 +181,14 @@ class Element:
             self.error(f"the attribute '{name}' of <{self.tag}> is negative", attribute=name)
             return default or 0.0
         return value
+
+    def bound(self, name: str) -> float | None:
+        """Return one number, by default 0; None for one that is too large to bound anything."""
+        try:
+            is_endless = abs(float(self.attributes.get(name, "0"))) > MAX_MAGNITUDE
+        except ValueError:
+            is_endless = False
+        return None if is_endless else self.number(name, 0.0)
 
     def vector(
         self, name: str, default: tuple[float, float, float] | None = None

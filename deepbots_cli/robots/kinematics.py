@@ -18,13 +18,22 @@ from deepbots_cli.robots.model import (
     Capsule,
     Cylinder,
     Geometry,
+    Inertial,
     Joint,
     Link,
     Mesh,
+    Pose,
     RobotModel,
     Shape,
     Sphere,
+    combined,
+    homogeneous_inertial,
+    volume,
+    with_link,
 )
+
+_MIN_SIDE_M = 1e-4
+"""The least side of the box in place of a mesh, which may be flat."""
 
 # Link frames
 
@@ -177,3 +186,57 @@ def _own_bounds(shape: Shape) -> Bounds:
         case Sphere(radius):
             a = b = c = radius
     return (-a, -b, -c), (a, b, c)
+
+
+# Inertia from shapes
+
+
+def inertial_of_shapes(link: Link, mass: float) -> Inertial | None:
+    """Return the inertial of a link of `mass` kg whose shapes are homogeneous, by its collision shapes or else
+    its visuals; None without any. A mesh counts as the box around it."""
+    pieces = [_solid(piece) for piece in link.collisions or link.visuals]
+    volumes = [volume(shape) or 0.0 for shape, _ in pieces]
+    if not sum(volumes) > 0.0:
+        return None
+    parts = [
+        homogeneous_inertial(shape, mass * share / sum(volumes), origin)
+        for (shape, origin), share in zip(pieces, volumes, strict=True)
+    ]
+    return combined([part for part in parts if part is not None])
+
+
+def _solid(piece: Geometry) -> tuple[Shape, Pose]:
+    """Return a shape in place of a mesh: the box around it, and the pose of its middle."""
+    if not isinstance(piece.shape, Mesh):
+        return piece.shape, piece.origin
+    bounds = mesh_bounds(piece.shape)
+    if bounds is None:
+        return Box((0.0, 0.0, 0.0)), piece.origin
+    middle = frames.scaled(frames.add(*bounds), 0.5)
+    xyz, _ = frames.compose(frames.frame(piece.origin), (middle, frames.IDENTITY_FRAME[1]))
+    x, y, z = (max(side, _MIN_SIDE_M) for side in box_sides(bounds))
+    return Box((x, y, z)), Pose(xyz, piece.origin.rpy)
+
+
+def with_inertia_of_shapes(model: RobotModel, link: str) -> RobotModel | str:
+    """Return the link with the inertia of its shapes about its center of mass; mass and center stay, and the
+    axes are those of the link."""
+    old = model.link(link)
+    if old.inertial is None or old.inertial.mass <= 0.0:
+        return (
+            f"the inertia of link {link!r} needs a mass, and the robot file states none; write its `mass` too"
+        )
+    inertial = inertial_of_shapes(old, old.inertial.mass)
+    if inertial is None:
+        return f"link {link!r} has no shape, so its inertia cannot be computed"
+    origin = Pose(old.inertial.origin.xyz, inertial.origin.rpy)
+    return with_link(model, replace(old, inertial=replace(inertial, origin=origin)))
+
+
+def with_mass_of_shapes(model: RobotModel, link: str, mass: float) -> RobotModel | str:
+    """Return a link without a mass as a homogeneous body of `mass` kg."""
+    old = model.link(link)
+    inertial = inertial_of_shapes(old, mass)
+    if inertial is None:
+        return f"link {link!r} has neither a mass nor a shape, so its inertia cannot be computed"
+    return with_link(model, replace(old, inertial=inertial))

@@ -1,4 +1,4 @@
-"""Mesh files: location, access, content. This module needs no numpy, since lint imports it.
+"""Mesh files: access and content. This module needs no numpy, since lint imports it.
 
 Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is
 not a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws
@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import re
 import sys
 from array import array
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from itertools import chain, islice, product
 from pathlib import Path
@@ -23,17 +21,22 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import Findings, Source, Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.collada import FaultyColladaError, placed_triangles
+from deepbots_cli.robots import collada, gltf
+from deepbots_cli.robots.collada import FaultyColladaError, Rows, Triangles
 from deepbots_cli.robots.coverage import MAX_LAYERS, Coverage, mesh_coverage
-from deepbots_cli.robots.elements import parse
+from deepbots_cli.robots.elements import Element, parse
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
 from deepbots_cli.robots.model import ZERO, Mesh, Vector
+from deepbots_cli.robots.packages import MeshElsewhere, ResolveMesh, UnusableMesh
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
 MAX_CACHED_MESHES = 256
 _CHECKED: dict[tuple[str, str], CheckedMesh] = {}
 """The meshes that were checked, by suffix and sha256 digest."""
-MESH_SUFFIXES = (".stl", ".obj", ".dae")
+MESH_SUFFIXES = (".stl", ".obj", ".dae", *GLTF_SUFFIXES)
+PLACED_SUFFIXES = (".dae", *GLTF_SUFFIXES)
+"""The formats whose nodes place the triangles."""
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 _NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
@@ -56,6 +59,7 @@ _MAX_CORNERS = 1_500_000
 MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
 _SAMPLED_VERTICES = 3_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
+_LFS_POINTER = b"version https://git-lfs"
 _ARCHIVES = (
     b"PK\x03\x04",
     b"PK\x05\x06",
@@ -81,145 +85,26 @@ class CheckedMesh(NamedTuple):
     box: Bounds = (ZERO, ZERO)
 
 
-@dataclass(frozen=True)
-class UnusableMesh:
-    """The reason why a file is not read, as a headline and the sentence that helps."""
-
-    headline: str
-    help: str | None = None
-
-
-@dataclass(frozen=True)
-class MeshAboveRobot:
-    """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the
-    folder of the robot."""
-
-    path: Path
-    reference: str
-
-
 class LoadedMesh(NamedTuple):
-    """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is
-    one."""
+    """A mesh that an engine may load; `elsewhere` is its path from the folder of the robot, if it is not where
+    the robot file says."""
 
     path: Path
     digest: str
-    reference: str | None = None
-
-
-ResolveMesh = Callable[[str], Path | MeshAboveRobot | UnusableMesh]
-"""A function from a `filename` as written in the robot file to the real path, if it may be read."""
-
-
-def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
-    """Return the real path that `reference` names in a robot file of `folder`, which need not exist.
-
-    `package://X/rest` is looked up in the installed package X (found without importing it), then in a folder
-    above called X, then as X/rest beside the robot file, as some published robots mean it.
-    """
-    scheme, colon, path = reference.partition("://")
-    if not colon:
-        return Path(os.path.realpath(folder / reference))
-    if scheme == "file":
-        return Path(os.path.realpath(folder / path))
-    if scheme != "package":
-        return UnusableMesh(
-            f"deepbots cannot download a mesh from {scheme[:20]!r}",
-            "save the file next to the robot file, and write its path",
-        )
-    package, _, inside = path.partition("/")
-    home = package_folder(package) or next(
-        (above for above in folder.absolute().parents if above.name == package), None
-    )
-    return Path(os.path.realpath(home / inside if home else folder / path))
-
-
-def package_folder(name: str) -> Path | None:
-    """Return the folder of an installed package, without importing it; None for namespace packages and
-    modules."""
-    from importlib.util import find_spec
-
-    # `find_spec` imports the parents of a dotted name, and a robot file must run no code.
-    if not name.isidentifier():
-        return None
-    try:
-        spec = find_spec(name)
-    except (ImportError, ValueError):  # ValueError: already imported, and without a spec, as `__main__` is
-        return None
-    if spec is None or spec.origin is None or not spec.submodule_search_locations:
-        return None
-    return Path(spec.submodule_search_locations[0])
-
-
-def package_folders(reference: str) -> tuple[Path, ...]:
-    """Return the folder of the package that `package://X/rest` names; none for a path, or if it is not
-    installed."""
-    home = (
-        package_folder(reference.removeprefix("package://").partition("/")[0])
-        if reference.startswith("package://")
-        else None
-    )
-    return (home,) if home else ()
-
-
-def package_file(reference: str) -> Path | None:
-    """Return the file of an installed package that `package://X/rest` names; None if there is none, or it is
-    outside of X."""
-    package, _, inside = reference.removeprefix("package://").partition("/")
-    home = package_folder(package)
-    if home is None:
-        return None
-    try:
-        path = Path(os.path.realpath(home / inside))
-        return path if path.is_relative_to(os.path.realpath(home)) and path.is_file() else None
-    except (OSError, ValueError):  # a name that is too long, or holds a NUL
-        return None
-
-
-def library_reference(reference: str) -> str | None:
-    """Return the `package://` name of a file of pybullet_data whose path there is `reference`; None if the
-    package is not installed, or has no such file."""
-    inside = reference.removeprefix("pybullet_data/")
-    names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
-    return None if "://" in reference else next((name for name in names if package_file(name)), None)
-
-
-def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
-    """Return a resolver that allows the folder of the robot file, the `allowed` ones, all below them, and the
-    installed package that a `package://` names."""
-    roots = [os.path.realpath(root) for root in (folder, *allowed)]
-
-    def resolve(reference: str) -> Path | MeshAboveRobot | UnusableMesh:
-        path = locate_mesh(reference, folder)
-        if isinstance(path, UnusableMesh):
-            return path
-        within = [*roots, *map(os.path.realpath, package_folders(reference))]
-        if not any(path.is_relative_to(root) for root in within):
-            help = "move it into the folder of the robot file, or allow its folder with --allow-path"
-            return UnusableMesh("the mesh lies outside the folder of the robot", help)
-        return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
-
-    return resolve
-
-
-def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | None:
-    """Return the nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks
-    there in the same order."""
-    for above in folder.absolute().parents:
-        path = Path(os.path.realpath(above / reference))  # a link may point out of the allowed folders
-        if any(path.is_relative_to(root) for root in roots) and path.is_file():
-            return MeshAboveRobot(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
-    return None
+    elsewhere: str | None = None
 
 
 class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
     each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
-    vertices, in its own units, by suffix and digest."""
+    vertices, in its own units, by suffix and digest. The reader collects the elements of the meshes that are
+    `refused`, by the headline of the refusal, and of those `elsewhere`, with their paths."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self.spans: dict[Span, str] = {}
         self.boxes: dict[tuple[str, str], Bounds] = {}
+        self.refused: dict[str, list[tuple[Element, UnusableMesh]]] = {}
+        self.elsewhere: list[tuple[Element, str]] = []
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0
@@ -230,14 +115,14 @@ class MeshReader:
             resolved = self._resolve(reference)
             if isinstance(resolved, UnusableMesh):
                 return resolved
-            path = resolved.path if isinstance(resolved, MeshAboveRobot) else resolved
+            path = resolved.path if isinstance(resolved, MeshElsewhere) else resolved
             # A mesh that is visual and collision shape is read once, and counts once in the total.
             if path not in self._loaded:
                 self._loaded[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
         measured = self._loaded[path]
-        better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
+        elsewhere = resolved.reference if isinstance(resolved, MeshElsewhere) else None
         if isinstance(measured, UnusableMesh):
             return measured
         digest, coverage = measured
@@ -250,7 +135,7 @@ class MeshReader:
             return UnusableMesh(
                 headline, "remove triangles that lie in or behind others: a picture of them takes minutes"
             )
-        return LoadedMesh(path, digest, better)
+        return LoadedMesh(path, digest, elsewhere)
 
     def _digest(self, path: Path) -> tuple[str, Coverage | None] | UnusableMesh:
         if not str(path).isprintable():
@@ -268,7 +153,10 @@ class MeshReader:
         if not path.is_file():
             return UnusableMesh("the mesh is not a regular file")
         # By the bytes that are read: the size that the system names may be that of another moment.
-        data = read_at_most(path, MAX_BYTES + 1)
+        try:
+            data = read_mesh(path)
+        except FaultyGltfError as error:
+            return UnusableMesh(str(error), "export the mesh again")
         if len(data) > MAX_BYTES:
             return UnusableMesh(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
         self._total += len(data)
@@ -276,6 +164,11 @@ class MeshReader:
             return UnusableMesh(
                 f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together",
                 "simplify them",
+            )
+        if data.startswith(_LFS_POINTER):
+            return UnusableMesh(
+                "the mesh is a Git LFS pointer, a small text in place of the mesh",
+                "fetch the meshes with `git lfs pull` in the clone of the repository",
             )
         if data.startswith(_ARCHIVES):
             return UnusableMesh("the mesh is an archive", "unpack it")
@@ -302,6 +195,31 @@ class MeshReader:
         )
 
 
+def read_mesh(path: Path) -> bytes:
+    """Return the content of a mesh, a `.gltf` file as the `.glb` file with its buffers; at most one byte more
+    than `MAX_BYTES`.
+
+    Raises:
+        FaultyGltfError: A `.gltf` file cannot be read with its buffers.
+        OSError: The file cannot be read.
+    """
+    if path.suffix.lower() in GLTF_SUFFIXES:
+        return gltf.read_gltf(path, MAX_BYTES)
+    return read_at_most(path, MAX_BYTES + 1)
+
+
+def placed_triangles(suffix: str, data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
+    """Return the triangles of a COLLADA or glTF file and the map to the frame of the file, in m, once for each
+    node that places them.
+
+    Raises:
+        FaultyColladaError: The COLLADA file is not sound.
+        FaultyGltfError: The glTF file is not sound.
+    """
+    read = collada.placed_triangles if suffix == ".dae" else gltf.placed_triangles
+    return read(data)
+
+
 def read_verified(mesh: Mesh) -> bytes:
     """Return the file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
 
@@ -312,7 +230,9 @@ def read_verified(mesh: Mesh) -> bytes:
     if "\0" in mesh.path or not path.is_file():  # a pipe or a device would be read for ever
         raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
     try:
-        data = read_at_most(path, MAX_BYTES + 1)
+        data = read_mesh(path)
+    except FaultyGltfError as error:
+        raise EngineError(f"mesh {mesh.path} cannot be read: {error}") from error
     except OSError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
     if hashlib.sha256(data).hexdigest() != mesh.digest:
@@ -383,8 +303,10 @@ def mesh_problem(suffix: str, data: bytes) -> str | None:
             return _stl(data) or _far_out(suffix, data)
         case ".obj":
             return _obj(data) or _far_out(suffix, data)
-        case _:
+        case ".dae":
             return _dae(data)
+        case _:
+            return _gltf(data) or _far_out(suffix, data)
 
 
 def _far_out(suffix: str, data: bytes) -> str | None:
@@ -415,8 +337,8 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize:
     numbers = _coordinates(suffix, data)
     if suffix == ".obj":
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
-    elif suffix == ".dae":
-        faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(data))
+    elif suffix in PLACED_SUFFIXES:
+        faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(suffix, data))
     else:
         faces = len(numbers) // 9
     return MeshSize(*_box(numbers), faces)
@@ -430,8 +352,8 @@ def _coordinates(suffix: str, data: bytes, sample: int = 0) -> Sequence[float]:
     def step(count: int) -> int:
         return max(1, count // sample) if sample else 1
 
-    if suffix == ".dae":
-        parts = placed_triangles(data)
+    if suffix in PLACED_SUFFIXES:
+        parts = placed_triangles(suffix, data)
         stride = step(sum(len(part.numbers) // 3 for part, _ in parts))
         return array("d", chain.from_iterable(part.moved(rows, stride) for part, rows in parts))
     if suffix == ".stl" and not is_text_stl(data):
@@ -533,7 +455,15 @@ def _dae(data: bytes) -> str | None:
     if missing:
         return f"the COLLADA file has no <{missing}>"
     try:
-        has_triangles = any(part.corners for part, _ in placed_triangles(data))
+        has_triangles = any(part.corners for part, _ in collada.placed_triangles(data))
     except FaultyColladaError as error:
         return str(error)
     return None if has_triangles else "the scene of the COLLADA file has no triangle or polygon"
+
+
+def _gltf(data: bytes) -> str | None:
+    try:
+        has_triangles = any(part.corners for part, _ in gltf.placed_triangles(data))
+    except FaultyGltfError as error:
+        return str(error)
+    return None if has_triangles else "the scene of the glTF file has no triangle"

@@ -9,7 +9,9 @@ hashed; `reader.RobotFile` has the positions.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
@@ -22,6 +24,7 @@ Color = tuple[float, float, float, float]
 """Red, green, blue and alpha, 0 to 1."""
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 ZERO: Vector = (0.0, 0.0, 0.0)
+_TRACE_INERTIA = 1e-18  # kg m^2; a grain of dust of 1 ug and 0.1 mm has 1e-17
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,8 @@ class Inertial:
 
     @property
     def is_stated(self) -> bool:
-        """Whether there is a mass and an inertia; an engine makes up an inertia of zeros."""
-        return self.mass > 0.0 and max(self.ixx, self.iyy, self.izz) > 0.0
+        """Whether there is a mass and an inertia above rounding; an engine makes up an inertia of zeros."""
+        return self.mass > 0.0 and max(self.ixx, self.iyy, self.izz) > _TRACE_INERTIA
 
     @property
     def is_plausible(self) -> bool:
@@ -364,6 +367,29 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
             return None
 
 
+def combined(parts: Sequence[Inertial]) -> Inertial:
+    """Return the inertial of several bodies as one, in axes parallel to those of the link; one body stays as it
+    is."""
+    if len(parts) == 1:
+        return parts[0]
+    mass = sum(part.mass for part in parts)
+    x, y, z = (
+        sum(part.mass * part.origin.xyz[axis] for part in parts) / mass if mass > 0.0 else 0.0
+        for axis in range(3)
+    )
+    total = [[0.0] * 3 for _ in range(3)]
+    for part in parts:
+        own = rotate_tensor(part.matrix, rotation_matrix(part.origin.rpy))
+        offset = frames.subtract(part.origin.xyz, (x, y, z))
+        away = frames.dot(offset, offset)
+        for row, column in itertools.product(range(3), repeat=2):
+            # The parallel axis theorem: m (|d|^2 1 - d d^T).
+            steiner = away * (row == column) - offset[row] * offset[column]
+            total[row][column] += own[row][column] + part.mass * steiner
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = total
+    return Inertial(mass, Pose((x, y, z)), ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)
+
+
 def second_moments(tensor: Matrix) -> Matrix:
     """Return J = tr(I)/2 - I, the integral of r r^T over the mass."""
     return _trace_minus(tensor, 0.5)
@@ -545,19 +571,16 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
     simulated."""
     old = model.link(link)
     shapes = old.collisions or old.visuals
-    if len(shapes) != 1:
-        return (
-            f"link {link!r} has {len(shapes)} shapes, but a density needs exactly one; write its `mass`"
-            " instead"
-        )
-    shape = shapes[0].shape
-    if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
-        return (
-            f"the mesh of link {link!r} is a COLLADA file, and deepbots does not compute its volume;"
-            " write its `mass` instead"
-        )
-    inertial = homogeneous_inertial(shape, density * (volume(shape) or 0.0), shapes[0].origin)
-    return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
+    if not shapes:
+        return f"link {link!r} has no shape, and a density needs one; write its `mass` instead"
+    solids = [
+        homogeneous_inertial(piece.shape, density * (volume(piece.shape) or 0.0), piece.origin)
+        for piece in shapes
+    ]
+    parts = [solid for solid in solids if solid is not None]
+    if len(parts) < len(solids):
+        return with_link(model, replace(old, inertial=None, density=density))
+    return with_link(model, replace(old, inertial=combined(parts), density=None))
 
 
 def with_friction(model: RobotModel, link: str, **parameters: float | None) -> RobotModel:

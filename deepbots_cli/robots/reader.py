@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -18,9 +18,10 @@ from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_help, parse, quoted
-from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
+from deepbots_cli.robots.meshes import MeshReader
 from deepbots_cli.robots.model import (
     FRICTION_TAGS,
+    XML_ESCAPES,
     Box,
     Capsule,
     Color,
@@ -39,17 +40,22 @@ from deepbots_cli.robots.model import (
     Shape,
     Sphere,
     Vector,
+    to_urdf,
 )
+from deepbots_cli.robots.packages import ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.units import unit_faults
 from deepbots_cli.robots.xacro import Expansion, expand, is_xacro
 
 MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
+_MAX_LISTED = 5  # names in a note
 MAX_WORDS = 200  # unknown words that are compared with the known ones
 _LIMIT_TOLERANCE = 0.02  # the share of the range that a follower needs; files round
+_ROUNDING = 1e-12  # kg m^2
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 _ENDLESS_RANGE = 100.0  # rad; wider limits mean none
+_WORLD = "world"
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
@@ -106,6 +112,8 @@ class RobotFile:
     joint_spans: Mapping[str, Span]
     limit_spans: Mapping[str, Span]
     mesh_spans: Mapping[Span, str]
+    inertial_links: Mapping[Span, tuple[str, ...]]
+    """The links that a finding at this place is about, if their inertial is missing or impossible."""
     xacro: Expansion | None = None
 
     @property
@@ -119,6 +127,22 @@ class RobotFile:
             geometry.shape for link in self.model.links for geometry in (*link.visuals, *link.collisions)
         )
         return {shape.path: shape.digest for shape in shapes if isinstance(shape, Mesh)}
+
+    def with_mesh_names(self, name_of: Callable[[str], str]) -> str:
+        """Return the text with another name for each mesh, from its real path; that of a xacro file is
+        expanded."""
+        if self.xacro:
+            text = to_urdf(self.model)
+            for mesh in self.meshes:
+                text = text.replace(
+                    f'"{mesh.translate(XML_ESCAPES)}"', f'"{name_of(mesh).translate(XML_ESCAPES)}"'
+                )
+            return text
+        text, pieces, end = self.source.text, list[str](), 0
+        for span, mesh in sorted(self.mesh_spans.items(), key=lambda entry: entry[0].start):
+            pieces += [text[end : span.start], name_of(mesh).translate(XML_ESCAPES).replace("'", "&apos;")]
+            end = span.end
+        return "".join([*pieces, text[end:]])
 
 
 MAX_CACHED_FILES = 32
@@ -192,12 +216,24 @@ def _read(
             help="only URDF is read; convert the file first",
         )
         return None
-    xacro = None
-    if is_xacro(source.text):
-        xacro = expand(root, resolve_mesh, arguments, findings)
-        if xacro is None:
-            return None
-        root = xacro.root
+    xacro, hashed = None, hashlib.sha256(data)
+    try:
+        if is_xacro(source.text):
+            xacro = expand(root, resolve_mesh, arguments, findings)
+            if xacro is None:
+                return None
+            root = xacro.root
+            for text in (*(included.text for included in xacro.included), repr(sorted(arguments.items()))):
+                hashed.update(text.encode())
+        return _robot(root, hashed.hexdigest(), resolve_mesh, xacro)
+    finally:
+        root.report.report_repeated()
+
+
+def _robot(
+    root: Element, digest: str, resolve_mesh: ResolveMesh, xacro: Expansion | None
+) -> RobotFile | None:
+    source = root.report.source
     _check_words(root)
     links, joints = _named(root, "link"), _named(root, "joint")
     if not root.find_all("link"):
@@ -205,13 +241,14 @@ def _read(
     if len(links) > MAX_LINKS:
         root.error(f"the robot has more than {MAX_LINKS} links", code="DB005")
         return None
+    _add_world(links, joints)
     meshes = MeshReader(resolve_mesh)
     model = _model(root, links, joints, meshes)
     if model is None:
         return None
-    _check_inertia(model, links)
+    inertial_links = _check_inertia(model, links)
     _check_units(model, links, meshes)
-    model = _without_balls(model, joints)
+    model = _with_free_base(_without_balls(model, joints))
     if root.report.errors:
         return None
     for name, mimic in model.followers.items():
@@ -227,13 +264,8 @@ def _read(
         for name, element in joints.items()
         if (limits := element.find_all("limit"))
     }
-    hashed = hashlib.sha256(data)
-    for text in (
-        (*(included.text for included in xacro.included), repr(sorted(arguments.items()))) if xacro else ()
-    ):
-        hashed.update(text.encode())
-    digest = hashed.hexdigest()
-    return RobotFile(model, source, digest, link_spans, joint_spans, limit_spans, meshes.spans, xacro)
+    spans = link_spans, joint_spans, limit_spans, meshes.spans, inertial_links
+    return RobotFile(model, source, digest, *spans, xacro)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
@@ -306,6 +338,15 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
     return by_name
 
 
+def _add_world(links: dict[str, Element], joints: Mapping[str, Element]) -> None:
+    """Add the link `world` where joints have it as their parent and no `<link>` declares it, as files for
+    Drake leave it out."""
+    parents = (parent for joint in joints.values() for parent in joint.find_all("parent"))
+    parent = next((parent for parent in parents if parent.attributes.get("link") == _WORLD), None)
+    if parent is not None and links and _WORLD not in links:
+        links[_WORLD] = Element("link", {"name": _WORLD}, parent.report, parent.start)
+
+
 def _model(
     root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader
 ) -> RobotModel | None:
@@ -317,6 +358,7 @@ def _model(
         read_joints, links, joints
     )
     base = _root_link(read_joints, links, joints) if complete else None
+    _report_meshes(meshes)
     if root.report.errors or base is None:
         return None
     name = root.attributes.get("name", "").strip() or "robot"
@@ -393,13 +435,20 @@ def _inertial(link: Element) -> Inertial | None:
     return Inertial(
         mass.non_negative_number("value"),
         _pose(element),
-        ixx=inertia.non_negative_number("ixx"),
+        ixx=_moment(inertia, "ixx"),
         ixy=inertia.number("ixy", 0.0),
         ixz=inertia.number("ixz", 0.0),
-        iyy=inertia.non_negative_number("iyy"),
+        iyy=_moment(inertia, "iyy"),
         iyz=inertia.number("iyz", 0.0),
-        izz=inertia.non_negative_number("izz"),
+        izz=_moment(inertia, "izz"),
     )
+
+
+def _moment(inertia: Element, name: str) -> float:
+    """Return a moment of inertia, kg m^2; one that is negative by rounding, as programs that merge links write
+    it, is 0."""
+    value = inertia.number(name)
+    return 0.0 if -_ROUNDING <= value < 0.0 else inertia.non_negative_number(name)
 
 
 def _visual_color(visual: Element, colors: dict[str, Color]) -> Color | None:
@@ -428,8 +477,7 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
 
 
 def _solid(element: Element, holder: str) -> Shape | None:
-    """Return a shape whose measures are above 0. A visual of size 0 is a known way to draw nothing, and
-    harmless."""
+    """Return a shape whose measures are above 0. A shape of size 0 is a known way to have none, and harmless."""
     shape: Shape
     if element.tag == "box":
         shape = Box(element.vector("size"))
@@ -442,35 +490,76 @@ def _solid(element: Element, holder: str) -> Shape | None:
             element.number("radius"), element.number("length")
         )
         measures = {"radius": shape.radius, "length": shape.length}
-    wrong = next((name for name, value in measures.items() if value <= 0), None)
-    if wrong is None:
+    if min(measures.values()) > 0:
         return shape
-    if holder == "visual" and measures[wrong] == 0:
-        element.warn("a visual without size draws nothing", attribute=wrong, help="remove the <visual>")
-    else:
+    wrong = min(measures, key=measures.__getitem__)
+    if measures[wrong] < 0:
         element.error(f"'{wrong}' must be above 0", attribute=wrong)
+    else:
+        without = "draws nothing" if holder == "visual" else "touches nothing; deepbots ignores it"
+        element.warn(
+            f"a {holder} without size {without}",
+            attribute=wrong,
+            help=f"remove the <{holder}>",
+            kind=f"{holder} without size",
+        )
     return None
 
 
 def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
     filename = element.text("filename")
-    scale = element.vector("scale", (1.0, 1.0, 1.0))
+    scale = _scale(element)
     if not all(scale):
         element.error("a mesh cannot be scaled by 0", attribute="scale")
     if filename is None:
         return None
     loaded = meshes.load(filename, scale)
     if isinstance(loaded, UnusableMesh):
-        element.error(loaded.headline, attribute="filename", help=loaded.help)
+        meshes.refused.setdefault(loaded.headline, []).append((element, loaded))
         return None
-    if loaded.reference:
-        headline = (
-            "the mesh is not in the folder of the robot file; deepbots reads the one in a parent"
-            " folder, as PyBullet does"
-        )
-        element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
+    if loaded.elsewhere:
+        meshes.elsewhere.append((element, loaded.elsewhere))
     meshes.spans[element.value_span("filename")] = str(loaded.path)
     return Mesh(str(loaded.path), loaded.digest, scale)
+
+
+def _scale(mesh: Element) -> Vector:
+    """Return the factors along the axes of a mesh. One number scales all three, as in yourdfpy."""
+    if len(mesh.attributes.get("scale", "").split()) != 1:
+        return mesh.vector("scale", (1.0, 1.0, 1.0))
+    factor = mesh.number("scale")
+    headline = "the scale of a mesh is one number; deepbots scales all three axes by it"
+    help = f'write scale="{factor:g} {factor:g} {factor:g}"'
+    mesh.warn(headline, attribute="scale", help=help, kind="scale of one number")
+    return factor, factor, factor
+
+
+def _report_meshes(meshes: MeshReader) -> None:
+    """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere."""
+    for headline, refused in meshes.refused.items():
+        element, first = refused[0]
+        names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _ in refused))
+        notes = _listed("the same is true of", names[1:])
+        if first.tried:
+            notes = (*_listed("deepbots tried", first.tried), *notes)
+        element.error(headline, attribute="filename", help=first.help, notes=notes)
+    if meshes.elsewhere:
+        element, reference = meshes.elsewhere[0]
+        names = list(dict.fromkeys(path for _, path in meshes.elsewhere))
+        element.warn(
+            f"the mesh is not where the robot file says; deepbots reads {reference}",
+            attribute="filename",
+            help=f'write filename="{reference}"',
+            notes=_listed("deepbots also reads", names[1:]),
+        )
+
+
+def _listed(beginning: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Return a note that lists some names, or none."""
+    if not names:
+        return ()
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return (f"{beginning} {', '.join(names[:_MAX_LISTED])}{more}",)
 
 
 def _friction(link: Element) -> Friction:
@@ -552,10 +641,11 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 code="DB307",
             )
         return Limit()
-    effort = element.non_negative_number("effort", 0.0) or None
-    velocity = element.non_negative_number("velocity", 0.0) or None
+    effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
     # URDF's own default of both is 0.
-    lower, upper = element.number("lower", 0.0), element.number("upper", 0.0)
+    lower, upper = (element.bound(name) for name in ("lower", "upper"))
+    if lower is None or upper is None:
+        return Limit(lower, upper, velocity, effort)
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
             element.warn(
@@ -587,6 +677,20 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
             code="DB307",
         )
     return Limit(None, None, velocity, effort)
+
+
+def _positive(limit: Element, name: str) -> float | None:
+    """Return a limit of effort or velocity; None for one that is absent, 0 or negative: files write 0 and -1
+    for "no limit"."""
+    value = limit.bound(name)
+    if value is not None and value < 0:
+        limit.warn(
+            f"a negative limit of {name}; deepbots reads it as no limit",
+            attribute=name,
+            help=f"write the {name} of the motor",
+            kind="negative limit",
+        )
+    return value if value is not None and value > 0 else None
 
 
 def _mimic(joint: Element) -> Mimic | None:
@@ -682,10 +786,13 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
     leader = joints.get(mimic.joint)
     if leader is None:
         headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
-        element.error(headline, attribute="joint", help=known_names_help(mimic.joint, joints, "joints"))
+        help = f"the joint moves on its own; {known_names_help(mimic.joint, joints, 'joints')}"
+        element.warn(headline, attribute="joint", help=help, kind="mimic of an unknown joint")
     elif not joint.moves:
         element.warn(
-            f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", help="remove the <mimic>"
+            f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing",
+            help="remove the <mimic>",
+            kind="mimic of a joint that does not move",
         )
     elif not leader.moves:
         headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
@@ -784,52 +891,79 @@ def _check_units(model: RobotModel, elements: Mapping[str, Element], meshes: Mes
         )
 
 
-def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
-    """Report DB305 and DB306: links whose inertia is missing or impossible.
+def _with_free_base(model: RobotModel) -> RobotModel:
+    """Return the model without a floating joint below an empty root, which means a base that moves freely, as
+    every robot whose base is not fixed has it."""
+    below = [joint for joint in model.joints if joint.parent == model.root]
+    root = model.link(model.root)
+    is_empty = root.inertial is None and not root.visuals and not root.collisions
+    if len(below) != 1 or below[0].type != "floating" or not is_empty:
+        return model
+    first = below[0]
+    links = tuple(link for link in model.links if link is not root)
+    joints = tuple(joint for joint in model.joints if joint is not first)
+    return replace(model, links=links, joints=joints, root=first.child)
 
-    A link on a fixed joint, or the root, may be a mere frame: such links share one warning, and have none
-    without any shape, as `world` and `tool0` are.
+
+def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[Span, tuple[str, ...]]:
+    """Report DB305 and DB306: links whose inertia is missing or impossible, in one finding for each kind.
+    Returns the links by the place of the finding.
+
+    A link without an inertial and without anything to touch is a frame, as `world` and `tool0` are, or a
+    drawing: it needs none, unless a joint moves it that moves no mass.
     """
     moving = {joint.child for joint in model.joints if joint.type != "fixed"}
+    subtree_mass = model.subtree_mass()
+    places: dict[Span, tuple[str, ...]] = {}
 
     def warn(code: str, links: list[Link], lack: str, help: str) -> None:
-        for link in links:
-            if link.name in moving:
-                elements[link.name].warn(
-                    f"link {quoted(link.name)} moves but has {lack}",
-                    attribute="name",
-                    help=help,
-                    code=code,
-                )
-        still = [link.name for link in links if link.name not in moving]
-        if len(still) == 1:
-            elements[still[0]].warn(
-                f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code
-            )
-        elif still:
-            listed = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
-            headline = f"{len(still)} links on fixed joints or at the root have {lack}"
-            elements[still[0]].warn(
-                headline, attribute="name", help=help, notes=(f"they are: {listed}",), code=code
-            )
+        if not links:
+            return
+        names = [link.name for link in links]
+        verb = "moves but has" if names[0] in moving else "has"
+        headline = f"link {quoted(names[0])} {verb} {lack}"
+        if len(names) > 1:
+            headline = f"{len(names)} links have {lack}"
+        notes = _listed("they are:", names) if len(names) > 1 else ()
+        elements[names[0]].warn(headline, attribute="name", help=help, notes=notes, code=code)
+        places[elements[names[0]].value_span("name")] = tuple(names)
 
     missing = [
         link
         for link in model.links
-        if link.inertial is None and (link.name in moving or link.visuals or link.collisions)
+        if link.inertial is None
+        and (link.collisions or (link.name in moving and (link.visuals or subtree_mass[link.name] <= 0.0)))
     ]
+    first = missing[0].name if missing else ""
     warn(
         "DB305",
         missing,
         "no <inertial>",
-        "add an <inertial>; only a link that is a pure frame needs no mass",
+        "add an <inertial>; or give the scenario a density, from which its shape gives the mass: under `links` of"
+        f" the robot, `{first}: {{density: 1000 kg/m^3}}`",
     )
     massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
     warn("DB306", massless, "mass 0", "add a mass; an engine may treat such a link as immovable")
-    for link in model.links:
-        if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
-            help = "each principal moment must be above 0 and at most the sum of the other two"
-            at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
-            at.warn(
-                f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306"
-            )
+    wrong = [
+        link
+        for link in model.links
+        if link.inertial
+        and link.inertial.mass > 0.0
+        and not link.inertial.is_plausible
+        # An engine makes up an inertia of zeros, and that of a part of another body matters little.
+        and (link.inertial.is_stated or link.name in moving or link.name == model.root)
+    ]
+    for link in wrong[:1]:
+        help = (
+            "each principal moment must be above 0 and at most the sum of the other two; or let the scenario"
+            f" compute it from shape and mass: under `links` of the robot, `{link.name}: {{inertia: auto}}`"
+        )
+        at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
+        at.warn(
+            f"no rigid body can have the inertia of link {quoted(link.name)}",
+            help=help,
+            notes=_listed("the same is true of", [other.name for other in wrong[1:]]),
+            code="DB306",
+        )
+        places[at.value_span(None)] = tuple(other.name for other in wrong)
+    return places

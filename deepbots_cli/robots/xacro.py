@@ -22,7 +22,7 @@ from typing import Any
 from deepbots_cli.diagnostics import Findings, Label, Source
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
-from deepbots_cli.robots.meshes import ResolveMesh, UnusableMesh
+from deepbots_cli.robots.packages import ResolveMesh, UnusableMesh
 from deepbots_cli.robots.xacro_expressions import WAY_OUT, Budget, Evaluator, Namespace, XacroError, size
 
 MAX_ELEMENTS = 50_000

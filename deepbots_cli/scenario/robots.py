@@ -34,10 +34,11 @@ class LinkOverride(Section):
     """Overrides of a link. In expressions, `urdf` is the value in the robot file."""
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
-    """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file."""
+    """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file. A link without
+    a mass in the robot file gets the inertia of its shapes."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a
-    homogeneous body of its shape."""
+    homogeneous body of its shapes. A mesh that is not closed counts as its convex hull."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the
     volume."""
@@ -45,8 +46,8 @@ class LinkOverride(Section):
     """Offset of the center of mass along x, y and z of the link, such as `uniform(-2 -2 0 .. 2 2 0 cm)`; it
     is added to the center of mass in the robot file."""
     inertia: Annotated[Scalar, Quantity("number", known="episode", minimum=0, exclusive=True)] | None = None
-    """Scale factor of the inertia about the center of mass, such as `uniform(0.8 .. 1.2)`. The mass keeps its
-    value."""
+    """Scale factor of the inertia about the center of mass, such as `uniform(0.8 .. 1.2)`; or `auto`, the
+    inertia of the shapes of the link, where a mesh counts as the box around it. The mass keeps its value."""
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None

@@ -25,6 +25,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import (
@@ -71,6 +72,9 @@ def triangles(mesh: Mesh) -> Any:
 
     data = read_verified(mesh)
     kind = Path(mesh.path).suffix[1:].lower()
+    if f".{kind}" in GLTF_SUFFIXES:
+        corners = geometry.mesh_triangles(mesh).reshape(-1, 3)
+        return with_edges(trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3)))
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
     except Exception as error:  # the readers of trimesh raise many kinds of exceptions

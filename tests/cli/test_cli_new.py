@@ -297,7 +297,7 @@ def test_a_robot_file_outside_the_project_is_refused_with_what_to_do(deepbots, t
     (tmp_path / "here").mkdir()
     (tmp_path / "there.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     ran = deepbots("new", "mine", "here", "--urdf", "there.urdf", code=2)
-    assert "outside the project; allow its folder with `--allow-path .`" in ran.err
+    assert "copy it with its meshes: `deepbots new mine --urdf there.urdf here --copy`" in ran.err
     assert "package://PACKAGE/PATH" in ran.err
     assert not any((tmp_path / "here").iterdir())
 
@@ -722,7 +722,7 @@ def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(dee
         finding.code for finding in api.lint(tmp_path / "first.yaml") if finding.severity == "error"
     ] == []
     monkeypatch.chdir(tmp_path / "my_arm" / "urdf")
-    assert "allow its folder with --allow-path" in deepbots("inspect", "arm.urdf", code=1).err
+    assert f"add `--allow-path {tmp_path / 'my_arm'}`" in deepbots("inspect", "arm.urdf", code=1).err
     deepbots("inspect", "arm.urdf", "--allow-path", "..")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.robots.meshes import mesh_resolver
+from deepbots_cli.robots.packages import mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read_bytes
 
 ReadText = Callable[[str | bytes], tuple[RobotFile | None, list[Finding]]]

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.robots.meshes import package_file
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -22,6 +21,7 @@ from deepbots_cli.robots.model import (
     to_urdf,
     volume,
 )
+from deepbots_cli.robots.packages import package_file
 from deepbots_cli.robots.reader import read, read_bytes
 from tests.robots.meshes import block
 from tests.robots.wrong_units import with_identities, with_lengths, with_masses, with_visuals

@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.compiler.robots import matching_names
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.document import shipped
-from deepbots_cli.robots.meshes import UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -43,6 +42,7 @@ from deepbots_cli.robots.model import (
     homogeneous_inertial,
     to_urdf,
 )
+from deepbots_cli.robots.packages import UnusableMesh, mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from tests.golden.cases import mistakes
 
@@ -296,7 +296,7 @@ def test_a_frame_without_any_shape_needs_no_inertia(read_text, frame):
 
 
 def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
-    shape = "<visual><geometry><sphere radius='0.1'/></geometry></visual>"
+    shape = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
     frames = "".join(
         f'<link name="f{i}">{shape}</link><joint name="to_f{i}" type="fixed"><parent link="hand"/><child'
         f' link="f{i}"/></joint>'
@@ -647,7 +647,7 @@ def test_exchanged_words_give_findings_or_still_read(exchanges: list[tuple[bytes
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
     "r2d2.urdf": {"DB306", "DB307"},  # its head is continuous, from -0.38 to 0 rad
-    "husky/husky.urdf": {"DB305"},
+    "husky/husky.urdf": set(),
     "quadruped/minitaur.urdf": {"DB306", "DB307", "DB311"},
     "laikago/laikago.urdf": {"DB306"},
     "laikago/laikago_toes.urdf": {"DB306", "DB311"},
@@ -868,6 +868,8 @@ def robots(draw: st.DrawFn) -> RobotModel:
 
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
+    # A floating joint below an empty root is a free base, which `to_urdf` never writes.
+    assume(not any(joint.type == "floating" and joint.parent == model.root for joint in model.joints))
     findings = Findings()
     robot = read_bytes(
         to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere"))

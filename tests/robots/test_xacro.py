@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.robots.elements import Element, parse
-from deepbots_cli.robots.meshes import mesh_resolver
 from deepbots_cli.robots.model import to_urdf
+from deepbots_cli.robots.packages import mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.robots.xacro import expand
 from deepbots_cli.robots.xacro_expressions import Budget, Evaluator, XacroError

@@ -19,7 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.sources import STDIN, scenario_names
+from deepbots_cli.cli.sources import STDIN, is_robot, robot_findings, robot_path, scenario_names
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
@@ -69,8 +69,8 @@ def command(
         list[str] | None,
         typer.Argument(
             metavar="SCENARIO",
-            help="Scenario files, names of shipped scenarios, folders, or - for standard input; by default"
-            " this folder.",
+            help="Scenario files, names of shipped scenarios, robot files, folders, or - for standard input; by"
+            " default this folder.",
         ),
     ] = None,
     overrides: Overrides = None,
@@ -142,7 +142,7 @@ def command(
     ] = 1,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Check scenarios and report their findings."""
+    """Check scenarios and robot files, and report their findings."""
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
     selection = Selection(
@@ -233,6 +233,11 @@ def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, 
         UsageError: Options exclude one another for these scenarios.
     """
     has_stdin = STDIN in names
+    robots = [name for name in names if is_robot(name)]
+    _check_together(
+        bool(robots) and (may_fix or bool(look.overrides) or look.deep or look.exploits),
+        "a robot file alone is only read; leave out --fix, --diff, --set, --deep and --exploits",
+    )
     _check_together(
         bool(look.stdin_name) and not has_stdin, "--stdin-filename needs - (standard input) as a scenario"
     )
@@ -412,11 +417,15 @@ class LintOptions:
         """Return the findings of one scenario."""
         if name == STDIN:
             return self._of_stdin()
+        if is_robot(name):
+            return robot_findings(name, self.permissions.folders)
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name), name)
 
     def files_read(self, name: str) -> set[Path]:
-        """Return the scenario, and the files that it reads."""
+        """Return the scenario or robot file, and the files that it reads."""
+        if is_robot(name):
+            return {robot_path(name, self.permissions.folders)}
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return {checked.document.path, *checked.document.files, *checked.inputs.names}
 
@@ -478,6 +487,8 @@ class LintOptions:
 
     def called(self, name: str) -> str:
         """Return the name of the scenario `name` in findings."""
+        if is_robot(name):
+            return name
         return (
             (self.stdin_name or _NAMELESS)
             if name == STDIN

@@ -6,7 +6,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -16,8 +17,9 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
+from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import open_robot, xacro_arguments
+from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
 from deepbots_cli.cli.starters.first_scenario import Choices, Task
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
@@ -33,7 +35,10 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
+from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinds import Judgment, Kind
+from deepbots_cli.robots.meshes import read_mesh
+from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
@@ -91,6 +96,10 @@ def command(
         option("--task", "What the robot of --urdf is to do, by default the task of its kind."),
     ] = None,
     xacro: XacroArguments = None,
+    copy: Annotated[
+        bool,
+        option("--copy", "Copy the robot file of --urdf and its meshes into the folder."),
+    ] = False,
     webots: Annotated[
         Path | None,
         option(
@@ -122,8 +131,8 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
-    if (kind or task or xacro) and not urdf:
-        raise UsageError("--kind, --task and --xacro-arg go with --urdf")
+    if (kind or task or xacro or copy) and not urdf:
+        raise UsageError("--kind, --task, --xacro-arg and --copy go with --urdf")
     _check_start(
         {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
         has_protos=bool(protos),
@@ -138,7 +147,7 @@ def command(
     starter: Starter | None = None
     if urdf:
         choices = Choices(kind, task, xacro_arguments(xacro))
-        contents, judgment = from_robot(urdf, name, folder, permissions, choices)
+        contents, judgment = _from_robot(urdf, name, folder, permissions, choices, copy=copy)
         terminal.note(f"{urdf} is {judgment}")
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
@@ -151,14 +160,16 @@ def command(
     unchanged = _unchanged(contents, folder)
     write = write_with_schema if schema else write_new
     paths = write(contents, folder, force=force)
+    if copy:
+        permissions = Permissions(code=permissions.code)
     if urdf or starter is not None:
         terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
     if starter is not None:
         _note_places(starter)
     has_schema = bool(schema or project)
-    commands = _next_commands(paths[0], starter, has_schema=has_schema, as_json=as_json)
+    commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
-    _show(paths, unchanged, commands, as_json=as_json, todos=todos)
+    _show(paths, unchanged, commands, permissions, as_json=as_json, todos=todos)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -179,12 +190,14 @@ def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
         raise UsageError("--protos goes with --webots")
 
 
-def _next_commands(scenario: Path, starter: Starter | None, *, has_schema: bool, as_json: bool) -> list[str]:
+def _next_commands(
+    scenario: Path, starter: Starter | None, permissions: Permissions, *, has_schema: bool, as_json: bool
+) -> list[str]:
     """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
     if starter is not None and starter.todos:
         commands = ["lint", "try", "inspect", "train"]
-    program = api.load(scenario).program
+    program = api.load(scenario, permissions=permissions).program
     if program is not None:
         if not as_json:
             _name_faster_engine(program)
@@ -260,28 +273,84 @@ def validated_name(name: str) -> str:
     return bare
 
 
+def _options(folders: Iterable[str | Path]) -> str:
+    """Return the options that allow these folders, with a blank before each."""
+    paths = (folders,) if isinstance(folders, (str, Path)) else folders
+    return "".join(f" --allow-path {quote(str(folder))}" for folder in paths)
+
+
+def _from_robot(
+    robot: str, name: str, folder: Path, permissions: Permissions, choices: Choices, *, copy: bool
+) -> tuple[Files, Judgment]:
+    """Return the files for a robot file, and the kind of the robot; a file whose meshes are in folders that are
+    not allowed is refused with the commands that allow them."""
+    try:
+        return from_robot(robot, name, folder, permissions, choices, copy=copy)
+    except RobotError as error:
+        if not error.allow:
+            raise
+        terminal.show_findings(error.findings)
+        allowed = _options([*permissions.folders, *error.allow])
+        words = "".join(f" --xacro-arg {quote(f'{key}:={value}')}" for key, value in choices.xacro.items())
+        base = f"deepbots new {quote(name)} --urdf {quote(robot)}{words}{_folder_argument(folder)}{allowed}"
+        terminal.note(
+            f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
+            f"to leave them where they are, and allow the folder in each command:\n  {base}"
+        )
+        raise typer.Exit(FAILED) from error
+
+
+def _folder_argument(folder: Path) -> str:
+    return "" if folder == Path(".") else f" {quote(str(folder))}"
+
+
 def from_robot(
     robot: str,
     name: str,
     folder: Path,
     permissions: Permissions,
     choices: Choices,
+    *,
+    copy: bool = False,
 ) -> tuple[Files, Judgment]:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
-    package://... Also returns the kind of the robot.
+    package://...; with `copy` also the robot file and its meshes, in a folder of their own. Also returns the
+    kind of the robot.
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, the robot has no joint
             that can be driven, no kind is sure, or the task does not suit the robot.
-        ScenarioError: The file is not a valid robot.
+        RobotError: The file is not a valid robot.
     """
-    model = open_robot(robot, permissions.folders, choices.xacro)[0].model
-    reference = _reference(robot, folder, permissions)
-    text, judgment = starters.scenario(model, reference, scenario_title(name), choices)
-    return {PurePosixPath(f"{name}.yaml"): text.encode()}, judgment
+    file = open_robot(robot, permissions.folders, choices.xacro)[0]
+    copies = _copies(file, robot_path(robot, permissions.folders)) if copy else {}
+    reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
+    if copies:  # a copy is expanded
+        choices = replace(choices, xacro={})
+    text, judgment = starters.scenario(file.model, reference, scenario_title(name), choices)
+    return {PurePosixPath(f"{name}.yaml"): text.encode(), **copies}, judgment
 
 
-def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
+def _copies(file: RobotFile, path: Path) -> Files:
+    """Return a robot file, which names its meshes by relative paths, and the meshes; the folders between them
+    stay."""
+    path = path.resolve()
+    if file.xacro:
+        path = path.with_name(f"{path.name.partition('.')[0]}.urdf")
+    meshes = {Path(mesh): Path(mesh) for mesh in file.meshes}
+    # A `.gltf` file is copied with its buffers, as `.glb`.
+    meshes |= {mesh: mesh.with_suffix(".glb") for mesh in meshes if mesh.suffix.lower() in GLTF_SUFFIXES}
+    top = Path(os.path.commonpath([path.parent, *(mesh.parent for mesh in meshes)]))
+    home = PurePosixPath(path.stem)
+    text = file.with_mesh_names(
+        lambda mesh: os.path.relpath(meshes[Path(mesh)], path.parent).replace(os.sep, "/")
+    )
+    return {home / path.relative_to(top).as_posix(): text.encode()} | {
+        home / target.relative_to(top).as_posix(): read_mesh(mesh) for mesh, target in meshes.items()
+    }
+
+
+def _reference(robot: str, name: str, folder: Path, permissions: Permissions) -> str:
     """Return the reference to a robot file in a scenario in `folder`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
@@ -292,12 +361,13 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
         [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)],
     )
     if isinstance(referenced, UnusableFile):
+        command = f"deepbots new {quote(name)} --urdf {quote(robot)}{_folder_argument(folder)}"
+        parent = quote(os.path.dirname(robot) or ".")
         raise UsageError(
-            f"a scenario in {folder.resolve()} may not read {robot}, because the file"
-            f" {referenced.problem}; "
-            f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later"
-            " commands, or copy it with "
-            "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"
+            f"a scenario in {folder.resolve()} may not read {robot}, because the file {referenced.problem};"
+            f" copy it with its meshes: `{command} --copy`; or allow its folder, here and in later commands:"
+            f" `{command} --allow-path {parent}`; a robot of an installed package is named as"
+            " package://PACKAGE/PATH"
         )
     return path
 
@@ -421,6 +491,7 @@ def _show(
     paths: Sequence[Path],
     unchanged: set[Path],
     commands: Sequence[str],
+    permissions: Permissions,
     *,
     as_json: bool,
     todos: int | None = None,
@@ -430,7 +501,8 @@ def _show(
     scenario, schema = quote(str(paths[0])), quote(str(paths[0].with_suffix(".schema.json")))
     lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
-        f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
+        f"deepbots {command} {scenario}{_options(permissions.folders)}"
+        + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]
     facts: dict[str, object] = {"scenario": paths[0], "files": paths}

@@ -15,18 +15,13 @@ from deepbots_cli.cli.starters.wheels import balance, drive
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.build import GRAVITY, Build, is_endless, neutral, range_of
 from deepbots_cli.robots.kinds import Judgment, Kind, judge
-from deepbots_cli.robots.kinematics import bounds_of_shape, box_sides
-from deepbots_cli.robots.model import (
-    Box,
-    Joint,
-    RobotModel,
-    homogeneous_inertial,
-    with_density,
-    with_link,
-)
+from deepbots_cli.robots.kinematics import bounds_of_shape, box_sides, inertial_of_shapes
+from deepbots_cli.robots.model import Joint, Link, RobotModel, volume, with_link
 
 _DENSITY = 1000.0
 """The density (kg/m^3) of a link without a mass, that of water."""
+_LEAST_MASS = 1e-3
+"""The least mass (kg) of a link without a mass."""
 
 
 def hover(draft: Draft) -> dict[str, object] | None:
@@ -183,7 +178,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
             simulated, no kind is sure, or the task does not suit the robot.
     """
-    model, densities = _with_masses(model)
+    model, masses = _with_masses(model)
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
@@ -203,7 +198,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
             f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
-    draft.links |= {name: {"density": f"{short_number(_DENSITY)} kg/m^3"} for name in densities}
+    draft.links |= {name: {"mass": mass} for name, mass in masses.items()}
     task, values = _task(draft, choices.task)
     text = (
         templates()
@@ -232,20 +227,25 @@ def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
     )
 
 
-def _with_masses(model: RobotModel) -> tuple[RobotModel, list[str]]:
-    """Return the robot with a mass for each link that moves, has one shape and no mass in the file, and the names
-    of these links. The masses are those of boxes around the shapes."""
-    moving = {joint.child for joint in model.moving_joints}
-    names = []
+def _with_masses(model: RobotModel) -> tuple[RobotModel, dict[str, str]]:
+    """Return a robot whose joints all move a mass, and the masses that this needs, by link: of the links with a
+    shape and without an <inertial>, if a joint moves no mass."""
+    subtree_mass = model.subtree_mass()
+    masses: dict[str, str] = {}
+    if all(subtree_mass[joint.child] > 0.0 for joint in model.moving_joints):
+        return model, masses
     for link in model.links:
-        if link.name not in moving or link.mass > 0.0 or isinstance(with_density(model, link.name, 1.0), str):
-            continue
-        (shape,) = link.collisions or link.visuals
-        sides = box_sides(bounds_of_shape(shape.shape))
-        inertial = homogeneous_inertial(Box(sides), _DENSITY * prod(sides), shape.origin)
-        model = with_link(model, replace(link, inertial=inertial))
-        names.append(link.name)
-    return model, names
+        mass = max(_DENSITY * _volume(link), _LEAST_MASS)
+        if link.inertial is None and (inertial := inertial_of_shapes(link, mass)):
+            model = with_link(model, replace(link, inertial=inertial))
+            masses[link.name] = f"{short_number(mass)} kg"
+    return model, masses
+
+
+def _volume(link: Link) -> float:
+    """Return the volume (m^3) of the shapes of a link; a mesh fills half of the box around it."""
+    shapes = [part.shape for part in link.collisions or link.visuals]
+    return sum(volume(shape) or 0.5 * prod(box_sides(bounds_of_shape(shape))) for shape in shapes)
 
 
 def _found(draft: Draft) -> list[str]:
@@ -263,7 +263,7 @@ def _found(draft: Draft) -> list[str]:
         f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
         *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
-    massless = [name for name, settings in draft.links.items() if "density" in settings]
+    massless = [name for name, settings in draft.links.items() if "mass" in settings]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"{draft.urdf} is {draft.judgment}.",
@@ -271,7 +271,7 @@ def _found(draft: Draft) -> list[str]:
         "The values below were chosen from these: change them.",
         *(
             [
-                f"The file gives {len(massless)} links no mass: each is a body of {short_number(_DENSITY)} kg/m^3."
+                f"The file gives {len(massless)} links no mass; those under `links` are guesses from the shapes."
             ]
             if massless
             else []
