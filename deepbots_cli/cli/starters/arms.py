@@ -21,6 +21,8 @@ _CLOSED_SHARE = 0.9
 """How far a finger joint closes, as a share of the way to the end of its range."""
 _BENDING_RATIO = 1.5
 """How much further a finger joint bends than it stretches, at least."""
+_LARGEST_ANGLE = 6.3
+"""The largest angle (rad) of an arm's joint that the policy distinguishes."""
 _SCATTER = 0.1
 """The largest distance of the ball from its mean place along each axis, in its radius."""
 _BENDING_SHARE = 0.4
@@ -63,10 +65,7 @@ def reach(draft: Draft) -> dict[str, object] | None:
         " ".join(short_number(round(value, 3)) for value in frames.add(corner, lift))
         for corner in (low, high)
     ]
-    bounded = all(
-        joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None
-        for joint in joints
-    )
+    largest = max(abs(end) for joint in joints for end in range_of(joint))
     plane = "".join(
         name for name, minimum, maximum in zip("xyz", low, high, strict=True) if minimum < maximum
     )
@@ -76,7 +75,7 @@ def reach(draft: Draft) -> dict[str, object] | None:
         "high": ends[1],
         "tip": limb.tip,
         "reach": limb.reach,
-        "bounded": bounded,
+        "largest": min(largest, _LARGEST_ANGLE),
         "gripper": bool(gripper),
     }
     return values | {"plane": "" if plane == "xyz" else f".{plane}"}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import prod
+from pathlib import PurePosixPath
 
 from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
@@ -266,7 +267,7 @@ def _found(draft: Draft) -> list[str]:
     massless = [name for name, settings in draft.links.items() if "mass" in settings]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
-        f"{draft.urdf} is {draft.judgment}.",
+        f"{PurePosixPath(draft.urdf).name} is {draft.judgment}.",
         f"{', '.join(parts)}; {build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}.",
         "The values below were chosen from these: change them.",
         *(
