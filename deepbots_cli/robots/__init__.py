@@ -5,8 +5,10 @@ model.py       links, joints, shapes; mass, volume and inertia in closed form; n
 kinematics.py  frames of links, bounding boxes, the height at which a robot or a shape rests
 elements.py    XML to elements with their position in the file; their numbers and vectors
 reader.py      elements to a checked model, every finding with its place
-meshes.py      the locations, permissions and contents of mesh files
+packages.py    the places of mesh files and robot files, and what may be read
+meshes.py      the contents of mesh files
 collada.py     the triangles of a COLLADA file, and its faults
 units.py       millimeters, grams and g mm^2 in a robot file
+gltf.py        the triangles of a glTF file, and its faults
 coverage.py    how many times the triangles of a mesh cover each other
 """
