@@ -8,8 +8,10 @@ kinds.py       the kind of a robot, with its evidence
 elements.py    XML to elements with their position in the file; their numbers and vectors
 reader.py      elements to a checked model, every finding with its place
 xacro.py       xacro to plain elements, with includes and limits; xacro_expressions.py computes its expressions
-meshes.py      the locations, permissions and contents of mesh files
+packages.py    the places of mesh files and robot files, and what may be read
+meshes.py      the contents of mesh files
 collada.py     the triangles of a COLLADA file, and its faults
 units.py       millimeters, grams and g mm^2 in a robot file
+gltf.py        the triangles of a glTF file, and its faults
 coverage.py    how many times the triangles of a mesh cover each other
 """

@@ -10,7 +10,7 @@
 5. the folder of the robot file and those above it, whatever they are called
 
 Where none has it, and for an absolute path of another computer, the end of the path counts, from its folder on:
-`/home/x/ws/src/pkg/meshes/arm.stl` is `pkg/meshes/arm.stl` or `meshes/arm.stl` in one of the folders of 5.
+`/ws/src/pkg/meshes/arm.stl` is `pkg/meshes/arm.stl` or `meshes/arm.stl` in one of the folders of 5.
 
 Only the folder of the robot file, the folders that the user allows, and an installed package are looked into.
 This module needs no numpy, since lint imports it.

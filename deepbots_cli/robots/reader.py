@@ -639,6 +639,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 f"joint {quoted(name)} has no limits",
                 help='add <limit lower="..." upper="..." .../>',
                 code="DB307",
+                kind="no limits",
             )
         return Limit()
     effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
@@ -649,7 +650,10 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
             element.warn(
-                f"joint {quoted(name)} has no limits", help='add lower="..." and upper="..."', code="DB307"
+                f"joint {quoted(name)} has no limits",
+                help='add lower="..." and upper="..."',
+                code="DB307",
+                kind="no limits",
             )
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
@@ -661,6 +665,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 headline,
                 help="swap the two limits, or change the type of the joint to continuous",
                 code="DB307",
+                kind="crossed limits",
             )
     elif (
         kind == "continuous" and lower < upper < lower + _ENDLESS_RANGE and joint.attributes["type"] != _BALL
@@ -675,6 +680,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
             attribute="lower" if "lower" in element.attributes else "upper",
             help=help,
             code="DB307",
+            kind="limits without effect",
         )
     return Limit(None, None, velocity, effort)
 
@@ -827,6 +833,7 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
             help=(
                 f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}'
             ),
+            kind="range of a follower",
         )
 
 
@@ -942,7 +949,13 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
         "add an <inertial>; or give the scenario a density, from which its shape gives the mass: under `links` of"
         f" the robot, `{first}: {{density: 1000 kg/m^3}}`",
     )
-    massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
+    massless = [
+        link
+        for link in model.links
+        if link.inertial
+        and link.inertial.mass == 0
+        and (link.visuals or link.collisions or link.name in moving)
+    ]
     warn("DB306", massless, "mass 0", "add a mass; an engine may treat such a link as immovable")
     wrong = [
         link

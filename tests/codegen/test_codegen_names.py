@@ -203,6 +203,7 @@ LINES = {
     "addition": f"value += ({' + '.join(LONG)}) * ({LONG[0]} / {LONG[1]})",
     "return": f"return {{{', '.join(f'{number}: {item}' for number, item in enumerate(LONG))}}}",
     "one item": f"self.drive(({' * '.join(LONG)},))",
+    "product of a keyword": f"x = Motor(1, rates={' + '.join(f'({name},) * 2' for name in LONG)}, last=2)",
     "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",
     "comparison": f"value = {' + '.join(LONG)} < {' - '.join(LONG)}",
     "negated comparison": f"if not {' + '.join(LONG)} < 1.5 and not {' * '.join(LONG)} == 2.0:",

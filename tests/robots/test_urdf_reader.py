@@ -652,10 +652,10 @@ PUBLISHED = {
     "laikago/laikago.urdf": {"DB306"},
     "laikago/laikago_toes.urdf": {"DB306", "DB311"},
     "kuka_iiwa/model.urdf": {"DB306"},
-    "franka_panda/panda.urdf": {"DB306"},
+    "franka_panda/panda.urdf": set(),
     "a1/a1.urdf": set(),
     "bicycle/bike.urdf": {"DB311"},
-    "biped/biped2d_pybullet.urdf": {"DB306", "DB307", "DB311"},
+    "biped/biped2d_pybullet.urdf": {"DB307", "DB311"},
     "differential/diff_ring.urdf": {"DB306", "DB311", "DB507"},
     "quadruped/microtaur/microtaur.urdf": {"DB306", "DB311"},
     "racecar/racecar_differential.urdf": {
