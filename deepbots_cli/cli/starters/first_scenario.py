@@ -179,7 +179,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
             simulated, no kind is sure, or the task does not suit the robot.
     """
-    model, masses = _with_masses(model)
+    model, massless = _with_masses(model)
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
@@ -199,7 +199,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
             f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
-    draft.links |= {name: {"mass": mass} for name, mass in masses.items()}
+    draft.links |= {name: {"density": f"{_DENSITY:.0f} kg/m^3"} for name in massless}
     task, values = _task(draft, choices.task)
     text = (
         templates()
@@ -228,19 +228,19 @@ def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
     )
 
 
-def _with_masses(model: RobotModel) -> tuple[RobotModel, dict[str, str]]:
-    """Return a robot whose joints all move a mass, and the masses that this needs, by link: of the links with a
-    shape and without an <inertial>, if a joint moves no mass."""
+def _with_masses(model: RobotModel) -> tuple[RobotModel, list[str]]:
+    """Return a robot whose joints all move a mass, and the links that need a density for that: those with a shape
+    and without an <inertial>, if a joint moves no mass."""
     subtree_mass = model.subtree_mass()
-    masses: dict[str, str] = {}
+    names: list[str] = []
     if all(subtree_mass[joint.child] > 0.0 for joint in model.moving_joints):
-        return model, masses
+        return model, names
     for link in model.links:
         mass = max(_DENSITY * _volume(link), _LEAST_MASS)
         if link.inertial is None and (inertial := inertial_of_shapes(link, mass)):
             model = with_link(model, replace(link, inertial=inertial))
-            masses[link.name] = f"{short_number(mass)} kg"
-    return model, masses
+            names.append(link.name)
+    return model, names
 
 
 def _volume(link: Link) -> float:
@@ -264,7 +264,7 @@ def _found(draft: Draft) -> list[str]:
         f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
         *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
-    massless = [name for name, settings in draft.links.items() if "mass" in settings]
+    massless = [name for name, settings in draft.links.items() if "density" in settings]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"{PurePosixPath(draft.urdf).name} is {draft.judgment}.",
@@ -272,7 +272,7 @@ def _found(draft: Draft) -> list[str]:
         "The values below were chosen from these: change them.",
         *(
             [
-                f"The file gives {len(massless)} links no mass; those under `links` are guesses from the shapes."
+                f"The file gives {len(massless)} links no mass; `density` under `links` gives them that of water."
             ]
             if massless
             else []
