@@ -7,7 +7,7 @@ from itertools import combinations, product
 from math import degrees, dist, hypot
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
+from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit, round_position
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.frames import Triple
 from deepbots_cli.robots.build import Build, Limb, mean_point, neutral, range_of
@@ -229,7 +229,7 @@ def _distance(point: Triple, box: Bounds) -> float:
 def joint_values(joints: Sequence[Joint], positions: Mapping[str, float]) -> str:
     """Return a position of several joints of one unit as text: one number if they are equal."""
     scale, unit = (1e3, "mm") if joints[0].type == "prismatic" else (degrees(1.0), "deg")
-    numbers = [short_number(scale * positions[joint.name]) for joint in joints]
+    numbers = [f"{scale * round_position(joint, positions[joint.name]) + 0.0:.6g}" for joint in joints]
     return f"{numbers[0] if len(set(numbers)) == 1 else ' '.join(numbers)} {unit}"
 
 

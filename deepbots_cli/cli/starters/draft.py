@@ -66,7 +66,7 @@ class Draft:
         self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]
     ) -> str:
         """Add a pose of a group in which episodes begin. Returns its name."""
-        rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
+        rounded = {joint.name: round_position(joint, positions[joint.name]) for joint in joints}
         self.starts[group] = self.add_pose(group, name, rounded, joints)
         self.positions |= rounded
         return self.starts[group]
@@ -75,7 +75,7 @@ class Draft:
         """Add a pose of a group. Returns its name."""
         name = _unused(name, [group, *self.poses])
         self.poses[name] = {
-            joint.name: _with_unit(joint, _rounded(joint, positions[joint.name])) for joint in joints
+            joint.name: _with_unit(joint, round_position(joint, positions[joint.name])) for joint in joints
         }
         return name
 
@@ -137,7 +137,7 @@ def grouped_by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]
     return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
 
 
-def _rounded(joint: Joint, value: float) -> float:
+def round_position(joint: Joint, value: float) -> float:
     """Round to whole degrees or millimeters within the limits of the joint. If no such value lies within
     them, return their middle."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
