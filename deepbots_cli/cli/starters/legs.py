@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from deepbots_cli.cli.starters.draft import Draft
 
 _TIMESTEP = 0.02
-_SUBSTEPS = {"mujoco": 4, "": 10}
+_SUBSTEPS = {"mujoco": 4, "pybullet": 10}
 """Engine steps in a timestep by engine."""
 _STIFFNESS_PER_LOAD = 2.8
 """The stiffness of a leg's motors (N m/rad), per torque of its share of the weight at the length of a leg
@@ -98,6 +98,12 @@ class Stance:
         )
 
     @property
+    def low(self) -> float:
+        """The height of the root (m) when the hips have sunk to half their height."""
+        hips = [frames.rotate(self.rotation, hip)[2] for hip in _hips(self.build)]
+        return self.height - 0.5 * (self.height + min(hips))
+
+    @property
     def place(self) -> dict[str, str]:
         """The place in which episodes begin: just above the ground."""
         turns = {
@@ -116,10 +122,12 @@ def walk(draft: Draft) -> dict[str, object]:
     joints = [joint for limb in build.legs for joint in limb.joints if joint in build.driven]
     group = draft.add_group("legs", joints)
     draft.add_start(group, "stand", stance.positions, joints)
-    engine = "mujoco" if _takes_mujoco(build) else ""
+    engine = "mujoco" if _takes_mujoco(build) else "pybullet"
     reach = max(_with_foot(build, limb).reach for limb in build.legs)
     load = build.model.mass * GRAVITY * reach / len(build.legs)
-    gains, armature = _springs(build, joints, _STIFFNESS_PER_LOAD * load) if engine else ({}, 0.0)
+    gains, armature = {}, 0.0  # in PyBullet, which has no armature, the motors of the engine
+    if engine == "mujoco":
+        gains, armature = _springs(build, joints, _STIFFNESS_PER_LOAD * load)
     draft.add_motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
     draft.hold([joint for joint in build.driven if joint not in joints])
     first, second = _gait(build, stance.rotation)
@@ -128,7 +136,7 @@ def walk(draft: Draft) -> dict[str, object]:
         "legs": group,
         "ahead": _component(stance.forward),
         "aside": _component(frames.cross(down, stance.forward)).lstrip("-"),
-        "height": stance.height,
+        "low": stance.low,
         "chassis": build.chassis,
         "place": stance.place,
         "feet": {"first": draft.add_links("feet_a", first), "second": draft.add_links("feet_b", second)},
