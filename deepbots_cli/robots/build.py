@@ -215,9 +215,9 @@ class Build:
         boxes = [_box(link, frames.compose(tilted, poses[link.name])) for link in self.model.links]
         return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
 
-    def own_box(self, link: str) -> Bounds | None:
-        """Return the box around the shapes of a link in its own frame."""
-        return _box(self.model.link(link), IDENTITY_FRAME)
+    def box(self, link: str, frame: Frame = IDENTITY_FRAME) -> Bounds | None:
+        """Return the box around the shapes of a link that lies in `frame`."""
+        return _box(self.model.link(link), frame)
 
     @cached_property
     def size(self) -> float:

@@ -10,17 +10,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import atan2, ceil, cos, degrees, hypot, radians, sqrt
+from math import atan2, ceil, cos, degrees, dist, hypot, radians, sqrt
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.frames import Quaternion, Triple, quaternion
+from deepbots_cli.frames import Frame, Quaternion, Triple, quaternion
 from deepbots_cli.robots.build import GRAVITY, Build, Limb, neutral, range_of
 from deepbots_cli.robots.kinematics import (
     box_around,
     center_of_mass,
+    corners,
     link_frames,
     load_and_inertia,
     min_spring_inertia,
@@ -50,6 +51,12 @@ _KNEE_BENDS = (25, 20, 15, 10, 5, 0)
 """The bends of a knee (deg) above a sole, in the order in which they are tried."""
 _MAX_LEAN = 60
 """The largest angle (deg) of a hip above a sole."""
+_MAX_SOLE_ANGLE = 60
+"""The largest angle (deg) of a foot with all joints at 0 to the ground."""
+_LEVEL_SHARE = 0.02
+"""The largest height above the ground of points on which a foot stands, as a share of its size."""
+_MIN_SOLE_SHARE = 0.5
+"""The least length of a side on which a foot may stand, as a share of its longest side."""
 _STANCE_TOLERANCE = 0.05
 """The largest distance of a foot from the place below its hip, as a fraction of the reach of the leg."""
 _LARGEST_FOOT_SHIFT = 0.35
@@ -190,7 +197,7 @@ def stand(build: Build) -> Stance:
     down = frames.rotate_back(quaternion(radians(turn[0]), radians(turn[1]), 0.0), (0.0, 0.0, -1.0))
     forward = _forward(build, down)
     if len(build.legs) == 2:
-        positions = _on_soles(build, forward) if down[2] < -_PARALLEL else None
+        positions = _on_soles(build, forward, down)
         if positions is not None:
             remark = "Its knees are bent, its soles level, and its center of mass is above their middle."
             return Stance(build, turn, positions, forward, remark)
@@ -225,38 +232,37 @@ def _stance_remark(build: Build, off: float) -> str:
     return "Its legs are bent; a better posture is worth more than a longer training."
 
 
-def _on_soles(build: Build, forward: Triple) -> dict[str, float] | None:
+def _on_soles(build: Build, forward: Triple, down: Triple) -> dict[str, float] | None:
     """Return joint positions of a biped with level soles below its center of mass, with its knees bent; None
     if its legs do not bend at hip, knee and ankle about the same axis.
 
-    The soles keep the attitude that they have with all joints at 0: the angles of hip, knee and ankle add up
-    to 0. Angles are whole degrees, so that rounding does not tilt the soles.
+    The angles of hip, knee and ankle add up to that of the sole, which is 0 if the feet are level with all
+    joints at 0. Angles are whole degrees, so that rounding does not tilt the soles.
     """
-    left = frames.cross((0.0, 0.0, 1.0), forward)
+    left = frames.cross(forward, down)
     legs = [_sagittal(build, limb, left) for limb in build.legs]
     if any(len(leg) < 3 for leg in legs):
         return None
+    soles = [_sole_angle(build, limb, forward, down) for limb in build.legs]
     rest = {joint.name: neutral(joint) for limb in build.legs for joint in limb.joints}
     for bend in _KNEE_BENDS:
         leans = set(range(-_MAX_LEAN, _MAX_LEAN + 1))
-        for leg in legs:
-            leans &= {lean for lean in leans if _bent_leg(leg, bend, lean) is not None}
+        for leg, sole in zip(legs, soles, strict=True):
+            leans &= {lean for lean in leans if _bent_leg(leg, sole, bend, lean) is not None}
         if leans:
             break
     else:
         return None
 
     def positions(lean: int) -> dict[str, float]:
-        bent = [_bent_leg(leg, bend, lean) or {} for leg in legs]
+        bent = [_bent_leg(leg, sole, bend, lean) or {} for leg, sole in zip(legs, soles, strict=True)]
         return rest | {name: value for leg in bent for name, value in leg.items()}
 
     def excess(lean: int) -> float:
         """The distance of the soles ahead of the center of mass."""
         where = link_frames(build.model, positions(lean))
-        soles = [_sole(build, limb, where) for limb in build.legs]
-        middle = frames.scaled(frames.add(*soles[0]), 0.25), frames.scaled(frames.add(*soles[1]), 0.25)
-        apart = frames.subtract(frames.add(*middle), center_of_mass(build.model, where))
-        return frames.dot(apart, forward)
+        ends = [end for limb in build.legs for end in _sole(build, limb, where)]
+        return frames.dot(frames.subtract(frames.mean(ends), center_of_mass(build.model, where)), forward)
 
     low, high = min(leans), max(leans)  # a hip that turns further forward, about `left`, moves the sole back
     while high - low > 1:
@@ -275,9 +281,10 @@ def _sagittal(build: Build, limb: Limb, left: Triple) -> list[tuple[Joint, int]]
     ]
 
 
-def _bent_leg(leg: Sequence[tuple[Joint, int]], bend: int, lean: int) -> dict[str, float] | None:
-    """Return the positions of hip, knee and ankle for a bend of the knee and a turn of the hip about the axis
-    to the left (deg); None if the limits exclude them. Further hinges stay where they are neutral."""
+def _bent_leg(leg: Sequence[tuple[Joint, int]], sole: int, bend: int, lean: int) -> dict[str, float] | None:
+    """Return the positions of hip, knee and ankle for the turn of the sole, a bend of the knee, and a turn of
+    the hip about the axis to the left (deg); None if the limits exclude them. Further hinges stay where they
+    are neutral."""
     (hip, hip_sign), (knee, knee_sign), *others, (ankle, ankle_sign) = leg
     low, high = sorted(knee_sign * end for end in range_of(knee))
     turned = bend if high >= -low else -bend
@@ -285,21 +292,48 @@ def _bent_leg(leg: Sequence[tuple[Joint, int]], bend: int, lean: int) -> dict[st
     angles = {
         hip: hip_sign * lean,
         knee: knee_sign * turned,
-        ankle: -ankle_sign * (lean + turned + rest),
+        ankle: ankle_sign * (sole - lean - turned - rest),
     }
     positions = {joint: radians(angle) for joint, angle in angles.items()}
     allowed = all(range_of(joint)[0] <= value <= range_of(joint)[1] for joint, value in positions.items())
     return {joint.name: value for joint, value in positions.items()} if allowed else None
 
 
-def _sole(build: Build, limb: Limb, where: Mapping[str, frames.Frame]) -> Bounds:
-    """Return the box around the foot of a leg that has the attitude which it has with all joints at 0."""
+def _sole(build: Build, limb: Limb, where: Mapping[str, Frame]) -> Bounds:
+    """Return the box around the foot of a leg, whose links have the frames `where`."""
     foot = limb.joints[-1].child
-    boxes = [build.boxes[name] for name in build.rigid(foot) if name in build.boxes]
-    origin = build.frames[foot][0]
-    low, high = box_around(boxes) if boxes else (origin, origin)
-    moved = frames.subtract(where[foot][0], origin)
-    return frames.add(low, moved), frames.add(high, moved)
+    boxes = [box for name in build.rigid(foot) if (box := build.box(name, where[name]))]
+    return box_around(boxes) if boxes else (where[foot][0], where[foot][0])
+
+
+def _sole_angle(build: Build, limb: Limb, forward: Triple, down: Triple) -> int:
+    """Return the angle (deg) about the axis to the left by which the foot of a leg has to turn from its
+    attitude with all joints at 0 to stand on its longest side; 0 if it does so already."""
+    links = [(build.model.link(name), build.frames[name]) for name in build.rigid(limb.joints[-1].child)]
+    points = [
+        point
+        for link, frame in links
+        for part in link.collisions or link.visuals
+        for point in corners(part.shape, frames.compose(frame, frames.frame(part.origin)))
+    ]
+    if not points:
+        return 0
+    left = frames.cross(forward, down)
+
+    def length(angle: int) -> float:
+        """The length of the side on the ground."""
+        rotation = frames.from_axis_angle(left, radians(angle))
+        turned = [frames.rotate(rotation, point) for point in points]
+        deepest = max(frames.dot(point, down) for point in turned)
+        level = max(dist(points[0], point) for point in points) * _LEVEL_SHARE
+        ends = [frames.dot(point, forward) for point in turned if frames.dot(point, down) > deepest - level]
+        return max(ends) - min(ends)
+
+    lengths = {angle: length(angle) for angle in range(-_MAX_SOLE_ANGLE, _MAX_SOLE_ANGLE + 1)}
+    longest = max(lengths.values())
+    if lengths[0] > _MIN_SOLE_SHARE * longest:
+        return 0
+    return min((angle for angle, value in lengths.items() if value > 0.95 * longest), key=abs)
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float], float]:
@@ -346,7 +380,7 @@ def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float],
 def _with_foot(build: Build, limb: Limb) -> Limb:
     """Return a leg up to its foot: to the far end of its last link, if the origin of this link is not near
     it."""
-    box = build.own_box(limb.tip)
+    box = build.box(limb.tip)
     if box is None:
         return limb
     low, high = box
