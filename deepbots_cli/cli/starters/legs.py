@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan2, ceil, cos, degrees, dist, hypot, radians, sqrt
+from statistics import mean
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
@@ -57,6 +58,10 @@ _LEVEL_SHARE = 0.02
 """The largest height above the ground of points on which a foot stands, as a share of its size."""
 _MIN_SOLE_SHARE = 0.5
 """The least length of a side on which a foot may stand, as a share of its longest side."""
+_LEVEL_LENGTH = 0.95
+"""The length of a side that is on the ground, as a share of the longest one."""
+_LEVEL_ANGLE = 5
+"""The range of angles (deg) at which a side counts as level."""
 _STANCE_TOLERANCE = 0.05
 """The largest distance of a foot from the place below its hip, as a fraction of the reach of the leg."""
 _LARGEST_FOOT_SHIFT = 0.35
@@ -84,12 +89,14 @@ _REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR|lh|rh|lr|rr)(?![a-z
 @dataclass(frozen=True)
 class Stance:
     """How a robot on legs stands: `turn` brings it upright from the attitude in which it was drawn (roll and
-    pitch in deg), `positions` are those of the joints of its legs (rad, m)."""
+    pitch in deg), `positions` are those of the joints of its legs (rad, m). `evidence` says why it walks
+    `forward`, `remark` how well it stands."""
 
     build: Build
     turn: tuple[float, float]
     positions: Mapping[str, float]
     forward: Triple
+    evidence: str
     remark: str
 
     @property
@@ -149,6 +156,7 @@ def walk(draft: Draft) -> dict[str, object]:
         "feet": {"first": draft.add_links("feet_a", first), "second": draft.add_links("feet_b", second)},
         "tips": [*first, *second],
         "stance": stance.remark,
+        "evidence": stance.evidence,
         "fallen": _fallen(build, down),
         "lift": 0.18 * reach,
         "beat": 0.5 * sqrt(reach / 0.4),
@@ -195,19 +203,19 @@ def stand(build: Build) -> Stance:
     """Return how a robot on legs stands."""
     turn = _upright(build)
     down = frames.rotate_back(quaternion(radians(turn[0]), radians(turn[1]), 0.0), (0.0, 0.0, -1.0))
-    forward = _forward(build, down)
+    forward, evidence = _forward(build, down)
     if len(build.legs) == 2:
         positions = _on_soles(build, forward, down)
         if positions is not None:
             remark = "Its knees are bent, its soles level, and its center of mass is above their middle."
-            return Stance(build, turn, positions, forward, remark)
+            return Stance(build, turn, positions, forward, evidence, remark)
     positions = {}
     off = 0.0
     for limb in build.legs:
         pose, missing = _standing(build, limb, down)
         positions |= pose
         off = max(off, missing / (limb.reach or 1.0))
-    return Stance(build, turn, positions, forward, _stance_remark(build, off))
+    return Stance(build, turn, positions, forward, evidence, _stance_remark(build, off))
 
 
 def _upright(build: Build) -> tuple[float, float]:
@@ -229,7 +237,7 @@ def _stance_remark(build: Build, off: float) -> str:
         )
     if len(build.legs) == 2:
         return "Its feet are points, or its ankles do not level them: it falls unless the policy balances it."
-    return "Its legs are bent; a better posture is worth more than a longer training."
+    return "Its legs are bent so that it stands on its feet; a better posture is worth more than longer training."
 
 
 def _on_soles(build: Build, forward: Triple, down: Triple) -> dict[str, float] | None:
@@ -333,7 +341,9 @@ def _sole_angle(build: Build, limb: Limb, forward: Triple, down: Triple) -> int:
     longest = max(lengths.values())
     if lengths[0] > _MIN_SOLE_SHARE * longest:
         return 0
-    return min((angle for angle, value in lengths.items() if value > 0.95 * longest), key=abs)
+    level = [angle for angle, value in lengths.items() if value > _LEVEL_LENGTH * longest]
+    nearest = min(level, key=abs)
+    return round(mean(angle for angle in level if abs(angle - nearest) <= _LEVEL_ANGLE))
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float], float]:
@@ -419,21 +429,24 @@ def _middle_of_hips(build: Build) -> Triple:
 # The direction
 
 
-def _forward(build: Build, down: Triple) -> Triple:
-    """Return the unit vector along an axis of the root in which a robot on legs walks: across the line of two
-    hips; from the hind legs of several to the front legs, as their names say, or else along the longer
-    distance between hips, x by default."""
+def _forward(build: Build, down: Triple) -> tuple[Triple, str]:
+    """Return the unit vector along an axis of the root in which a robot on legs walks, and the evidence as a
+    phrase: across the line of two hips; from the hind legs of several to the front legs, as their names say,
+    or else along the longer distance between hips, x by default."""
     hips = _hips(build)
     level = [axis for axis in range(3) if abs(down[axis]) < _UPRIGHT]
     spans = {axis: max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in level}
     if len(hips) == 2:
         axis = min(level, key=lambda number: spans[number])
-        return _along(axis, _toes(build, axis))
+        toes = _toes(build, axis)
+        return _along(axis, toes), "across the line of its hips" + (", where its toes are" if toes else "")
     ahead = _from_hind_to_front(build)
     if ahead is not None:
         axis = max(level, key=lambda number: abs(ahead[number]))
-        return _along(axis, ahead[axis])
-    return _along(max(level, key=lambda number: spans[number] * (1.01 if number == 0 else 1.0)), 1.0)
+        return _along(axis, ahead[axis]), "where its front legs are, as their names say"
+    # Rounding must not choose y where the hips are on a circle.
+    longer = max(level, key=lambda number: spans[number] * (1.01 if number == 0 else 1.0))
+    return _along(longer, 1.0), "along the longer distance between its hips"
 
 
 def _along(axis: int, sign: float) -> Triple:
