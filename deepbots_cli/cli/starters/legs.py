@@ -252,7 +252,7 @@ def _on_soles(build: Build, forward: Triple, down: Triple) -> dict[str, float] |
     if any(len(leg) < 3 for leg in legs):
         return None
     soles = [_sole_angle(build, limb, forward, down) for limb in build.legs]
-    rest = {joint.name: neutral(joint) for limb in build.legs for joint in limb.joints}
+    rest = {joint.name: neutral(joint) for joint in build.model.moving_joints}
     for bend in _KNEE_BENDS:
         leans = set(range(-_MAX_LEAN, _MAX_LEAN + 1))
         for leg, sole in zip(legs, soles, strict=True):
