@@ -139,7 +139,8 @@ def walk(draft: Draft) -> dict[str, object]:
     engine = "mujoco" if _takes_mujoco(build) else "pybullet"
     reach = max(_with_foot(build, limb).reach for limb in build.legs)
     load = build.model.mass * GRAVITY * reach / len(build.legs)
-    gains, armature = {}, 0.0  # in PyBullet, which has no armature, the motors of the engine
+    gains: dict[str, str] = {}  # in PyBullet, which has no armature, the motors of the engine
+    armature = 0.0
     if engine == "mujoco":
         gains, armature = _springs(build, joints, _STIFFNESS_PER_LOAD * load)
     draft.add_motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
