@@ -40,6 +40,9 @@ _SUBSTEPS = {"mujoco": 4, "pybullet": 10}
 _STIFFNESS_PER_LOAD = 2.8
 """The stiffness of a leg's motors (N m/rad), per torque of its share of the weight at the length of a leg
 (N m): as the quadruped that comes with deepbots has, about."""
+_STIFFNESS_PER_TOPPLING = 2.0
+"""The stiffness of a biped's motors (N m/rad), per torque by which its weight topples it over an ankle, in N m
+per rad. At 1.2, Atlas leans back as its knees give way, and falls after 3 s."""
 _DAMPING_PER_STIFFNESS = 0.025
 """In s."""
 _ARMATURE_MARGIN = 2.0
@@ -112,6 +115,12 @@ class Stance:
         )
 
     @property
+    def center_height(self) -> float:
+        """The height of the center of mass (m)."""
+        center = center_of_mass(self.build.model, link_frames(self.build.model, self.positions))
+        return self.height + frames.rotate(self.rotation, center)[2]
+
+    @property
     def low(self) -> float:
         """The height of the root (m) when the hips have sunk to half their height."""
         hips = [frames.rotate(self.rotation, hip)[2] for hip in _hips(self.build)]
@@ -142,7 +151,9 @@ def walk(draft: Draft) -> dict[str, object]:
     gains: dict[str, str] = {}  # in PyBullet, which has no armature, the motors of the engine
     armature = 0.0
     if engine == "mujoco":
-        gains, armature = _springs(build, joints, _STIFFNESS_PER_LOAD * load)
+        toppling = build.model.mass * GRAVITY * stance.center_height
+        stiffness = _STIFFNESS_PER_LOAD * load if len(build.legs) > 2 else _STIFFNESS_PER_TOPPLING * toppling
+        gains, armature = _springs(build, joints, stiffness)
     draft.add_motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
     draft.hold([joint for joint in build.driven if joint not in joints])
     first, second = _gait(build, stance.rotation)
