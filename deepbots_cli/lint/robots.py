@@ -11,7 +11,7 @@ from typing import TypeGuard
 from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import range_text, with_unit
-from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
+from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE, ENGINES
 from deepbots_cli.expressions.dimensions import TIME
@@ -27,7 +27,7 @@ from deepbots_cli.lint.simulation import driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import RobotBody, whole_timesteps
 from deepbots_cli.robots import kinematics
-from deepbots_cli.robots.kinematics import link_frames
+from deepbots_cli.robots.kinematics import link_frames, load_and_inertia, min_spring_inertia
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
 _MAX_KNOWN_SPREAD = 0.2
@@ -279,7 +279,7 @@ def _moved(
 ) -> float:
     """Return how far gravity moves a joint while the other joints are still; 0 if its motor could not hold
     it."""
-    load, inertia = _load_and_inertia(model, where, joint, pull)
+    load, inertia = load_and_inertia(model, where, joint, pull)
     excess = abs(load) - joint.friction
     if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
         return 0.0
@@ -288,40 +288,13 @@ def _moved(
     )
 
 
-def _load_and_inertia(
-    model: RobotModel, where: Mapping[str, Frame], joint: Joint, pull: Triple
-) -> tuple[float, float]:
-    """Return the torque (N m, or force in N) of gravity `pull` (m/s^2) at a joint, and the inertia (kg m^2 or
-    kg) that the joint moves: that of the links behind it, and its armature."""
-    pivot, joint_rotation = where[joint.child]
-    axis = frames.rotate(joint_rotation, joint.axis)
-    load = 0.0
-    inertia = joint.armature
-    for link in model.links:
-        if link.inertial is None or not joint_moves_link(model, joint, link.name):
-            continue
-        mass = link.inertial.mass
-        center, link_rotation = frames.compose(where[link.name], frames.frame(link.inertial.origin))
-        if joint.type == "prismatic":
-            load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
-            continue
-        arm = frames.cross(axis, frames.subtract(center, pivot))
-        local = frames.rotate_back(link_rotation, axis)
-        spin = sum(
-            local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
-        )
-        load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
-    return load, inertia
-
-
 @rule("DB325")
 def shaking_spring(context: RuleContext) -> Iterator[Finding]:
     """Report a spring on a joint that is too light for the engine step: the joint shakes while its link is in
     the air.
 
-    Engines compute the torque of a spring from the state before each step of h seconds. With the stiffness k,
-    the damping d and the inertia I, the motion is stable for k h^2 + 2 d h < 4 I (Jury's criterion for the
-    semi-implicit Euler method). The damping c of the joint itself is implicit: it adds h c to I.
+    See `min_spring_inertia`. The damping c of the joint itself is implicit: in a step of h seconds it adds
+    h c to the inertia.
     """
     world = context.program.world
     step = world.timestep / world.substeps
@@ -332,9 +305,9 @@ def shaking_spring(context: RuleContext) -> Iterator[Finding]:
             motor = command.actuator
             if not isinstance(motor, Motor) or motor.stiffness is None:
                 continue
-            needed = (motor.stiffness * step**2 + 2.0 * (motor.damping or 0.0) * step) / 4.0
+            needed = min_spring_inertia(motor.stiffness, motor.damping or 0.0, step)
             inertias = {
-                name: _load_and_inertia(model, where, joint, (0.0, 0.0, 0.0))[1] + step * joint.damping
+                name: load_and_inertia(model, where, joint, (0.0, 0.0, 0.0))[1] + step * joint.damping
                 for name, joint in ((name, model.joint(name)) for name in motor.joints)
             }
             light = [name for name, inertia in inertias.items() if 0.0 < inertia < needed]
@@ -383,7 +356,7 @@ def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
     """Return the engine step (s) at which the motion of a spring on this inertia ceases to be stable."""
     if stiffness == 0.0:
         return 2.0 * inertia / damping
-    # The positive root h of k h^2 + 2 d h = 4 I, the criterion of `shaking_spring`.
+    # The positive root h of k h^2 + 2 d h = 4 I, the criterion of `min_spring_inertia`.
     return (sqrt(damping**2 + 4.0 * stiffness * inertia) - damping) / stiffness
 
 

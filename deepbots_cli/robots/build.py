@@ -16,7 +16,7 @@ from itertools import product
 from math import atan2, dist, hypot, inf, pi, prod
 
 from deepbots_cli import frames
-from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
+from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.kinematics import (
     bounds_of_shape,
     box_around,
@@ -215,11 +215,9 @@ class Build:
         boxes = [_box(link, frames.compose(tilted, poses[link.name])) for link in self.model.links]
         return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
 
-    def depth(self, link: str, positions: Positions, down: Triple) -> float:
-        """Return how far the lowest point of a link is below its origin, along the unit vector `down`."""
-        _, turn = link_frames(self.model, positions)[link]
-        box = _box(self.model.link(link), ((0.0, 0.0, 0.0), turn))
-        return 0.0 if box is None else _depth(box, down)
+    def box(self, link: str, frame: Frame = IDENTITY_FRAME) -> Bounds | None:
+        """Return the box around the shapes of a link that lies in `frame`."""
+        return _box(self.model.link(link), frame)
 
     @cached_property
     def size(self) -> float:

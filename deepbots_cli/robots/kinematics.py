@@ -1,5 +1,5 @@
-"""Where the links and shapes of a robot are: frames of links, bounding boxes, and the height at which a body
-rests. Lengths are in m, angles in rad.
+"""Where the links and shapes of a robot are: frames of links, bounding boxes, the height at which a body
+rests, its center of mass, and what a joint moves. Lengths are in m, angles in rad.
 
 Link frames do not use yourdfpy: lint needs them and imports no numpy.
 """
@@ -240,3 +240,56 @@ def with_mass_of_shapes(model: RobotModel, link: str, mass: float) -> RobotModel
     if inertial is None:
         return f"link {link!r} has neither a mass nor a shape, so its inertia cannot be computed"
     return with_link(model, replace(old, inertial=inertial))
+
+
+# Masses
+
+
+def center_of_mass(model: RobotModel, where: Mapping[str, Frame]) -> Triple:
+    """Return the center of mass of a robot whose links have the frames `where`, in the same frame; the origin
+    of its root without a mass."""
+    masses = [(link.inertial, where[link.name]) for link in model.links if link.inertial is not None]
+    weighted = [
+        frames.scaled(frames.compose(frame, frames.frame(inertial.origin))[0], inertial.mass)
+        for inertial, frame in masses
+    ]
+    mass = sum(inertial.mass for inertial, _ in masses)
+    total = [sum(axis) for axis in zip(*weighted, strict=True)]
+    return (total[0] / mass, total[1] / mass, total[2] / mass) if mass > 0.0 else where[model.root][0]
+
+
+def load_and_inertia(
+    model: RobotModel, where: Mapping[str, Frame], joint: Joint, pull: Triple
+) -> tuple[float, float]:
+    """Return the torque (N m, or force in N) of gravity `pull` (m/s^2) at a joint, and the inertia (kg m^2 or
+    kg) that the joint moves: that of the links behind it, and its armature."""
+    pivot, joint_rotation = where[joint.child]
+    axis = frames.rotate(joint_rotation, joint.axis)
+    load = 0.0
+    inertia = joint.armature
+    for link in map(model.link, model.links_below(joint.child)):
+        if link.inertial is None:
+            continue
+        mass = link.inertial.mass
+        center, link_rotation = frames.compose(where[link.name], frames.frame(link.inertial.origin))
+        if joint.type == "prismatic":
+            load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
+            continue
+        arm = frames.cross(axis, frames.subtract(center, pivot))
+        local = frames.rotate_back(link_rotation, axis)
+        spin = sum(
+            local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
+        )
+        load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
+    return load, inertia
+
+
+def min_spring_inertia(stiffness: float, damping: float, step: float) -> float:
+    """Return the inertia (kg m^2 or kg) above which the motion on a spring is stable in engine steps of h
+    seconds.
+
+    Engines compute the torque of a spring from the state before each step. With the stiffness k, the damping
+    d and the inertia I, the motion is stable for k h^2 + 2 d h < 4 I (Jury's criterion for the semi-implicit
+    Euler method).
+    """
+    return (stiffness * step**2 + 2.0 * damping * step) / 4.0

@@ -159,15 +159,18 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
 
 
 @pytest.mark.parametrize(
-    ("robot", "way", "sign"),
-    [("a1/a1", "x", "-"), ("quadruped/minitaur", "x", "-"), ("laikago/laikago_toes", "y", "+")],
+    ("robot", "ahead", "aside"),
+    [("a1/a1", "v.x", "v.y"), ("quadruped/minitaur", "v.x", "v.y"), ("laikago/laikago_toes", "v.z", "v.x")],
 )
-def test_what_has_legs_walks_towards_the_end_where_its_front_legs_are(deepbots, tmp_path, robot, way, sign):
+def test_what_has_legs_walks_towards_the_end_where_its_front_legs_are(
+    deepbots, tmp_path, robot, ahead, aside
+):
     pytest.importorskip("pybullet_data")
     deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
-    assert f"exp(-((v.{way} {sign} speed)^2" in text
-    assert ("roll: 90 deg" in text) is (way == "y")
+    assert yaml.safe_load(text)["signals"]["ahead"] == ahead
+    assert f"exp(-((ahead - speed)^2 + {aside}^2)" in text
+    assert ("roll: 90 deg" in text) is (ahead == "v.z")
 
 
 @pytest.mark.parametrize(
@@ -199,7 +202,7 @@ def test_a_legged_robot_stands_on_feet_below_its_hips(deepbots, tmp_path, robot)
     pytest.importorskip("mujoco")
     deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
     scenario = tmp_path / "first.yaml"
-    assert "the feet are below the hips" in scenario.read_text(encoding="utf-8")
+    assert "so that it stands on its feet" in scenario.read_text(encoding="utf-8")
     with closing(api.make(scenario)) as environment:
         environment.reset(seed=0)
         read = environment.engine.pose("robot")
@@ -210,12 +213,12 @@ def test_a_legged_robot_stands_on_feet_below_its_hips(deepbots, tmp_path, robot)
         assert abs(np.dot(read()[1], upright)) > np.cos(np.radians(15.0) / 2.0)
 
 
-def test_feet_without_links_of_their_own_are_not_described_as_below_the_hips(deepbots, tmp_path):
+def test_feet_that_are_not_below_the_hips_are_described_as_such(deepbots, tmp_path):
     pytest.importorskip("pybullet_data")
     deepbots("new", "first", "--urdf", "package://pybullet_data/quadruped/minitaur.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
-    assert "the feet are below the hips" not in text
-    assert "# Its feet are not links of their own" in text
+    assert "so that it stands on its feet" not in text
+    assert "Look at the robot with `deepbots view`, and change the pose until it stands." in text
 
 
 @pytest.mark.slow
