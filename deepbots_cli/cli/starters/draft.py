@@ -56,6 +56,10 @@ class Draft:
         self.groups[name] = list(links)
         return name
 
+    def set_link(self, link: str, key: str, value: str) -> None:
+        """Set a value of a link in place of that of the robot file."""
+        self.links.setdefault(link, {})[key] = value
+
     def _free(self, name: str) -> str:
         """Return a name that no link, joint or group has."""
         model = self.build.model

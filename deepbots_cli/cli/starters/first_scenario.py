@@ -16,7 +16,12 @@ from deepbots_cli.cli.starters.wheels import balance, drive
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.build import GRAVITY, Build, is_endless, neutral, range_of
 from deepbots_cli.robots.kinds import Judgment, Kind, judge
-from deepbots_cli.robots.kinematics import bounds_of_shape, box_sides, inertial_of_shapes
+from deepbots_cli.robots.kinematics import (
+    bounds_of_shape,
+    box_sides,
+    inertial_of_shapes,
+    with_inertia_of_shapes,
+)
 from deepbots_cli.robots.model import Joint, Link, RobotModel, volume, with_link
 
 _DENSITY = 1000.0
@@ -179,7 +184,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
             simulated, no kind is sure, or the task does not suit the robot.
     """
-    model, massless = _with_masses(model)
+    model, settings = _completed(model)
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
@@ -199,7 +204,7 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
             f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
-    draft.links |= {name: {"density": f"{_DENSITY:.0f} kg/m^3"} for name in massless}
+    draft.links |= settings
     task, values = _task(draft, choices.task)
     text = (
         templates()
@@ -228,19 +233,25 @@ def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
     )
 
 
-def _with_masses(model: RobotModel) -> tuple[RobotModel, list[str]]:
-    """Return a robot whose joints all move a mass, and the links that need a density for that: those with a shape
-    and without an <inertial>, if a joint moves no mass."""
+def _completed(model: RobotModel) -> tuple[RobotModel, dict[str, dict[str, str]]]:
+    """Return a robot that can be simulated, and the settings of links that this needs: a density where a joint
+    moves no mass, for links with a shape and without an <inertial>; the inertia of the shapes where no body can
+    have that of the file."""
     subtree_mass = model.subtree_mass()
-    names: list[str] = []
-    if all(subtree_mass[joint.child] > 0.0 for joint in model.moving_joints):
-        return model, names
+    is_massless = any(subtree_mass[joint.child] <= 0.0 for joint in model.moving_joints)
+    settings: dict[str, dict[str, str]] = {}
     for link in model.links:
-        mass = max(_DENSITY * _volume(link), _LEAST_MASS)
-        if link.inertial is None and (inertial := inertial_of_shapes(link, mass)):
-            model = with_link(model, replace(link, inertial=inertial))
-            names.append(link.name)
-    return model, names
+        if link.inertial is None and is_massless:
+            mass = max(_DENSITY * _volume(link), _LEAST_MASS)
+            if inertial := inertial_of_shapes(link, mass):
+                model = with_link(model, replace(link, inertial=inertial))
+                settings[link.name] = {"density": f"{_DENSITY:.0f} kg/m^3"}
+        elif link.mass > 0.0 and not (link.inertial and link.inertial.is_plausible):
+            changed = with_inertia_of_shapes(model, link.name)
+            if not isinstance(changed, str):
+                model = changed
+                settings[link.name] = {"inertia": "auto"}
+    return model, settings
 
 
 def _volume(link: Link) -> float:
@@ -264,19 +275,12 @@ def _found(draft: Draft) -> list[str]:
         f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
         *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
-    massless = [name for name, settings in draft.links.items() if "density" in settings]
     base = "taken to be fixed to the ground" if draft.is_fixed else "free"
     lines = [
         f"{PurePosixPath(draft.urdf).name} is {draft.judgment}.",
         f"{', '.join(parts)}; {build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}.",
         "The values below were chosen from these: change them.",
-        *(
-            [
-                f"The file gives {len(massless)} links no mass; `density` under `links` gives them that of water."
-            ]
-            if massless
-            else []
-        ),
+        *_mended(draft),
         *(
             f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
             " its link."
@@ -284,3 +288,19 @@ def _found(draft: Draft) -> list[str]:
         ),
     ]
     return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
+
+
+def _mended(draft: Draft) -> list[str]:
+    """Return why links have a density or an inertia in the scenario."""
+    lines = []
+    for key, reason in (
+        ("density", "no mass in the file; `density` under `links` gives them that of water"),
+        (
+            "inertia",
+            "an inertia in the file that no body can have; `inertia: auto` takes that of their shapes",
+        ),
+    ):
+        count = sum(key in settings for settings in draft.links.values())
+        if count:
+            lines.append(f"{count} link{' has' if count == 1 else 's have'} {reason}.")
+    return lines

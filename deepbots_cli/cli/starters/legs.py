@@ -157,6 +157,10 @@ def walk(draft: Draft) -> dict[str, object]:
     draft.add_motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
     draft.hold([joint for joint in build.driven if joint not in joints])
     first, second = _gait(build, stance.rotation)
+    if "density" not in draft.links.get(build.chassis, {}):
+        draft.set_link(build.chassis, "mass", "urdf * uniform(0.9 .. 1.1)")
+    for tip in [*first, *second]:
+        draft.set_link(tip, "friction", "uniform(0.6 .. 1.2)")
     speed = float(short_number(_SPEED * sqrt(GRAVITY * reach)))
     return {
         "legs": group,
@@ -166,7 +170,6 @@ def walk(draft: Draft) -> dict[str, object]:
         "chassis": build.chassis,
         "place": stance.place,
         "feet": {"first": draft.add_links("feet_a", first), "second": draft.add_links("feet_b", second)},
-        "tips": [*first, *second],
         "stance": stance.remark,
         "evidence": stance.evidence,
         "fallen": _fallen(build, down),
