@@ -326,8 +326,12 @@ class _Expander:
             macro, above = scope.macro(name)
         except KeyError as error:
             names = [key[1:-1] for level in scope.maps for key in level if isinstance(level[key], _Macro)]
-            if not names and not template.attributes:  # a remainder in a file that was expanded
-                template.warn(f"deepbots ignores the macro {quoted(name)}, because the file defines none", kind="macro that is not defined")
+            # A color that remains in a file that was expanded. A robot that lacks links is another robot.
+            if into.tag == "visual" and not (names or template.attributes):
+                template.warn(
+                    f"deepbots ignores the macro {quoted(name)}, because the file defines none",
+                    kind="macro that is not defined",
+                )
                 return
             help = known_names_help(name, names, "macros")
             raise XacroError(f"there is no macro {quoted(name)}", help) from error

@@ -520,3 +520,16 @@ def test_a_wrong_argument_of_a_command_is_named(tmp_path, deepbots, command, wor
     write_robot(tmp_path)
     ran = deepbots(*command, "arm.urdf.xacro", "--xacro-arg", "side:=a", *words, code=2)
     assert message in ran.err
+
+
+def test_a_color_that_remains_in_an_expanded_file_is_a_warning():
+    visual = '<visual><geometry><box size="1 1 1"/></geometry><xacro:gray/></visual>'
+    findings = Findings()
+    source = Source("r.urdf", robot(f'<link name="a">{visual}{visual}</link>'))
+    root = parse(source, findings)
+    assert root is not None
+    assert expand(root, mesh_resolver(Path(".")), {}, findings) is not None
+    root.report.report_repeated()
+    assert [finding.headline for finding in findings] == [
+        "deepbots ignores the macro 'gray', because the file defines none"
+    ]
