@@ -308,6 +308,7 @@ def _check_words(root: Element) -> None:
                 f"deepbots ignores the {noun} {quoted(word)}",
                 attribute=attribute,
                 help=f"did you mean {match!r}?",
+                kind=f"{noun} {word} of {element.tag}",
             )
 
 
@@ -390,6 +391,7 @@ def _color(material: Element) -> Color | None:
             "color values outside 0 to 1 are clipped",
             attribute="rgba",
             help="if the values are from 0 to 255, divide them by 255",
+            kind="color values outside 0 to 1",
         )
     red, green, blue, alpha = (min(max(channel, 0.0), 1.0) for channel in color)
     return red, green, blue, alpha

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import closing
 from math import hypot, radians
 from pathlib import Path
@@ -204,12 +205,21 @@ def test_a_hexapod_stands_on_one_of_two_tripods_at_a_time(written):
     ]
 
 
-def test_a_robot_with_an_inertia_that_mujoco_refuses_gets_an_engine_that_takes_it(written, tmp_path):
-    pytest.importorskip("pybullet")
+def test_an_inertia_that_no_body_can_have_is_that_of_the_shape(written, tmp_path):
     head = link("head", "0.1 0.1 0.12", 1.0, "0 0 0.07")
     flat = head.replace('izz="', 'izz="1')
     assert flat != head
     text = written(humanoid().replace(head, flat))
+    assert "head: {inertia: auto}" in text
+    assert "engine: mujoco" in text
+    assert stood(tmp_path / "first.yaml")[0] == pytest.approx(10.0)
+
+
+def test_a_robot_with_an_inertia_that_mujoco_refuses_gets_an_engine_that_takes_it(written, tmp_path):
+    pytest.importorskip("pybullet")
+    head = link("head", "0.1 0.1 0.12", 1.0, "0 0 0.07")
+    bare = re.sub("<collision>.*</collision>", "", head).replace('izz="', 'izz="1')
+    text = written(humanoid().replace(head, bare))
     assert "engine: pybullet" in text
     assert stood(tmp_path / "first.yaml")[0] == pytest.approx(10.0)
 

@@ -26,6 +26,8 @@ from deepbots_cli.robots.model import Joint, Link, RobotModel, volume, with_link
 
 _DENSITY = 1000.0
 """The density (kg/m^3) of a link without a mass, that of water."""
+_LARGEST_INERTIA_RATIO = 1000.0
+"""The largest ratio of the inertia of a link to that of its shapes, either way."""
 _LEAST_MASS = 1e-3
 """The least mass (kg) of a link without a mass."""
 
@@ -246,12 +248,21 @@ def _completed(model: RobotModel) -> tuple[RobotModel, dict[str, dict[str, str]]
             if inertial := inertial_of_shapes(link, mass):
                 model = with_link(model, replace(link, inertial=inertial))
                 settings[link.name] = {"density": f"{_DENSITY:.0f} kg/m^3"}
-        elif link.mass > 0.0 and not (link.inertial and link.inertial.is_plausible):
+        elif link.mass > 0.0:
             changed = with_inertia_of_shapes(model, link.name)
-            if not isinstance(changed, str):
+            if not isinstance(changed, str) and not _fits(link, changed.link(link.name)):
                 model = changed
                 settings[link.name] = {"inertia": "auto"}
     return model, settings
+
+
+def _fits(link: Link, homogeneous: Link) -> bool:
+    """Whether a link can have the inertia of the file: that of a rigid body, and not of another size than its
+    shapes by orders of magnitude."""
+    if link.inertial is None or homogeneous.inertial is None or not link.inertial.is_plausible:
+        return False
+    own, shapes = (sum((body.ixx, body.iyy, body.izz)) for body in (link.inertial, homogeneous.inertial))
+    return shapes / _LARGEST_INERTIA_RATIO < own < shapes * _LARGEST_INERTIA_RATIO
 
 
 def _volume(link: Link) -> float:
@@ -297,7 +308,7 @@ def _mended(draft: Draft) -> list[str]:
         ("density", "no mass in the file; `density` under `links` gives them that of water"),
         (
             "inertia",
-            "an inertia in the file that no body can have; `inertia: auto` takes that of their shapes",
+            "an inertia in the file that no body of this shape can have; `inertia: auto` takes that of the shape",
         ),
     ):
         count = sum(key in settings for settings in draft.links.values())
