@@ -282,7 +282,7 @@ def _arm_with_gripper(build: Build) -> str:
     (arm,) = build.arms
     count = len(arm.fingers)
     joints = f"joint {arm.fingers[0].name} is" if count == 1 else f"{count} joints are"
-    return f"an arm of {len(arm.joints)} joints, and {joints} its gripper"
+    return f"a chain of {len(arm.joints)} joints, and {joints} its gripper"
 
 
 def _arm(build: Build) -> str:

@@ -984,3 +984,44 @@ def test_programs_get_the_list_of_files(deepbots):
         "mine/README.md"
         in json.loads(deepbots("compile", "cartpole", "--project", "mine", "--json").out)["files"]
     )
+
+
+def test_a_robot_of_no_sure_kind_is_not_guessed(deepbots, tmp_path):
+    error = deepbots("new", "first", "--urdf", "roller", code=2).err
+    assert "deepbots is not sure what roller is" in error
+    assert "--task reach|grasp|follow|roam" in error
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_kind_and_a_task_may_be_chosen(deepbots, tmp_path):
+    report = json.loads(deepbots("new", "first", "--urdf", "panda", "--task", "follow", "--json").out)
+    assert (report["kind"], report["task"]) == ("arm_with_gripper", "follow")
+    report = json.loads(deepbots("new", "other", "--urdf", "panda", "--kind", "mechanism", "--json").out)
+    assert (report["kind"], report["task"]) == ("mechanism", "follow")
+    assert "needs legs" in deepbots("new", "third", "--urdf", "panda", "--task", "walk", code=2).err
+    assert "go with --urdf" in deepbots("new", "third", "--template", "arm", "--task", "walk", code=2).err
+
+
+def test_inspect_shows_the_kind_of_a_robot(deepbots):
+    report = json.loads(deepbots("inspect", "a1", "--json").out)
+    assert report["robot"]["kind"] == "a quadruped: 4 legs of 3 joints carry the trunk"
+
+
+@pytest.mark.usefixtures("simulated_here")
+def test_a_drone_of_rotors_without_mass_is_turned_by_their_thrust(deepbots, tmp_path):
+    """The links of the rotors lie in the middle; where they push stands in their <inertial>."""
+    none = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    rotors = "".join(
+        f'<link name="prop{n}"><inertial><origin xyz="{x} {y} 0"/><mass value="0"/>{none}</inertial></link>'
+        f'<joint name="p{n}" type="fixed"><parent link="base"/><child link="prop{n}"/></joint>'
+        for n, (x, y) in enumerate(product((0.1, -0.1), (0.1, -0.1)))
+    )
+    body = link("base", box("0.2 0.2 0.05"), 1.0)
+    (tmp_path / "drone.urdf").write_text(f'<robot name="r">{body}{rotors}</robot>')
+    deepbots("new", "first", "--urdf", "drone.urdf")
+    with closing(api.make(tmp_path / "first.yaml")) as environment:
+        environment.reset(seed=0)
+        before = environment.engine.pose("robot")()[1]
+        for _ in range(20):
+            environment.step(np.array([1, 1, -1, -1], np.float32))
+        assert abs(np.dot(before, environment.engine.pose("robot")()[1])) < np.cos(np.radians(5.0) / 2.0)

@@ -20,7 +20,7 @@ from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.new_files import Files, modeline, write_new
 from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
-from deepbots_cli.cli.starters.first_scenario import Choices, Task
+from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
 from deepbots_cli.cli.starters.templates import Template, from_template
 from deepbots_cli.cli.starters.text import scenario_title
 from deepbots_cli.compiler.inventory import scenario_names
@@ -36,7 +36,7 @@ from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.gltf import GLTF_SUFFIXES
-from deepbots_cli.robots.kinds import Judgment, Kind
+from deepbots_cli.robots.kinds import Kind
 from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
@@ -145,10 +145,11 @@ def command(
             )
         folder = project
     starter: Starter | None = None
+    first: FirstScenario | None = None
     if urdf:
         choices = Choices(kind, task, xacro_arguments(xacro))
-        contents, judgment = _from_robot(urdf, name, folder, permissions, choices, copy=copy)
-        terminal.note(f"{urdf} is {judgment}")
+        contents, first = _from_robot(urdf, name, folder, permissions, choices, copy=copy)
+        _note_kind(urdf, first)
     elif webots is not None:
         starter = _from_webots(webots, protos or (), name)
         contents = dict(starter.files)
@@ -169,7 +170,7 @@ def command(
     has_schema = bool(schema or project)
     commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
-    _show(paths, unchanged, commands, permissions, as_json=as_json, todos=todos)
+    _show(paths, unchanged, commands, permissions, first, as_json=as_json, todos=todos)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -281,8 +282,8 @@ def _options(folders: Iterable[str | Path]) -> str:
 
 def _from_robot(
     robot: str, name: str, folder: Path, permissions: Permissions, choices: Choices, *, copy: bool
-) -> tuple[Files, Judgment]:
-    """Return the files for a robot file, and the kind of the robot; a file whose meshes are in folders that are
+) -> tuple[Files, FirstScenario]:
+    """Return the files for a robot file, and what was chosen for it; a file whose meshes are in folders that are
     not allowed is refused with the commands that allow them."""
     try:
         return from_robot(robot, name, folder, permissions, choices, copy=copy)
@@ -300,6 +301,13 @@ def _from_robot(
         raise typer.Exit(FAILED) from error
 
 
+def _note_kind(urdf: str, first: FirstScenario) -> None:
+    """Print what kind of robot a file describes, and the tasks that suit it."""
+    further = " or ".join(f"--task {task}" for task in first.further)
+    choice = f"; {further} writes another one" if further else ""
+    terminal.note(f"{urdf} is {first.judgment}\nthe task of its scenario is `{first.task}`{choice}")
+
+
 def _folder_argument(folder: Path) -> str:
     return "" if folder == Path(".") else f" {quote(str(folder))}"
 
@@ -312,10 +320,10 @@ def from_robot(
     choices: Choices,
     *,
     copy: bool = False,
-) -> tuple[Files, Judgment]:
+) -> tuple[Files, FirstScenario]:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
-    package://...; with `copy` also the robot file and its meshes, in a folder of their own. Also returns the
-    kind of the robot.
+    package://...; with `copy` also the robot file and its meshes, in a folder of their own. Also returns what
+    was chosen for it.
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, the robot has no joint
@@ -327,8 +335,8 @@ def from_robot(
     reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
     if copies:  # a copy is expanded
         choices = replace(choices, xacro={})
-    text, judgment = starters.scenario(file.model, reference, scenario_title(name), choices)
-    return {PurePosixPath(f"{name}.yaml"): text.encode(), **copies}, judgment
+    first = starters.scenario(file.model, reference, scenario_title(name), choices)
+    return {PurePosixPath(f"{name}.yaml"): first.text.encode(), **copies}, first
 
 
 def _copies(file: RobotFile, path: Path) -> Files:
@@ -492,6 +500,7 @@ def _show(
     unchanged: set[Path],
     commands: Sequence[str],
     permissions: Permissions,
+    first: FirstScenario | None,
     *,
     as_json: bool,
     todos: int | None = None,
@@ -508,6 +517,10 @@ def _show(
     facts: dict[str, object] = {"scenario": paths[0], "files": paths}
     if todos is not None:
         facts["places"] = todos
+    if first is not None:
+        judgment = first.judgment
+        facts |= {"kind": judgment.kind, "evidence": judgment.evidence, "task": first.task}
+        facts["further_tasks"] = first.further
     terminal.show(facts, *lines, as_json=as_json, next_commands=further)
 
 

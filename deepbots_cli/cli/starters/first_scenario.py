@@ -179,8 +179,18 @@ class Choices:
     xacro: Mapping[str, str] = field(default_factory=dict)
 
 
-def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple[str, Judgment]:
-    """Return the text of a scenario called `name` about a robot file, and the kind of the robot.
+@dataclass(frozen=True)
+class FirstScenario:
+    """The text of a scenario, the kind of its robot, its task, and further tasks that suit the kind."""
+
+    text: str
+    judgment: Judgment
+    task: Task
+    further: tuple[Task, ...]
+
+
+def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> FirstScenario:
+    """Return a scenario called `name` about a robot file.
 
     Raises:
         UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
@@ -201,9 +211,10 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
         )
     judgment = judge(build) if choices.kind is None else Judgment(choices.kind, "as --kind says")
     if judgment.kind is None and choices.task is None:
+        tasks = [task for task, writer in _WRITERS.items() if writer.suits(build)]
         raise UsageError(
             f"deepbots is not sure what {urdf} is ({judgment.evidence}); say it with --kind, or say what it"
-            f" is to do with --task {'|'.join(Task)}. `deepbots new --help` lists the kinds"
+            f" is to do with --task {'|'.join(tasks)}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
     draft.links |= settings
@@ -213,7 +224,8 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> tuple
         .get_template(f"{task}.yaml")
         .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
     )
-    return "".join(f"{aligned(line)}\n" for line in text.splitlines()), judgment
+    further = tuple(other for other in _TASKS[judgment.kind or Kind.mechanism] if other != task)
+    return FirstScenario("".join(f"{aligned(line)}\n" for line in text.splitlines()), judgment, task, further)
 
 
 def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
