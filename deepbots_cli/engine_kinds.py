@@ -51,6 +51,8 @@ _LIMITATIONS: Mapping[Feature, Limitation] = {
         "remove `stall_torque` and `no_load_speed`, or use the engine `pybullet` or `mujoco`",
     ),
 }
+MAX_PYBULLET_JOINTS = 127
+"""The joints of a robot in PyBullet; those of a larger one cannot be read."""
 Diagonal = Literal["falling", "rising"]
 """The diagonal of a cell of the ground, seen from above, x to the right and y up."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from math import ceil, degrees, floor, radians
 
 from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.engine_kinds import ENGINES, MAX_PYBULLET_JOINTS
 from deepbots_cli.robots.build import GRAVITY, Build, neutral
 from deepbots_cli.robots.kinds import Judgment, Kind
 from deepbots_cli.robots.model import Joint
@@ -55,6 +56,12 @@ class Draft:
         name = self._free(name)
         self.groups[name] = list(links)
         return name
+
+    @property
+    def engine(self) -> str:
+        """The engine that the scenario names: MuJoCo for a robot with too many joints for PyBullet."""
+        has_too_many = len(self.build.model.joints) > MAX_PYBULLET_JOINTS
+        return "mujoco" if has_too_many and ENGINES["mujoco"].is_installed else ""
 
     def set_link(self, link: str, key: str, value: str) -> None:
         """Set a value of a link in place of that of the robot file."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engine_kinds import MAX_PYBULLET_JOINTS
 from deepbots_cli.engines.mechanics import (
     LINK_COLORS,
     Pool,
@@ -86,7 +87,6 @@ both weigh the same, the number makes no difference. A step in which a gripper p
 times as long.
 """
 OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
-MAX_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 UNLIMITED_RANGE = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
 
 
@@ -161,10 +161,10 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
                     )
             yield Pool(object_body.name, variants, object_body.pooled)
         for robot in world.robots:
-            if len(robot.model.joints) > MAX_JOINTS:
+            if len(robot.model.joints) > MAX_PYBULLET_JOINTS:
                 count = len(robot.model.joints)
                 raise EngineError(
-                    f"'{robot.name}' has {count} joints, but PyBullet supports at most {MAX_JOINTS},"
+                    f"'{robot.name}' has {count} joints, but PyBullet supports at most {MAX_PYBULLET_JOINTS},"
                     " including fixed joints"
                 )
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
