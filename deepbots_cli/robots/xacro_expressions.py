@@ -37,6 +37,8 @@ class XacroError(Exception):
         self.headline, self.help, self.code = headline, help, code
         self.span: Span | None = None
         self.labels: list[Label] = []
+        self.lacks_package = False
+        """Whether the cause is a file of a package that no folder is."""
 
 
 class Budget:
