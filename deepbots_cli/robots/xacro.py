@@ -172,9 +172,12 @@ class _Expander:
         root = Element(template.tag, {}, self.report, template.start)
         self.children(template, scope, root)
         root.attributes = self.plain_attributes(template, scope)
-        for include, reference, error in self.missing[:1]:  # of cameras, say, that this robot does not have
+        for include, _, error in self.missing[:1]:  # of cameras, say, that this robot does not have
             others = ", ".join(other for _, other, _ in self.missing[1:])
-            notes = ("the robot is read without this file", *([f"the same is true of {others}"] if others else []))
+            notes = (
+                "the robot is read without this file",
+                *([f"the same is true of {others}"] if others else []),
+            )
             include.warn(error.headline, attribute="filename", help=error.help, notes=notes)
         return Expansion(root, frozenset(self.declared), self.included)
 

@@ -772,6 +772,20 @@ def test_fingers_that_close_by_different_angles_move_together(deepbots, tmp_path
     assert motors["gripper"].joints == ("bend_left", "curl_left", "bend_right", "curl_right")
 
 
+def test_thrusters_push_along_the_axes_about_which_they_turn(deepbots, tmp_path):
+    """A vehicle whose thrusters turn about the x axes of their links; without gravity, nothing points down."""
+    parts = [link("hull", box("0.6 0.4 0.3"), 20.0)]
+    for number in range(4):
+        name, place = f"thruster_{number}", f"{0.4 * (-1) ** number} {0.3 * (-1) ** (number // 2)} 0"
+        turn = joint(f"turn_{number}", "hull", name, place, "1 0 0", yaw=pi / 4 + number * pi / 2)
+        parts += [link(name, box("0.02 0.1 0.1"), 0.05), turn.replace("revolute", "continuous")]
+    (tmp_path / "rov.urdf").write_text(f'<robot name="rov">{"".join(parts)}</robot>')
+    deepbots("new", "first", "--urdf", "rov.urdf", "--json")
+    (thrust,) = api.compile(tmp_path / "first.yaml").program.robots[0].actuators
+    assert (len(thrust.links), thrust.axis) == (4, "x")
+    assert "projected_gravity" not in (tmp_path / "first.yaml").read_text()
+
+
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
     massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
     (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
