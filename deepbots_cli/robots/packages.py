@@ -290,8 +290,7 @@ class Places:
 def _clone(folder: Path) -> Path | None:
     """Return the root of the Git repository of a folder, since its other packages are there; None where there is
     none, or the user works in it."""
-    above = (folder, *islice(folder.parents, _MAX_PARENTS))
-    root = next((place for place in above if (place / ".git").exists()), None)
+    root = next((place for place in (folder, *folder.parents) if (place / ".git").exists()), None)
     return None if root is None or Path.cwd().is_relative_to(root) else root
 
 

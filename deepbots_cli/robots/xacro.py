@@ -449,9 +449,8 @@ class _Expander:
                 return located
             if isinstance(located, UnusableMesh):
                 help, lacks_package = located.help, located.lacks_package
-        error = XacroError(f"the file {quoted(reference)} cannot be read", help)
-        error.lacks_package = lacks_package
-        raise error
+        headline = f"the file {quoted(reference)} cannot be read"
+        raise XacroError(headline, help, lacks_package=lacks_package)
 
     def read(self, path: Path, limit: int) -> Source:
         """Return the text of a file that may be read.
