@@ -173,12 +173,8 @@ class _Expander:
         self.children(template, scope, root)
         root.attributes = self.plain_attributes(template, scope)
         for include, _, error in self.missing[:1]:  # of cameras, say, that this robot does not have
-            others = ", ".join(other for _, other, _ in self.missing[1:])
-            notes = (
-                "the robot is read without this file",
-                *([f"the same is true of {others}"] if others else []),
-            )
-            include.warn(error.headline, attribute="filename", help=error.help, notes=notes)
+            note = f"the robot is read without {', '.join(reference for _, reference, _ in self.missing)}"
+            include.warn(error.headline, attribute="filename", help=error.help, notes=(note,))
         return Expansion(root, frozenset(self.declared), self.included)
 
     # Texts
