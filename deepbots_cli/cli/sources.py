@@ -79,12 +79,16 @@ def open_source(
     return OpenedSource(compiled.program, root, findings=compiled.findings, learner=compiled.learner)
 
 
-def xacro_arguments(words: Sequence[str] | None) -> dict[str, str]:
+def xacro_arguments(words: Sequence[str] | None, *, of_robot: bool = True) -> dict[str, str]:
     """Return the arguments of `--xacro-arg NAME:=VALUE`, or NAME=VALUE, by name.
 
     Raises:
-        UsageError: A word is none, or an argument has two values.
+        UsageError: A word is none, an argument has two values, or they are not of a robot file.
     """
+    if words and not of_robot:
+        raise UsageError(
+            "--xacro-arg goes with a robot file; a scenario has them under `xacro`, beside `urdf`"
+        )
     arguments: dict[str, str] = {}
     for word in words or ():
         name, sign, value = word.partition("=")
@@ -129,23 +133,18 @@ def open_robot(
     file, findings, places = _read_robot(reference, allowed, arguments)
     if file is None or findings.errors:
         raise RobotError(list(findings), list(places.suggested))
-    declared = sorted(file.xacro.arguments) if file.xacro else []
-    for argument in arguments or ():
-        if argument not in declared:
-            raise UsageError(
-                f"{reference} has no xacro argument {argument}{did_you_mean(argument, declared)}; it has:"
-                f" {', '.join(declared) or 'none'}"
-            )
     return file, list(findings)
 
 
-def robot_findings(reference: str, allowed: Sequence[str | Path] = ()) -> list[Finding]:
+def robot_findings(
+    reference: str, allowed: Sequence[str | Path] = (), arguments: Mapping[str, str] | None = None
+) -> list[Finding]:
     """Return the findings of a robot file alone.
 
     Raises:
         UsageError: There is no such file.
     """
-    return list(_read_robot(reference, allowed)[1])
+    return list(_read_robot(reference, allowed, arguments)[1])
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
@@ -178,6 +177,13 @@ def _read_robot(
     )
     display = files.display_path(path.resolve())
     file = read(path, display, findings, resolve_mesh=places.resolve, arguments=arguments)
+    declared = sorted(file.xacro.arguments) if file and file.xacro else []
+    for argument in arguments or () if file else ():
+        if argument not in declared:
+            raise UsageError(
+                f"{reference} has no xacro argument {argument}{did_you_mean(argument, declared)}; it has:"
+                f" {', '.join(declared) or 'none'}"
+            )
     return file, findings, places
 
 

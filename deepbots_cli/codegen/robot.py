@@ -284,7 +284,7 @@ class ActuatorBindings:
         match actuator:
             case Thrust():
                 rotors = [
-                    self._rotor(link, actuator.moment_constant * sense)
+                    self._rotor(link, actuator.axis, actuator.moment_constant * sense)
                     for link, sense in zip(actuator.links, actuator.spin, strict=True)
                 ]
                 arguments = [
@@ -380,7 +380,7 @@ class ActuatorBindings:
     def _varies(self, actuator: Actuator, key: str) -> bool:
         return (actuator.name, f"actuator_{key}") in self._varied
 
-    def _rotor(self, link: str, moment_constant: float) -> str:
+    def _rotor(self, link: str, axis_name: str, moment_constant: float) -> str:
         """Return the link that carries a rotor, where on it the rotor sits, its axis and its moment
         constant. A rotor without mass sits at the origin of its <inertial>, as in the files of
         gym-pybullet-drones."""
@@ -389,7 +389,8 @@ class ActuatorBindings:
         if inertial is not None and inertial.mass == 0.0:
             frame = frames.compose(frame, (inertial.origin.xyz, frames.IDENTITY_ROTATION))
         position, rotation = frame
-        axis = frames.rotate(rotation, (0.0, 0.0, 1.0))
+        x, y, z = (float(name == axis_name) for name in "xyz")
+        axis = frames.rotate(rotation, (x, y, z))
         return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
 
 

@@ -255,7 +255,7 @@ class Actuators(NamespaceReader):
         spin = self._spin(spec, links)
         if not links or ends is None or spin is None:
             return None
-        thrust = Thrust(name, links, ends.low[0], ends.high[0], moment_constant, spin, response)
+        thrust = Thrust(name, links, ends.low[0], ends.high[0], moment_constant, spin, response, spec.axis)
         return ResolvedActuator(
             thrust, spec.dimension, links if len(links) > 1 or spec.links is not None else None
         )

@@ -228,7 +228,7 @@ class Motor:
 
 @dataclass(frozen=True)
 class Thrust:
-    """An actuator that pushes links along their z axis with `low` to `high` N, as rotors do.
+    """An actuator that pushes links along their `axis` with `low` to `high` N, as rotors do.
 
     It also turns each link about this axis with `moment_constant` (m) times thrust times its `spin`.
     """
@@ -240,6 +240,12 @@ class Thrust:
     moment_constant: float
     spin: tuple[float, ...]
     response: Response = Response()
+    axis: str = "z"
+
+    def digest_fields(self) -> dict[str, object]:
+        """Return the fields; `axis` is left out where it is z, as in digests from before it was a field."""
+        members = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return {name: member for name, member in members.items() if (name, member) != ("axis", "z")}
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -43,13 +43,14 @@ class UnusableMesh:
     """The reason why a file is not read, as a headline and the sentence that helps.
 
     `tried` has the places where the file was looked for; `allow` is a folder that has it and that the user has
-    to allow first.
+    to allow first. `lacks_package` says that no folder is the package of the file.
     """
 
     headline: str
     help: str | None = None
     tried: tuple[str, ...] = ()
     allow: Path | None = None
+    lacks_package: bool = False
 
 
 @dataclass(frozen=True)
@@ -171,10 +172,14 @@ class Places:
             help = _outside_help(allow)
             return UnusableMesh("the mesh lies outside the folder of the robot", help, shown, allow)
         help = f"deepbots looked for {inside[-120:]}"
-        if package and not self._packages.get(package):
+        lacks_package = bool(package) and not any(
+            folder.is_dir() for folder in self._packages.get(package, ())
+        )
+        if lacks_package:
             help += f", and for a package called {package[:60]}"
         help += "; put the file into one of these places, or allow a folder that has it with --allow-path"
-        return UnusableMesh("the mesh does not exist", self._namesake(inside) or help, shown)
+        help = self._namesake(inside) or help
+        return UnusableMesh("the mesh does not exist", help, shown, lacks_package=lacks_package)
 
     def _namesake(self, written: str) -> str | None:
         """Return the help that names a file of the same name in a folder nearby."""
@@ -276,9 +281,17 @@ class Places:
             if os.path.isfile(path) and not self._allows(path):
                 common = Path(os.path.commonpath((path, os.path.realpath(above))))
                 if common != Path(common.anchor):
-                    self.suggested[common] = None
-                    return common
+                    allow = _clone(common) or common
+                    self.suggested[allow] = None
+                    return allow
         return None
+
+
+def _clone(folder: Path) -> Path | None:
+    """Return the root of the Git repository of a folder, since its other packages are there; None where there is
+    none, or the user works in it."""
+    root = next((place for place in (folder, *folder.parents) if (place / ".git").exists()), None)
+    return None if root is None or Path.cwd().is_relative_to(root) else root
 
 
 def _outside_help(allow: Path | None) -> str:

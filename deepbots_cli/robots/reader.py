@@ -943,14 +943,13 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
         if link.inertial is None
         and (link.collisions or (link.name in moving and (link.visuals or subtree_mass[link.name] <= 0.0)))
     ]
-    first = missing[0].name if missing else ""
-    warn(
-        "DB305",
-        missing,
-        "no <inertial>",
-        "add an <inertial>; or give the scenario a density, from which its shape gives the mass: under `links` of"
-        f" the robot, `{first}: {{density: 1000 kg/m^3}}`",
-    )
+    help = "add an <inertial>"
+    if shaped := [link.name for link in missing if link.collisions or link.visuals]:
+        help += (
+            "; or give the scenario a density, from which its shape gives the mass: under `links` of the robot,"
+            f" `{shaped[0]}: {{density: 1000 kg/m^3}}`"
+        )
+    warn("DB305", missing, "no <inertial>", help)
     massless = [
         link
         for link in model.links

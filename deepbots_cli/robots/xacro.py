@@ -160,6 +160,8 @@ class _Expander:
         self.included: dict[Source, Path] = {}
         self.templates: dict[Path, Element] = {}
         self.open: list[Path] = []  # the included files that are being read, innermost last
+        self.missing: list[tuple[Element, str, XacroError]] = []  # includes of packages that are nowhere
+        self.is_old = False  # has statements without `xacro:`
         self.budget = Budget()
         self.elements = self.characters = self.bytes = 0
 
@@ -170,6 +172,9 @@ class _Expander:
         root = Element(template.tag, {}, self.report, template.start)
         self.children(template, scope, root)
         root.attributes = self.plain_attributes(template, scope)
+        for include, _, error in self.missing[:1]:  # of cameras, say, that this robot does not have
+            note = f"the robot is read without {', '.join(reference for _, reference, _ in self.missing)}"
+            include.warn(error.headline, attribute="filename", help=error.help, notes=(note,))
         return Expansion(root, frozenset(self.declared), self.included)
 
     # Texts
@@ -257,8 +262,8 @@ class _Expander:
         for child in template.children:
             try:
                 with self.budget:
-                    if child.tag in _STATEMENTS:
-                        _STATEMENTS[child.tag](self, child, scope, into)
+                    if (statement := self.statement(child)) is not None:
+                        statement(self, child, scope, into)
                     elif child.tag.startswith("xacro:"):
                         self.call(child, child.tag.removeprefix("xacro:"), scope, into)
                     else:
@@ -266,6 +271,16 @@ class _Expander:
             except XacroError as error:
                 error.span = error.span or child.span
                 raise
+
+    def statement(self, template: Element) -> Callable[[_Expander, Element, Scope, Element], None] | None:
+        """Return the function for a statement of xacro; None for other elements."""
+        name = template.tag
+        if template.attributes.get(_OLD_STATEMENTS.get(name, "")):
+            name = f"xacro:{name}"
+            if not self.is_old:
+                self.is_old = True
+                template.warn(f"<{template.tag}> lacks its prefix", help=f"write <{name}>, as ROS needs it")
+        return _STATEMENTS.get(name)
 
     def plain(self, template: Element, scope: Scope, into: Element) -> None:
         attributes, source = self.plain_attributes(template, scope), template.source or template.report.source
@@ -324,17 +339,9 @@ class _Expander:
         self.budget.spend(_STEPS_OF_CALL)
         try:
             macro, above = scope.macro(name)
-        except KeyError as error:
-            names = [key[1:-1] for level in scope.maps for key in level if isinstance(level[key], _Macro)]
-            # A color that remains in a file that was expanded. A robot that lacks links is another robot.
-            if into.tag == "visual" and not (names or template.attributes):
-                template.warn(
-                    f"deepbots ignores the macro {quoted(name)}, because the file defines none",
-                    kind="macro that is not defined",
-                )
-                return
-            help = known_names_help(name, names, "macros")
-            raise XacroError(f"there is no macro {quoted(name)}", help) from error
+        except KeyError:
+            self.ignore_call(template, name, scope, into)
+            return
         inner, waiting = above.inner(), dict(macro.parameters)
         for key in [key for key in template.attributes if (template.tag, key) != ("xacro:call", "macro")]:
             if waiting.pop(key, None) is None:
@@ -363,6 +370,22 @@ class _Expander:
                 error.labels.append(Label(template.span, "expanded from here"))
             raise
 
+    def ignore_call(self, template: Element, name: str, scope: Scope, into: Element) -> None:
+        """Report a macro that is not defined: as a warning where it is a color that remains in a file that was
+        expanded. A robot that lacks links is another robot."""
+        names = [key[1:-1] for level in scope.maps for key in level if isinstance(level[key], _Macro)]
+        if into.tag == "visual" and not (names or template.attributes):
+            template.warn(
+                f"deepbots ignores the macro {quoted(name)}, because the file defines none",
+                kind="macro that is not defined",
+            )
+        elif self.missing:
+            *_, error = self.missing[0]
+            error.labels.append(Label(template.span, f"there is no macro {quoted(name)}"))
+            raise error
+        else:
+            raise XacroError(f"there is no macro {quoted(name)}", known_names_help(name, names, "macros"))
+
     def insert_block(self, template: Element, scope: Scope, into: Element) -> None:
         name = str(self.attribute(template, "name", scope))
         key = next((key for key in ("**" + name, "*" + name) if key in scope), None)
@@ -373,7 +396,7 @@ class _Expander:
         self.children(holder, scope, into)
 
     def choose(self, template: Element, scope: Scope, into: Element) -> None:
-        if self.condition(template, "value", scope) == (template.tag == "xacro:if"):
+        if self.condition(template, "value", scope) == template.tag.endswith("if"):
             self.children(template, scope, into)
 
     # Files
@@ -386,7 +409,10 @@ class _Expander:
         except XacroError as error:
             if not is_optional:
                 error.span = template.value_span("filename")
-                raise
+                if not error.lacks_package:
+                    raise
+                self.missing.append((template, reference, error))
+                return
             template.warn(f"the optional file {quoted(reference)} is not included")
             return
         if path in self.open:
@@ -412,12 +438,15 @@ class _Expander:
         if "://" not in reference and self.open:
             reference = str(self.open[-1].parent / reference)
         help: str | None = "check the path"
+        lacks_package = False
         with suppress(OSError, ValueError):  # ValueError: a null character
             located = self.resolve(reference)
             if isinstance(located, Path) and located.is_file():
                 return located
-            help = located.help if isinstance(located, UnusableMesh) else "check the path"
-        raise XacroError(f"the file {quoted(reference)} cannot be read", help)
+            if isinstance(located, UnusableMesh):
+                help, lacks_package = located.help, located.lacks_package
+        headline = f"the file {quoted(reference)} cannot be read"
+        raise XacroError(headline, help, lacks_package=lacks_package)
 
     def read(self, path: Path, limit: int) -> Source:
         """Return the text of a file that may be read.
@@ -463,6 +492,18 @@ _STATEMENTS: dict[str, Callable[[_Expander, Element, Scope, Element], None]] = {
     "xacro:unless": _Expander.choose,
     "xacro:call": _Expander.call_by_name,
 }
+
+
+_OLD_STATEMENTS = {
+    "property": "name",
+    "macro": "name",
+    "insert_block": "name",
+    "include": "filename",
+    "if": "value",
+    "unless": "value",
+}
+"""The statements that files before ROS Noetic write without `xacro:`, with the attribute that tells them from
+elements of other tools."""
 
 
 def _error(template: Element, key: str, headline: str, help: str | None = None) -> XacroError:

@@ -30,11 +30,16 @@ WAY_OUT = "expand the file with ROS: xacro robot.urdf.xacro > robot.urdf"
 
 
 class XacroError(Exception):
-    """The reason why a file cannot be expanded; its place is the innermost one that was reported."""
+    """The reason why a file cannot be expanded; its place is the innermost one that was reported.
 
-    def __init__(self, headline: str, help: str | None = None, code: str = "DB301") -> None:
+    `lacks_package` says that the cause is a file of a package that no folder is.
+    """
+
+    def __init__(
+        self, headline: str, help: str | None = None, code: str = "DB301", lacks_package: bool = False
+    ) -> None:
         super().__init__(headline)
-        self.headline, self.help, self.code = headline, help, code
+        self.headline, self.help, self.code, self.lacks_package = headline, help, code, lacks_package
         self.span: Span | None = None
         self.labels: list[Label] = []
 

@@ -150,7 +150,7 @@ class TorqueMotor(SpeedLimitedMotor):
 
 
 class Thrust(Actuator):
-    """Pushes links along their z axes, as a rotor does."""
+    """Pushes links along an axis of theirs, as a rotor does."""
 
     dimension = FORCE
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("link", "links"), min=1),)
@@ -163,8 +163,10 @@ class Thrust(Actuator):
     """The links on which the thrust acts: names, patterns, or a group."""
     range: Annotated[str, Range("force")]
     """Smallest and largest thrust, such as `0 .. 0.15 N`."""
+    axis: Literal["x", "y", "z"] = "z"
+    """The axis of each link along which it is pushed."""
     moment_constant: Length = 0
-    """Drag torque about z per thrust, N*m/N = m."""
+    """Drag torque about the axis per thrust, N*m/N = m."""
     spin: Annotated[dict[Annotated[str, Pattern("link")], Spin] | Spin, FORMS] = 1
     """Factor on the drag torque, for all links or by link: 1 for a rotor that turns clockwise seen from
     above, -1 for one that turns counterclockwise."""

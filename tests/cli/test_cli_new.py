@@ -14,7 +14,7 @@ import resource
 import subprocess
 import sys
 from contextlib import closing
-from itertools import product
+from itertools import pairwise, product
 from math import cos, dist, pi, sin
 from pathlib import Path, PurePosixPath
 
@@ -746,6 +746,44 @@ def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, odd_robo
     assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [
         ("left",)
     ]
+
+
+def test_fingers_that_close_by_different_angles_move_together(deepbots, tmp_path):
+    """A hand of two fingers with a tip each, on an arm of five joints."""
+    limit = 'lower="{}" upper="{}" effort="10" velocity="1"'
+    names = ["base", *(f"arm_{number}" for number in range(1, 6))]
+    parts = [link(name, box("0.05 0.05 0.2")) for name in names]
+    axes = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
+    parts += [
+        joint(f"turn_{child}", parent, child, "0 0 0.2", axis, limit.format(-2.5, 2.5))
+        for (parent, child), axis in zip(pairwise(names), axes, strict=True)
+    ]
+    for side, sign in (("left", 1), ("right", -1)):
+        place, axis = f"0 {0.05 * sign} 0.12", f"{sign} 0 0"
+        parts += [
+            link(f"{side}_finger", box("0.02 0.01 0.08"), 0.02),
+            link(f"{side}_tip", box("0.02 0.01 0.04"), 0.01),
+            joint(f"bend_{side}", names[-1], f"{side}_finger", place, axis, limit.format(0, 0.5)),
+            joint(f"curl_{side}", f"{side}_finger", f"{side}_tip", "0 0 0.06", axis, limit.format(0, 1)),
+        ]
+    (tmp_path / "hand.urdf").write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    deepbots("new", "first", "--urdf", "hand.urdf", "--json")
+    motors = {motor.name: motor for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators}
+    assert motors["gripper"].joints == ("bend_left", "curl_left", "bend_right", "curl_right")
+
+
+def test_thrusters_push_along_the_axes_about_which_they_turn(deepbots, tmp_path):
+    """A vehicle whose thrusters turn about the x axes of their links; without gravity, nothing points down."""
+    parts = [link("hull", box("0.6 0.4 0.3"), 20.0)]
+    for number in range(4):
+        name, place = f"thruster_{number}", f"{0.4 * (-1) ** number} {0.3 * (-1) ** (number // 2)} 0"
+        turn = joint(f"turn_{number}", "hull", name, place, "1 0 0", yaw=pi / 4 + number * pi / 2)
+        parts += [link(name, box("0.02 0.1 0.1"), 0.05), turn.replace("revolute", "continuous")]
+    (tmp_path / "rov.urdf").write_text(f'<robot name="rov">{"".join(parts)}</robot>')
+    deepbots("new", "first", "--urdf", "rov.urdf", "--json")
+    (thrust,) = api.compile(tmp_path / "first.yaml").program.robots[0].actuators
+    assert (len(thrust.links), thrust.axis) == (4, "x")
+    assert "projected_gravity" not in (tmp_path / "first.yaml").read_text()
 
 
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):

@@ -284,3 +284,11 @@ def test_new_for_a_robot_without_masses_gives_the_links_a_density(deepbots: Deep
     deepbots("new", "first", "--urdf", "bare.urdf")
     assert "density: 1000 kg/m^3" in (tmp_path / "first.yaml").read_text()
     assert api.lint(tmp_path / "first.yaml") == []
+
+
+def test_a_density_is_not_offered_to_a_link_without_a_shape(tmp_path: Path):
+    for inside, is_offered in (("", False), (BOX, True)):
+        text = robot(link("base"), link("leg", inside), joint("hip", "base", "leg"))
+        _, findings = opened(tmp_path, text)
+        (finding,) = (finding for finding in findings if finding.code == "DB305")
+        assert ("density" in str(finding.help)) is is_offered

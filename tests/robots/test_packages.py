@@ -122,6 +122,18 @@ def test_one_message_says_how_many_meshes_are_missing_where_they_were_looked_for
     assert read(robot, "arm.urdf", Findings(), resolve_mesh=mesh_resolver(robot.parent, [folder])) is not None
 
 
+def test_the_whole_clone_is_to_be_allowed_since_its_other_packages_are_there(tmp_path: Path, monkeypatch):
+    write(tmp_path, **{"clone/arm/meshes/m.obj": MESH, "clone/arm/urdf/arm.urdf": "", "clone/.git/HEAD": ""})
+    folder = tmp_path / "clone/arm/urdf"
+    place = Places(folder, suggests=True).resolve("package://arm/meshes/m.obj")
+    assert isinstance(place, UnusableMesh)
+    assert place.allow == tmp_path / "clone"
+    monkeypatch.chdir(tmp_path / "clone")
+    place = Places(folder, suggests=True).resolve("package://arm/meshes/m.obj")
+    assert isinstance(place, UnusableMesh)
+    assert place.allow == tmp_path / "clone/arm"
+
+
 def test_a_file_of_the_same_name_nearby_is_offered_and_not_taken(tmp_path: Path):
     write(tmp_path, **{"robot.urdf": "", "assets/body.stl": MESH})
     place = mesh_resolver(tmp_path)("package://body.stl")

@@ -244,6 +244,44 @@ def test_an_optional_include_may_be_missing(tmp_path):
     assert [finding.severity for finding in findings] == ["warning"]
 
 
+CAMERA = '<xacro:include filename="$(find camera)/camera.xacro"/>'
+
+
+def test_a_robot_without_the_camera_whose_package_is_not_there_is_read(tmp_path):
+    macro = '<xacro:macro name="camera_mount" params=""><xacro:camera/></xacro:macro>'
+    urdf, (finding,) = expansion(robot(f'{CAMERA}{macro}<link name="a"/>'), tmp_path)
+    assert urdf is not None
+    assert finding.severity == "warning"
+    assert finding.headline == "the file 'package://camera/camera.xacro' cannot be read"
+    assert "a package called camera" in str(finding.help)
+
+
+def test_a_robot_with_the_camera_whose_package_is_not_there_names_the_package_and_not_its_macro(tmp_path):
+    finding = refusal(f"{CAMERA}<xacro:camera/>", tmp_path)
+    assert finding.headline == "the file 'package://camera/camera.xacro' cannot be read"
+    assert [label.text for label in finding.labels] == ["there is no macro 'camera'"]
+    (tmp_path / "package.xml").write_text("<package><name>camera</name></package>")
+    finding = refusal(CAMERA, tmp_path)
+    assert "deepbots looked for camera.xacro; put the file" in str(finding.help)
+
+
+def test_statements_without_their_prefix_are_read_as_before_ros_noetic(tmp_path):
+    (tmp_path / "wheel.xacro").write_text(
+        robot(
+            '<property name="w" value="front"/><property name="" value="1"/>'
+            '<macro name="wheel" params="p"><if value="${p}"><link name="${w}"/></if></macro>'
+        )
+    )
+    urdf, (finding,) = expansion(
+        robot('<include filename="wheel.xacro"/><xacro:wheel p="1"/><gazebo><include/></gazebo>'), tmp_path
+    )
+    assert urdf is not None
+    assert [link.attributes["name"] for link in urdf.find_all("link")] == ["front"]
+    assert [element.tag for element in urdf.find_all("gazebo")[0].children] == ["include"]
+    assert finding.severity == "warning"
+    assert "write <xacro:include>" in str(finding.help)
+
+
 # Findings
 
 
@@ -515,11 +553,20 @@ def test_new_writes_the_arguments_and_a_scenario_without_findings(tmp_path, deep
         (["--xacro-arg", "side:=b"], "gives side twice"),
     ],
 )
-@pytest.mark.parametrize("command", [["new", "first", "--urdf"], ["inspect"]])
+@pytest.mark.parametrize("command", [["new", "first", "--urdf"], ["inspect"], ["lint"]])
 def test_a_wrong_argument_of_a_command_is_named(tmp_path, deepbots, command, words, message):
     write_robot(tmp_path)
     ran = deepbots(*command, "arm.urdf.xacro", "--xacro-arg", "side:=a", *words, code=2)
     assert message in ran.err
+
+
+def test_each_command_that_reads_a_robot_file_takes_the_argument_that_the_file_needs(tmp_path, deepbots):
+    write_robot(tmp_path)
+    deepbots("lint", "arm.urdf.xacro", code=1)
+    for command in ("inspect", "lint", "render"):
+        deepbots(command, "arm.urdf.xacro", "--xacro-arg", "side:=left")
+        ran = deepbots(command, "cartpole", "--xacro-arg", "side:=left", code=2)
+        assert "--xacro-arg goes with a robot file" in ran.err
 
 
 def test_a_color_that_remains_in_an_expanded_file_is_a_warning():

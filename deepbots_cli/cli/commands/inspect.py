@@ -20,7 +20,7 @@ from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
+from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.insight import inspection
 from deepbots_cli.program import Program
 
@@ -55,10 +55,7 @@ def command(
     if is_robot(scenario):
         _inspect_robot(scenario, permissions.folders, xacro_arguments(xacro), as_json)
         return
-    if xacro:
-        raise UsageError(
-            "--xacro-arg goes with a robot file; a scenario has them under `xacro`, beside `urdf`"
-        )
+    xacro_arguments(xacro, of_robot=False)
     side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
     program = side.program.variant(case, stage)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
@@ -17,9 +17,16 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import rewriting, terminal
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.sources import STDIN, is_robot, robot_findings, robot_path, scenario_names
+from deepbots_cli.cli.sources import (
+    STDIN,
+    is_robot,
+    robot_findings,
+    robot_path,
+    scenario_names,
+    xacro_arguments,
+)
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
@@ -74,6 +81,7 @@ def command(
         ),
     ] = None,
     overrides: Overrides = None,
+    xacro: XacroArguments = None,
     format: Annotated[
         Format | None, option("--format", "Output format; full by default, with the source lines.", OUTPUT)
     ] = None,
@@ -154,8 +162,9 @@ def command(
     )
     for option_name in ["--deep"] * deep + ["--exploits"] * exploits:
         _check_simulator(option_name, fix or diff or unsafe_fixes)
-    look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name)
     names = scenario_names(scenarios or ["."], project)
+    arguments = xacro_arguments(xacro, of_robot=all(map(is_robot, names)))
+    look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name, arguments)
     _check_names(names, look, is_watching=watch, may_fix=fix or diff)
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
@@ -398,7 +407,7 @@ _NAMELESS = "<stdin>"
 @dataclass(frozen=True)
 class LintOptions:
     """The options for reading each scenario, and for simulating (`deep`) and searching it; `stdin_name` is
-    the file name for standard input."""
+    the file name for standard input, `xacro` has the arguments of a robot file alone."""
 
     overrides: tuple[str, ...] = ()
     permissions: Permissions = Permissions()
@@ -406,6 +415,7 @@ class LintOptions:
     deep: bool = False
     exploits: bool = False
     stdin_name: str | None = None
+    xacro: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def included(self) -> str:
@@ -418,7 +428,7 @@ class LintOptions:
         if name == STDIN:
             return self._of_stdin()
         if is_robot(name):
-            return robot_findings(name, self.permissions.folders)
+            return robot_findings(name, self.permissions.folders, self.xacro)
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name), name)
 

@@ -26,13 +26,14 @@ from deepbots_cli.cli.command import (
     Overrides,
     Stage,
     Start,
+    XacroArguments,
     integer,
     option,
     start_values,
 )
 from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, failed_episodes
 from deepbots_cli.cli.pages import Shown
-from deepbots_cli.cli.sources import is_robot, open_robot
+from deepbots_cli.cli.sources import is_robot, open_robot, xacro_arguments
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import chosen as engine_or_default
@@ -196,6 +197,7 @@ def command(
     stage: Stage = None,
     start: Start = None,
     engine: EngineOrRun = None,
+    xacro: XacroArguments = None,
     as_json: Json = False,
     last: Annotated[
         bool, option("--last", "Let the last model of a run act instead of the best one.", ADVANCED)
@@ -231,9 +233,10 @@ def command(
         has_episode = last or any(value is not None for value in of_episode)
         _check_robot_options(shown, kind, present, has_episode=has_episode)
         pictures.check_target(file, SUFFIXES, force=force)
-        _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
+        _draw_robot(shown, file, shot, xacro_arguments(xacro), engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
         return
+    xacro_arguments(xacro, of_robot=False)
     from deepbots_cli.view.episodes import Showing
     from deepbots_cli.view.players import closing_player
 
@@ -473,14 +476,21 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
             yield f"{file} ({size}; {end})"
 
 
-def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str, permissions: Permissions) -> None:
+def _draw_robot(
+    reference: str,
+    file: Path,
+    shot: Viewpoint,
+    xacro: Mapping[str, str],
+    engine: str,
+    permissions: Permissions,
+) -> None:
     """Draw a picture of a robot on a floor, with its joints at 0."""
     import PIL.Image  # needs the extra `view`
 
     from deepbots_cli import engines
     from deepbots_cli.runtime.overview import view_around
 
-    model = open_robot(reference, permissions.folders)[0].model
+    model = open_robot(reference, permissions.folders, xacro)[0].model
     pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = robot_bounds(model)

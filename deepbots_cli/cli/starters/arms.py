@@ -89,12 +89,15 @@ def add_gripper(draft: Draft, fingers: Sequence[Joint], command: str) -> list[st
         return []
     opened, closed = draft.build.ends(joints, joints)
     group = draft.add_group("fingers", joints)
-    settings = {
-        "open": joint_values(joints, opened),
-        "closed": joint_values(joints, closed),
-    }
-    draft.add_start(group, "open", opened, joints)
-    draft.add_motor("gripper", "gripper", group, joints, command, settings)
+    open_pose = draft.add_start(group, "open", opened, joints)
+    values = {"open": _joint_values(joints, opened), "closed": _joint_values(joints, closed)}
+    if all(len(texts) == 1 for texts in values.values()):
+        settings = {key: texts.pop() for key, texts in values.items()}
+        draft.add_motor("gripper", "gripper", group, joints, command, settings)
+    else:  # the actuator `gripper` has one position for all joints
+        closed_pose = draft.add_pose(group, "closed", closed, joints)
+        command = f"{closed_pose} + ({open_pose} - {closed_pose}) * ({command})"
+        draft.add_motor("gripper", "position_motor", group, joints, command)
     return draft.groups[group]
 
 
@@ -226,11 +229,10 @@ def _distance(point: Triple, box: Bounds) -> float:
     return hypot(*beyond)
 
 
-def joint_values(joints: Sequence[Joint], positions: Mapping[str, float]) -> str:
-    """Return a position of several joints of one unit as text: one number if they are equal."""
+def _joint_values(joints: Sequence[Joint], positions: Mapping[str, float]) -> set[str]:
+    """Return the different positions of several joints of one unit as texts."""
     scale, unit = (1e3, "mm") if joints[0].type == "prismatic" else (degrees(1.0), "deg")
-    numbers = [f"{scale * round_position(joint, positions[joint.name]) + 0.0:.6g}" for joint in joints]
-    return f"{numbers[0] if len(set(numbers)) == 1 else ' '.join(numbers)} {unit}"
+    return {f"{scale * round_position(joint, positions[joint.name]) + 0.0:.6g} {unit}" for joint in joints}
 
 
 def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:

@@ -8,6 +8,7 @@ from enum import StrEnum
 from math import prod
 from pathlib import PurePosixPath
 
+from deepbots_cli import frames
 from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit
 from deepbots_cli.cli.starters.legs import walk
@@ -44,10 +45,20 @@ def hover(draft: Draft) -> dict[str, object] | None:
     return {
         "rotors": draft.add_links("rotors", propellers),
         "each": (0.1 if is_diving else 1.0) * weight / len(propellers),
+        "axis": _thrust_axis(build, propellers),
         "mark": max(0.1 * build.size, 0.01),
         "diving": is_diving,
         "place": {"xyz": "uniform(-0.3 -0.3 0.8 .. 0.3 0.3 1.2 m)", "yaw": "any"},
     }
+
+
+def _thrust_axis(build: Build, propellers: Sequence[str]) -> str:
+    """Return the axis, x, y or z, of all links about which their propellers turn; z where they differ."""
+    names = set()
+    for link in propellers:
+        axis = frames.rotate_back(build.frames[link][1], build.propellers[link])
+        names.add(max(zip(map(abs, axis), "xyz", strict=True))[1])
+    return names.pop() if len(names) == 1 else "z"
 
 
 def roam(draft: Draft) -> dict[str, object]:
