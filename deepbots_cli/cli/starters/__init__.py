@@ -2,9 +2,9 @@
 task.
 
 for_robots/   one Jinja template per task; parts.yaml holds the parts that they share
-first_scenario.py  chooses a task for the kind of a robot (`robots/kinds.py`) and adds the entries of this
-              task; text.py numbers, names and comments
-legs.py       the task of a robot on legs
+first_scenario.py  the task that suits the kind of a robot, and its template
+draft.py      the groups, poses and motors of a robot; wheels.py, legs.py and arms.py add those of their tasks
+text.py       numbers, names and comments
 webots.py     the scenario of a project of Webots, from its draft (`webots/imports`)
 templates.py  the templates of `deepbots new --template`, from *.yaml; arm.urdf is the robot of arm.yaml
 """
