@@ -1,7 +1,8 @@
 """What `new`, `lint --deep` and `try` make of well-known robots of public repositories, as data and as a table.
 
-    python -m tools.benchmarks.robot_files FOLDER WORK    # writes docs/results/robots.json
-    python -m tools.benchmarks.robot_files --page         # writes the table in docs/robots.md
+    python -m tools.benchmarks.robot_files FOLDER WORK         # writes docs/results/robots.json
+    python -m tools.benchmarks.robot_files FOLDER WORK PART    # again for files whose path has PART
+    python -m tools.benchmarks.robot_files --page              # writes the table in docs/robots.md
 
 FOLDER has a clone of each repository of robot_files.yaml as OWNER+NAME; scenarios are written into WORK. Robots are
 tried with the script of their scenario, or with zero actions.
@@ -31,10 +32,13 @@ _TABLE = re.compile(r"(?<=<!-- robots -->\n).*?(?=<!-- end of robots -->)", re.D
 _TIMEOUT_S = 300
 
 
-def measure(folder: Path, work: Path) -> list[dict[str, Any]]:
-    """Return what the commands say about each robot."""
+def measure(folder: Path, work: Path, part: str = "") -> list[dict[str, Any]]:
+    """Return what the commands say about each robot; the data of those without `part` in their path stay."""
     rows = []
     for number, robot in enumerate(yaml.safe_load(ROBOTS.read_text())):
+        if part not in robot["file"]:
+            rows.append(json.loads(DATA.read_text())["robots"][number])
+            continue
         clone = folder / robot["repository"].replace("/", "+")
         row = {**robot, **_measured(clone / robot["file"], clone, f"r{number}", work)}
         print(json.dumps(row), file=sys.stderr, flush=True)
@@ -118,8 +122,8 @@ def main() -> None:
             page(PAGE.read_text(encoding="utf-8"), json.loads(DATA.read_text())), encoding="utf-8"
         )
         return
-    folder, work = map(Path, sys.argv[1:])
-    rows = measure(folder, work)
+    folder, work, *part = sys.argv[1:]
+    rows = measure(Path(folder), Path(work), *part)
     DATA.write_text(json.dumps({"date": str(datetime.date.today()), "robots": rows}, indent=1) + "\n")
 
 

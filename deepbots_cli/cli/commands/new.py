@@ -38,6 +38,7 @@ from deepbots_cli.robots import reader
 from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinds import Kind
 from deepbots_cli.robots.meshes import read_mesh
+from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -68,6 +69,7 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
+_MAX_TIMED_MESHES = 10
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
@@ -245,7 +247,16 @@ def _note_places(starter: Starter) -> None:
 
 
 def _name_faster_engine(program: Program) -> None:
-    """Print the engine that steps the new world faster; nothing without a simulator."""
+    """Print the engine that steps the new world faster; nothing without a simulator, and for robots of many
+    meshes, which engines take seconds to load."""
+    shapes = [
+        part.shape
+        for robot in program.world.robots
+        for link in robot.model.links
+        for part in (*link.visuals, *link.collisions)
+    ]
+    if sum(isinstance(shape, Mesh) for shape in shapes) > _MAX_TIMED_MESHES:
+        return
     try:
         from deepbots_cli.cli import throughput
     except ModuleNotFoundError:
