@@ -518,7 +518,7 @@ def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path)
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "buggy.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
-    assert "`--allow-path there`" in refused.err
+    assert "deepbots new mine --urdf there/buggy.urdf here --allow-path there`" in refused.err
     assert "package://PACKAGE/PATH" in refused.err
     deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there")
     deepbots("lint", "here/mine.yaml", "--allow-path", "there")

@@ -207,7 +207,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
         ("empty", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
         ("pictures", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
         ("x" * 300, [*SCENARIO, *RUN, *EITHER, *RENDERED], "{} cannot be read: file name too long"),
-        ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], *FOLDER_OR_FILE], "{0} is a robot file, not a"
+        ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], FOLDER_OR_FILE[1]], "{0} is a robot file, not a"
                                                                         " scenario; `deepbots inspect {0}`"),
         ("noise.bin", RUN[:7], "{} is a file, and not a run"),
         ("cart.yaml", RUN[:7], "{} is a scenario, and not a run"),
