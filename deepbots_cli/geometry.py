@@ -571,7 +571,7 @@ def _inertial(link: Link, density: float) -> Inertial:
 
 
 def _mesh_inertial(link: Link, piece: Geometry, density: float) -> Inertial:
-    """Return the inertial of a mesh; one that is not closed counts as its convex hull.
+    """Return the inertial of a mesh; the convex hull replaces one that is not closed.
 
     Raises:
         EngineError: The mesh has gone or changed, or encloses no volume.

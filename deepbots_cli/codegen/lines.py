@@ -23,8 +23,8 @@ _OPERATORS = (
 _LOOSER_THAN_NOT = (None, *_OPERATORS[:3])
 _BRACKET_OR_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"|[][(){}]', re.DOTALL)
 _DEEPER = dict.fromkeys("([{", 1) | dict.fromkeys(")]}", -1)
-# Of a statement, or of the piece of a line that was broken before: the operator or the keyword of an argument in
-# front, the comma behind.
+# Of a statement, or of the piece of a line that was broken before: the operator or the keyword of an argument
+# in front, the comma behind.
 _STATEMENT = re.compile(
     r"(?P<head>(?:(?:if|elif|else|return|or|and|[<>]=?|[=!]=|[-+*/]) )?(?:\w+=(?=[^= ]))?)(?P<body>.*?)(?P<tail>[:,]?)",
     re.DOTALL,

@@ -87,8 +87,8 @@ class Inputs:
         }
 
     def _robot_text(self, robot: ResolvedRobot) -> str:
-        """Return the text of a robot file, expanded if it is xacro, with the relative paths of the copies of its
-        meshes.
+        """Return the text of a robot file, expanded if it is xacro, with the relative paths of the copies of
+        its meshes.
 
         `package://` and the folders above the robot file may lead elsewhere from the copy.
         """

@@ -716,7 +716,8 @@ def _tell(
     inertial_links: Mapping[Span, tuple[str, ...]],
     changed: Collection[str],
 ) -> None:
-    """Report the findings of a robot file, except for those about inertials that the scenario has `changed`."""
+    """Report the findings of a robot file, except for those about inertials that the scenario has
+    `changed`."""
     for finding in findings:
         links = inertial_links.get(finding.span, ())
         if not links or not set(links) <= set(changed):

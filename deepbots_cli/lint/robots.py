@@ -56,7 +56,8 @@ _MAX_NAMES = 4
 """The number of joints that a finding lists."""
 _DEGREES = Interval(13.0, 360.0)
 """The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint
-are multiples of pi. Files of motors that turn without end have up to 10 rad, and none has two turns each way."""
+are multiples of pi. Files of motors that turn without end have up to 10 rad, and none has two turns each
+way."""
 _JOINT_KEYS = ("joint", "joints")
 
 

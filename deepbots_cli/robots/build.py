@@ -1,5 +1,5 @@
-"""The parts of a robot by their function: wheels, steering, legs, arms, hands, propellers, and joints without a
-motor.
+"""The parts of a robot by their function: wheels, steering, legs, arms, hands, propellers, and joints without
+a motor.
 
 They are derived from shapes and joints with all joints at 0. Names count only where two parts have the same
 structure: a propeller on a fixed joint looks like any other link, and an arm that hangs like a leg. All
@@ -355,7 +355,8 @@ class Build:
         return Wheel(joint, radius, level, center, len(rollers), self._is_caster(joint, center))
 
     def _is_caster(self, joint: Joint, center: Triple) -> bool:
-        """Whether an endless upright hinge beside its axle carries a wheel, so that it turns after its robot."""
+        """Whether an endless upright hinge beside its axle carries a wheel, so that it turns after its
+        robot."""
         above = self._joint_above(joint)
         if above is None or not self._is_upright(above) or not is_endless(above):
             return False
@@ -642,8 +643,8 @@ class Build:
         return opened, closed
 
     def _gap(self, joint: Joint, others: Sequence[Joint], position: float) -> float:
-        """Return the distance between the middle of what a joint moves and the middle of what the others move,
-        or of the link that carries it where there are none."""
+        """Return the distance between the middle of what a joint moves and the middle of what the others
+        move, or of the link that carries it where there are none."""
         moved = set(self.model.links_below(joint.child))
         fixed = {name for other in others for name in self.model.links_below(other.child)} - moved
         poses = link_frames(self.model, {joint.name: position})

@@ -127,8 +127,8 @@ class Element:
         code: str = "DB311",
         kind: str | None = None,
     ) -> None:
-        """Report a warning at the value of `attribute`, or at the start tag; of several of one `kind`, only the
-        first."""
+        """Report a warning at the value of `attribute`, or at the start tag; of several of one `kind`, only
+        the first."""
         if kind is not None:
 
             def report(more: tuple[str, ...]) -> None:

@@ -1,8 +1,8 @@
 """The triangles of a glTF 2.0 file, and its faults. This module needs no numpy, since lint imports it.
 
-A `.glb` file has its buffer inside; a `.gltf` file is JSON, whose buffers are texts inside or files beside it,
-and is read as the `.glb` file of the same content. Coordinates are taken as they are, as trimesh and MuJoCo
-take them: glTF calls y up, and URDF has no such word. Materials, pictures and animations are left out.
+A `.glb` file has its buffer inside; a `.gltf` file is JSON, whose buffers are texts inside or files beside
+it, and is read as the `.glb` file of the same content. Coordinates are taken as they are, as trimesh and
+MuJoCo take them: glTF calls y up, and URDF has no such word. Materials, pictures and animations are left out.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def read_gltf(path: Path, limit: int) -> bytes:
     """Return a glTF file as `.glb`, with at most `limit` bytes; one byte more shows that it is larger.
 
     Raises:
-        FaultyGltfError: It is not JSON, or a buffer is missing, is not in the folder of the file, or is wrong.
+        FaultyGltfError: It is not JSON, or a buffer is missing, outside the folder of the file, or wrong.
         OSError: The file cannot be read.
     """
     data = read_at_most(path, limit + 1)
@@ -108,8 +108,8 @@ def _document(data: bytes) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def placed_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
-    """Return the triangles of a `.glb` file in the frame of their mesh, and the map from there to the frame of
-    the file, once for each node that places the mesh.
+    """Return the triangles of a `.glb` file in the frame of their mesh, and the map from there to the frame
+    of the file, once for each node that places the mesh.
 
     Raises:
         FaultyGltfError: The file is not sound, is compressed, or places too much.

@@ -1,5 +1,5 @@
-"""The kind of a robot, with its evidence: decided by structure, and by names only where two kinds have the same
-structure.
+"""The kind of a robot, with its evidence: decided by structure, and by names only where two kinds have the
+same structure.
 
 `judge` tries the kinds of `_TESTS` in turn. Each test returns the evidence as a phrase, or an empty text.
 """

@@ -192,8 +192,8 @@ def _own_bounds(shape: Shape) -> Bounds:
 
 
 def inertial_of_shapes(link: Link, mass: float) -> Inertial | None:
-    """Return the inertial of a link of `mass` kg whose shapes are homogeneous, by its collision shapes or else
-    its visuals; None without any. A mesh counts as the box around it."""
+    """Return the inertial of a link of `mass` kg whose shapes are homogeneous, by its collision shapes or
+    else its visuals; None without any. The box around it replaces a mesh."""
     pieces = [_solid(piece) for piece in link.collisions or link.visuals]
     volumes = [volume(shape) or 0.0 for shape, _ in pieces]
     if not sum(volumes) > 0.0:

@@ -86,8 +86,8 @@ class CheckedMesh(NamedTuple):
 
 
 class LoadedMesh(NamedTuple):
-    """A mesh that an engine may load; `elsewhere` is its path from the folder of the robot, if it is not where
-    the robot file says."""
+    """A mesh that an engine may load; `elsewhere` is its path from the folder of the robot, if it is not
+    where the robot file says."""
 
     path: Path
     digest: str
@@ -209,8 +209,8 @@ def read_mesh(path: Path) -> bytes:
 
 
 def placed_triangles(suffix: str, data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
-    """Return the triangles of a COLLADA or glTF file and the map to the frame of the file, in m, once for each
-    node that places them.
+    """Return the triangles of a COLLADA or glTF file and the map to the frame of the file, in m, once for
+    each node that places them.
 
     Raises:
         FaultyColladaError: The COLLADA file is not sound.

@@ -368,8 +368,8 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
 
 
 def combined(parts: Sequence[Inertial]) -> Inertial:
-    """Return the inertial of several bodies as one, in axes parallel to those of the link; one body stays as it
-    is."""
+    """Return the inertial of several bodies as one, in axes parallel to those of the link; one body stays as
+    it is."""
     if len(parts) == 1:
         return parts[0]
     mass = sum(part.mass for part in parts)

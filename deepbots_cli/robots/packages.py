@@ -9,8 +9,8 @@
 4. the entries of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH
 5. the folder of the robot file and those above it, whatever they are called
 
-Where none has it, and for an absolute path of another computer, the end of the path counts, from its folder on:
-`/ws/src/pkg/meshes/arm.stl` is `pkg/meshes/arm.stl` or `meshes/arm.stl` in one of the folders of 5.
+Where none has it, and for an absolute path of another computer, the end of the path counts, from its folder
+on: `/ws/src/pkg/meshes/arm.stl` is `pkg/meshes/arm.stl` or `meshes/arm.stl` in one of the folders of 5.
 
 Only the folder of the robot file, the folders that the user allows, and an installed package are looked into.
 This module needs no numpy, since lint imports it.
@@ -42,8 +42,8 @@ _NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build
 class UnusableMesh:
     """The reason why a file is not read, as a headline and the sentence that helps.
 
-    `tried` has the places where the file was looked for; `allow` is a folder that has it and that the user has
-    to allow first. `lacks_package` says that no folder is the package of the file.
+    `tried` has the places where the file was looked for; `allow` is a folder that has it and that the user
+    has to allow first. `lacks_package` says that no folder is the package of the file.
     """
 
     headline: str
@@ -288,8 +288,8 @@ class Places:
 
 
 def _clone(folder: Path) -> Path | None:
-    """Return the root of the Git repository of a folder, since its other packages are there; None where there is
-    none, or the user works in it."""
+    """Return the root of the Git repository of a folder, since its other packages are there; None where there
+    is none, or the user works in it."""
     root = next((place for place in (folder, *folder.parents) if (place / ".git").exists()), None)
     return None if root is None or Path.cwd().is_relative_to(root) else root
 

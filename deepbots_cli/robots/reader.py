@@ -447,8 +447,8 @@ def _inertial(link: Element) -> Inertial | None:
 
 
 def _moment(inertia: Element, name: str) -> float:
-    """Return a moment of inertia, kg m^2; one that is negative by rounding, as programs that merge links write
-    it, is 0."""
+    """Return a moment of inertia, kg m^2; one that is negative by rounding, as programs that merge links
+    write it, is 0."""
     value = inertia.number(name)
     return 0.0 if -_ROUNDING <= value < 0.0 else inertia.non_negative_number(name)
 
@@ -479,7 +479,8 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
 
 
 def _solid(element: Element, holder: str) -> Shape | None:
-    """Return a shape whose measures are above 0. A shape of size 0 is a known way to have none, and harmless."""
+    """Return a shape whose measures are above 0. A shape of size 0 is a known way to have none, and
+    harmless."""
     shape: Shape
     if element.tag == "box":
         shape = Box(element.vector("size"))

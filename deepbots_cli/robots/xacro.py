@@ -1,11 +1,11 @@
 """xacro to plain URDF: properties, arguments, conditions, macros and includes, without running any code.
 
-A template element is expanded in a `Scope` of properties and macros into elements that keep the place of their
-template, so that a finding about the robot names the line that its author wrote. `$(find X)/rest` becomes
-`package://X/rest`, so included files, YAML files and meshes are looked up, and refused, in one place.
+A template element is expanded in a `Scope` of properties and macros into elements that keep the place of
+their template, so that a finding about the robot names the line that its author wrote. `$(find X)/rest`
+becomes `package://X/rest`, so included files, YAML files and meshes are looked up, and refused, in one place.
 
-The order of evaluation is that of the package `xacro` of ROS: properties when they are first used, in the scope
-that has them; parameters of macros and conditions at once; macros see the properties of their caller.
+The order of evaluation is that of the package `xacro` of ROS: properties when they are first used, in the
+scope that has them; parameters of macros and conditions at once; macros see the properties of their caller.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _PIECE = re.compile(
     r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)|(?P<open>\$[{(])|(?P<text>[^$]+|\$)"
 )
-# name, whether the property of the caller is the default, and another default; as in xacro, without its nested
-# repetition, which takes exponential time
+# name, whether the property of the caller is the default, and another default; as in xacro, without its
+# nested repetition, which takes exponential time
 _PARAMETER = re.compile(
     r"\s*([^\s:=]+)(?:\s*:?=\s*(\^\|?)?(\$\{[^}]*\}|\$\([^)]*\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*))?(?:\s+|$)"
 )
@@ -371,8 +371,8 @@ class _Expander:
             raise
 
     def ignore_call(self, template: Element, name: str, scope: Scope, into: Element) -> None:
-        """Report a macro that is not defined: as a warning where it is a color that remains in a file that was
-        expanded. A robot that lacks links is another robot."""
+        """Report a macro that is not defined: as a warning where it is a color that remains in a file that
+        was expanded. A robot that lacks links is another robot."""
         names = [key[1:-1] for level in scope.maps for key in level if isinstance(level[key], _Macro)]
         if into.tag == "visual" and not (names or template.attributes):
             template.warn(

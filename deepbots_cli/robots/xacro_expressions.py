@@ -1,8 +1,8 @@
 """The expressions of xacro files: a part of Python that is parsed and computed node by node, never executed.
 
-Numbers, texts, lists and mappings, their operators and a table of functions are all there is: no statement, no
-attribute but the methods in `_METHODS`, no name but those of the file and of `FUNCTIONS`. A `Budget` bounds the
-work of a whole file and the size of each value.
+Numbers, texts, lists and mappings, their operators and a table of functions are all there is: no statement,
+no attribute but the methods in `_METHODS`, no name but those of the file and of `FUNCTIONS`. A `Budget`
+bounds the work of a whole file and the size of each value.
 """
 
 from __future__ import annotations

@@ -34,11 +34,11 @@ class LinkOverride(Section):
     """Overrides of a link. In expressions, `urdf` is the value in the robot file."""
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
-    """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file. A link without
-    a mass in the robot file gets the inertia of its shapes."""
+    """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file. A link
+    without a mass in the robot file gets the inertia of its shapes."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a
-    homogeneous body of its shapes. A mesh that is not closed counts as its convex hull."""
+    homogeneous body of its shapes. deepbots takes the convex hull of a mesh that is not closed."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the
     volume."""
@@ -47,15 +47,15 @@ class LinkOverride(Section):
     is added to the center of mass in the robot file."""
     inertia: Annotated[Scalar, Quantity("number", known="episode", minimum=0, exclusive=True)] | None = None
     """Scale factor of the inertia about the center of mass, such as `uniform(0.8 .. 1.2)`; or `auto`, the
-    inertia of the shapes of the link, where a mesh counts as the box around it. The mass keeps its value."""
+    inertia of the shapes of the link; deepbots takes the box around a mesh. The mass keeps its value."""
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
     """Friction against spinning on the spot, in m, written as a plain number. Times the normal force, and the
     `friction` of the other body, it is the largest torque."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction` of
-    the other body, it is the largest torque."""
+    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction`
+    of the other body, it is the largest torque."""
     restitution: RandomizableShare | None = None
     """Fraction of the speed that remains after a bounce, 0 to 1."""
     color: Color | None = None

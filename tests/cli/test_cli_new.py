@@ -773,7 +773,8 @@ def test_fingers_that_close_by_different_angles_move_together(deepbots, tmp_path
 
 
 def test_thrusters_push_along_the_axes_about_which_they_turn(deepbots, tmp_path):
-    """A vehicle whose thrusters turn about the x axes of their links; without gravity, nothing points down."""
+    """A vehicle whose thrusters turn about the x axes of their links; without gravity, nothing points
+    down."""
     parts = [link("hull", box("0.6 0.4 0.3"), 20.0)]
     for number in range(4):
         name, place = f"thruster_{number}", f"{0.4 * (-1) ** number} {0.3 * (-1) ** (number // 2)} 0"

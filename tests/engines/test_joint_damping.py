@@ -109,8 +109,8 @@ truncation: {{max_steps: 100}}
     with closing(api.make(str(tmp_path / "falls.yaml"))) as environment:
         environment.reset(seed=0)
         speeds = [environment.step(np.zeros(1, np.float32))[1] for _ in range(100)]
-    # A point on a rod of 0.5 m that falls from above to below has sqrt(4 g / 0.5) = 8.9 rad/s. The light wrist
-    # is faster for a step when another joint meets its stop.
+    # A point on a rod of 0.5 m that falls from above to below has sqrt(4 g / 0.5) = 8.9 rad/s. The light
+    # wrist is faster for a step when another joint meets its stop.
     assert max(speeds) < 15.0
 
 

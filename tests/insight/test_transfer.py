@@ -436,7 +436,8 @@ def test_a_cause_in_measured_numbers_is_not_followed_by_the_sentence_that_no_cha
 def test_a_transfer_goes_on_if_an_ending_holds_at_the_reset_of_a_start_under_a_likely_change(
     tmp_path: Path,
 ) -> None:
-    """The carriage sinks 0.4 mm before the first step if its motor is weak; `edge` is nearer in a few starts."""
+    """The carriage sinks 0.4 mm before the first step if its motor is weak; `edge` is nearer in a few
+    starts."""
     run = Run.open(
         train_shuttle(
             tmp_path,

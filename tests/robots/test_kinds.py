@@ -1,5 +1,5 @@
-"""What kind of robot a file describes: decided by structure, whatever its parts are called, whichever end comes
-first in the file, and however large it is."""
+"""What kind of robot a file describes: decided by structure, whatever its parts are called, whichever end
+comes first in the file, and however large it is."""
 
 from __future__ import annotations
 

@@ -61,10 +61,10 @@ def test_a_mesh_is_found_in(tmp_path: Path, case: str):
 
 
 def test_the_nearest_place_with_the_file_counts_and_not_a_namesake_without_it(tmp_path: Path):
-    write(tmp_path, **{"robot/work/arm/urdf/robot/a.txt": "", "robot/work/arm/meshes/m.obj": MESH})
-    write(tmp_path, **{"robot/work/arm/package.xml": MANIFEST.format("robot")})
-    place = located(tmp_path / "robot/work/arm/urdf", "package://robot/meshes/m.obj", tmp_path)
-    assert place == Path(os.path.realpath(tmp_path / "robot/work/arm/meshes/m.obj"))
+    write(tmp_path, **{"robot/lab/arm/urdf/robot/a.txt": "", "robot/lab/arm/meshes/m.obj": MESH})
+    write(tmp_path, **{"robot/lab/arm/package.xml": MANIFEST.format("robot")})
+    place = located(tmp_path / "robot/lab/arm/urdf", "package://robot/meshes/m.obj", tmp_path)
+    assert place == Path(os.path.realpath(tmp_path / "robot/lab/arm/meshes/m.obj"))
 
 
 def test_of_two_packages_of_one_name_the_nearest_counts(tmp_path: Path):

@@ -1,5 +1,5 @@
-"""A xacro file is the robot that ROS' own tool makes of it; what it cannot be is one finding at its place, and no
-file runs code, reads outside, or takes long."""
+"""A xacro file is the robot that ROS' own tool makes of it; what it cannot be is one finding at its place,
+and no file runs code, reads outside, or takes long."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""What `new`, `lint --deep` and `try` make of well-known robots of public repositories, as data and as a table.
+"""What `new`, `lint --deep` and `try` make of well-known robots of public repositories, as data and as a
+table.
 
     python -m tools.benchmarks.robot_files FOLDER WORK         # writes docs/results/robots.json
     python -m tools.benchmarks.robot_files FOLDER WORK PART    # again for files whose path has PART
     python -m tools.benchmarks.robot_files --page              # writes the table in docs/robots.md
 
-FOLDER has a clone of each repository of robot_files.yaml as OWNER+NAME; scenarios are written into WORK. Robots are
-tried with the script of their scenario, or with zero actions.
+FOLDER has a clone of each repository of robot_files.yaml as OWNER+NAME; scenarios are written into WORK.
+Robots are tried with the script of their scenario, or with zero actions.
 """
 
 from __future__ import annotations

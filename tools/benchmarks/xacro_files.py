@@ -2,9 +2,10 @@
 
     python -m tools.benchmarks.xacro_files FOLDER PYTHON > docs/results/xacro.json
 
-FOLDER has a folder for each repository, and PYTHON is an interpreter with the packages `xacro` and `pyyaml`. Every
-file whose expansion by ROS has a link is compared: elements, attributes, and numbers to 1e-9. An argument without a
-default is `false`, or the value in `ARGUMENTS`. A file `.gazebo` that is not in FOLDER is one empty macro.
+FOLDER has a folder for each repository, and PYTHON is an interpreter with the packages `xacro` and `pyyaml`.
+Every file whose expansion by ROS has a link is compared: elements, attributes, and numbers to 1e-9. An
+argument without a default is `false`, or the value in `ARGUMENTS`. A file `.gazebo` that is not in FOLDER is
+one empty macro.
 """
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ def numbers(text: str) -> list[float] | None:
 
 
 def differs(ours: ElementTree.Element, theirs: ElementTree.Element, folders: dict[str, str]) -> bool:
-    """Return whether two elements differ in a name, a text, a number, or below; other tools' namespaces aside."""
+    """Return whether two elements differ in a name, a text, a number, or below; other tools' namespaces
+    aside."""
     if ours.tag != theirs.tag or set(ours.attrib) != {key for key in theirs.attrib if "{" not in key}:
         return True
     for key in ours.attrib:

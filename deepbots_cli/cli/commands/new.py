@@ -294,8 +294,8 @@ def _options(folders: Iterable[str | Path]) -> str:
 def _from_robot(
     robot: str, name: str, folder: Path, permissions: Permissions, choices: Choices, *, copy: bool
 ) -> tuple[Files, FirstScenario]:
-    """Return the files for a robot file, and what was chosen for it; a file whose meshes are in folders that are
-    not allowed is refused with the commands that allow them."""
+    """Return the files for a robot file, and what was chosen for it; a file whose meshes are in folders that
+    are not allowed is refused with the commands that allow them."""
     try:
         return from_robot(robot, name, folder, permissions, choices, copy=copy)
     except RobotError as error:

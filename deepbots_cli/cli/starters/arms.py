@@ -201,8 +201,8 @@ def _mean_distance(
 def _held_ball(
     build: Build, tips: Sequence[str], opened: Mapping[str, float], closed: Mapping[str, float]
 ) -> tuple[Triple, float]:
-    """Return the center and the radius of a ball that as many fingertips as possible meet while the hand closes,
-    and that is clear of the open hand."""
+    """Return the center and the radius of a ball that as many fingertips as possible meet while the hand
+    closes, and that is clear of the open hand."""
     paths = []
     for number in range(_STEPS_OF_CLOSING + 1):
         share = number / _STEPS_OF_CLOSING

@@ -136,7 +136,8 @@ class Task(StrEnum):
 
 @dataclass(frozen=True)
 class _Writer:
-    """The parts that a task needs, in words and as a test, and the function that adds its entries to a draft."""
+    """The parts that a task needs, in words and as a test, and the function that adds its entries to a
+    draft."""
 
     needs: str
     suits: Callable[[Build], object]
@@ -182,8 +183,8 @@ _TASKS: dict[Kind, tuple[Task, ...]] = {
 
 @dataclass(frozen=True)
 class Choices:
-    """What a person says about a robot file: the kind of the robot, by default judged by its structure, its task, by
-    default that of its kind, and the arguments of a xacro file."""
+    """What a person says about a robot file: the kind of the robot, by default judged by its structure, its
+    task, by default that of its kind, and the arguments of a xacro file."""
 
     kind: Kind | None = None
     task: Task | None = None
@@ -240,8 +241,8 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
 
 
 def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
-    """Return a task and the values of its template: the one that is asked for, or the first that suits the kind
-    of the robot.
+    """Return a task and the values of its template: the one that is asked for, or the first that suits the
+    kind of the robot.
 
     Raises:
         UsageError: The robot lacks the parts.
@@ -259,9 +260,9 @@ def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
 
 
 def _completed(model: RobotModel) -> tuple[RobotModel, dict[str, dict[str, str]]]:
-    """Return a robot that can be simulated, and the settings of links that this needs: a density where a joint
-    moves no mass, for links with a shape and without an <inertial>; the inertia of the shapes where no body can
-    have that of the file."""
+    """Return a robot that can be simulated, and the settings of links that this needs: a density where a
+    joint moves no mass, for links with a shape and without an <inertial>; the inertia of the shapes where no
+    body can have that of the file."""
     subtree_mass = model.subtree_mass()
     is_massless = any(subtree_mass[joint.child] <= 0.0 for joint in model.moving_joints)
     settings: dict[str, dict[str, str]] = {}

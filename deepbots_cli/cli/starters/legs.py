@@ -1,7 +1,8 @@
-"""The task of a robot on legs: a pose in which it stands, springs that hold it, its gait, and the direction in
-which it walks.
+"""The task of a robot on legs: a pose in which it stands, springs that hold it, its gait, and the direction
+in which it walks.
 
-Directions and places are in the frame of the root link, in m; `down` is the direction of gravity at the start.
+Directions and places are in the frame of the root link, in m; `down` is the direction of gravity at the
+start.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ _STIFFNESS_PER_LOAD = 2.8
 """The stiffness of a leg's motors (N m/rad), per torque of its share of the weight at the length of a leg
 (N m): as the quadruped that comes with deepbots has, about."""
 _STIFFNESS_PER_TOPPLING = 2.0
-"""The stiffness of a biped's motors (N m/rad), per torque by which its weight topples it over an ankle, in N m
-per rad. At 1.2, Atlas leans back as its knees give way, and falls after 3 s."""
+"""The stiffness of a biped's motors (N m/rad), per torque by which its weight topples it over an ankle, in N
+m per rad. At 1.2, Atlas leans back as its knees give way, and falls after 3 s."""
 _DAMPING_PER_STIFFNESS = 0.025
 """In s."""
 _ARMATURE_MARGIN = 2.0
@@ -64,7 +65,7 @@ _MIN_SOLE_SHARE = 0.5
 _LEVEL_LENGTH = 0.95
 """The length of a side that is on the ground, as a share of the longest one."""
 _LEVEL_ANGLE = 5
-"""The range of angles (deg) at which a side counts as level."""
+"""The largest angle (deg) of a level side."""
 _STANCE_TOLERANCE = 0.05
 """The largest distance of a foot from the place below its hip, as a fraction of the reach of the leg."""
 _LARGEST_FOOT_SHIFT = 0.35
@@ -470,8 +471,8 @@ def _along(axis: int, sign: float) -> Triple:
 
 
 def _toes(build: Build, axis: int) -> float:
-    """Return how much farther the feet of a biped reach beyond their ankles along an axis than against it (m);
-    0 if that is too little to say where the toes are."""
+    """Return how much farther the feet of a biped reach beyond their ankles along an axis than against it
+    (m); 0 if that is too little to say where the toes are."""
     excess = 0.0
     length = 0.0
     for limb in build.legs:

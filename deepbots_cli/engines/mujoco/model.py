@@ -85,8 +85,8 @@ MAX_HULL_VERTICES = 10_000
 0.03 mm. A hull of 1,900,000 vertices took 33 s."""
 NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; the range of distances that are drawn
 MIN_INERTIA = 1e-12
-"""The least inertia (kg m^2) of a link with a mass; MuJoCo refuses less than 1e-14, which files give to frames
-of 1 ug."""
+"""The least inertia (kg m^2) of a link with a mass; MuJoCo refuses less than 1e-14, which files give to
+frames of 1 ug."""
 FACE_DISTANCE_M = 2e-5
 """The distance by which faces in one plane are separated in a picture, in m. 5 um are enough for a table in
 the floor that is 50 m away."""
