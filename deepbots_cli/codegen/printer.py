@@ -168,17 +168,20 @@ class Printer:
                 pass
         return self.tuple(trees)
 
-    def update_memories(self, trees: Sequence[Scalar]) -> None:
+    def update_memories(self, trees: Sequence[Scalar], printed: Printer | None = None) -> None:
         """Print only the statements that update the memory of stateful functions, for values that are not
-        needed here."""
-        groups: dict[tuple[str, tuple[str, str]], list[State]] = {}
+        needed here. Another method that updates the same memories is `printed`: a memory is one of a vector
+        there and here, or in neither."""
+        groups: dict[object, list[State]] = {}
         states = (
             state for tree in trees for state in outer_states(tree, without=self.context.begun_by_message)
         )
         for state in dict.fromkeys(states):  # one number may drive several joints
-            groups.setdefault((state.function, state.call), []).append(state)
+            key = (state.function, state.call) if printed is None else printed.memory_of(state)
+            groups.setdefault(key, []).append(state)
         for group in groups.values():
-            if len(group) < 3 or self._states(group) is None:
+            is_vector = len(group) > 2 if printed is None else len(group) > 1
+            if not is_vector or self._states(group) is None:
                 for state in group:
                     self._state(state)
 
@@ -287,6 +290,11 @@ class Printer:
         return None
 
     # Memories
+
+    def memory_of(self, state: State) -> str:
+        """Return the local that has the value of a memory which this printer updates."""
+        self._state(state)
+        return self._hoisted[state][0]
 
     def _state(self, state: State) -> str:
         if state not in self._hoisted:

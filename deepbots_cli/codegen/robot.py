@@ -100,8 +100,11 @@ class ControllerPrinter(ClassPrinter):
             self._keeps_state or any(outer_states(value, without=self.begun_by_message) for value in applied)
         ):
             return []
+        acting = self._printer()
+        for values in self._applied:
+            acting.vector(values)
         printer = self._printer(dict.fromkeys(self._received, "0.0"))
-        printer.update_memories(applied)
+        printer.update_memories(applied, acting)
         lines = self._finished(printer, [])
         return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
 

@@ -416,7 +416,11 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
     ]
     printer.lines += [f"{local} = self.{generated.last(local)}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
-    printer.update_memories(supervisor.sent)
+    sending = supervisor.printer()
+    for robot in supervisor.scenario.robots:
+        for entry in robot.received:
+            sending.vector_or_number(entry.components, entry.scalars)
+    printer.update_memories(supervisor.sent, sending)
     return printer.method_lines()
 
 

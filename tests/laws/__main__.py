@@ -1,0 +1,71 @@
+"""Try laws on scenarios that chance draws, for as long as it takes.
+
+    python -m tests.laws [LAW ...] [--seed 0] [--minutes 0] [--examples 20] [--jobs 1]
+
+Each seed draws the same scenarios every time. Without `--minutes`, the command tries one seed. A failure is
+printed with the smallest scenario that shows it, and with the command that shows it again; the exit code is
+then 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import multiprocessing
+import sys
+import time
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from pathlib import Path
+
+from tests.laws import LAWS
+from tests.laws.law import Attempt, attempt
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.laws", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("laws", nargs="*", metavar="LAW", help=f"by default all: {', '.join(LAWS)}")
+    parser.add_argument("--seed", type=int, default=0, help="the first seed, by default 0")
+    parser.add_argument("--minutes", type=float, default=0, help="go on with further seeds for so long")
+    parser.add_argument("--examples", type=int, default=20, help="scenarios of each seed, by default 20")
+    parser.add_argument("--jobs", type=int, default=1, help="processes, by default 1")
+    parser.add_argument("--report", type=Path, help="write all attempts to this file, as JSON")
+    options = parser.parse_args()
+    unknown = set(options.laws) - set(LAWS)
+    if unknown:
+        parser.error(f"unknown law {sorted(unknown)[0]}; the laws are {', '.join(LAWS)}")
+    attempts = try_all(options)
+    failed = [done for done in attempts if done.failure]
+    if options.report:
+        data = [done._asdict() for done in attempts]
+        options.report.write_text(json.dumps(data, indent=1), encoding="utf-8")
+    seconds = sum(done.seconds for done in attempts)
+    print(f"{len(attempts)} attempts, {len(failed)} failed, {seconds:.0f} s of CPU")
+    return int(bool(failed))
+
+
+def try_all(options: argparse.Namespace) -> list[Attempt]:
+    """Try laws on one seed, or on further ones until the time is over, and print each failure."""
+    end = time.monotonic() + 60 * options.minutes
+    seeds = itertools.count(options.seed) if options.minutes else [options.seed]
+    work = ((name, seed, options.examples) for seed in seeds for name in options.laws or LAWS)
+    attempts: list[Attempt] = []
+    spawn = multiprocessing.get_context("spawn")
+    # A process is replaced after a while: engines keep memory.
+    with ProcessPoolExecutor(options.jobs, mp_context=spawn, max_tasks_per_child=50) as pool:
+        waiting = {pool.submit(attempt, *one) for one in itertools.islice(work, 2 * options.jobs)}
+        while waiting:
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for done in (future.result() for future in finished):
+                attempts.append(done)
+                if done.failure:
+                    print(f"--- {done.law}, seed {done.seed}\n{done.failure}", flush=True)
+            if not options.minutes or time.monotonic() < end:
+                waiting |= {pool.submit(attempt, *one) for one in itertools.islice(work, len(finished))}
+    return attempts
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,192 @@
+"""What a law is, and how it is tried: on scenarios that chance draws, from a seed.
+
+A law takes a `Case`: a scenario, and further draws. It fails by an assertion, or by any exception. Hypothesis
+shrinks the scenario of a failure, and the message ends with the command that shows it again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import hypothesis
+import numpy as np
+import yaml
+from hypothesis import HealthCheck, Phase, given, reject
+from hypothesis import strategies as st
+from hypothesis.internal.conjecture import engine
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.errors import EvaluationError, ScenarioError
+from deepbots_cli.runtime import Supervisor
+from tests.laws.expressions import Draw
+from tests.laws.scenarios import EVERY, Drawn, Profile, scenarios
+
+# A scenario has 200 draws: by default, Hypothesis shrinks a failure for five minutes. There is no setting.
+engine.MAX_SHRINKING_SECONDS = 60
+SHOW = "python -m tests.laws {name} --seed {seed}"
+
+
+@dataclass
+class Case:
+    """One scenario that was drawn, in a folder of its own.
+
+    Attributes:
+        drawn: The scenario.
+        draw: Draws what the law needs beside it.
+        folder: An empty folder, a project of its own.
+    """
+
+    drawn: Drawn
+    draw: Draw
+    folder: Path
+    _opened: list[Any] = field(default_factory=list)
+
+    def write(self, source: str | dict[str, Any], name: str = "scenario.yaml") -> Path:
+        """Write a text, or the data of a scenario, to a file of the folder."""
+        text = source if isinstance(source, str) else as_text(source)
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    @property
+    def path(self) -> Path:
+        """The file of the scenario."""
+        path = self.folder / "scenario.yaml"
+        return path if path.exists() else self.write(self.drawn.text)
+
+    def compile(self, source: Any = None, **options: Any) -> Compiled:
+        """Compile the scenario, or another source, which must be valid if the scenario is."""
+        if source is not None:
+            return api.compile(source, **options)
+        try:
+            return api.compile(self.path, **options)
+        except ScenarioError:
+            reject()
+            raise
+
+    @contextmanager
+    def environment(self, source: Any = None, **options: Any) -> Iterator[Supervisor]:
+        """Open an environment of the scenario, or of another source."""
+        compiled = self.compile() if source is None else source
+        with closing(api.make(compiled, **options)) as environment:
+            yield environment
+
+
+def as_text(data: dict[str, Any]) -> str:
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=110)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law: `check` raises where it does not hold.
+
+    Attributes:
+        cost: The CPU time of one scenario, in ms, by which `make test` shares its time.
+        profile: Which scenarios are drawn.
+    """
+
+    name: str
+    check: Callable[[Case], None]
+    cost: int
+    profile: Profile
+
+    def try_on(self, seed: int, examples: int) -> None:
+        """Try the law on scenarios of a seed.
+
+        Raises:
+            Exception: That of the smallest scenario that breaks the law.
+        """
+
+        @hypothesis.seed(seed)
+        @hypothesis.settings(
+            max_examples=examples,
+            database=None,
+            deadline=None,
+            report_multiple_bugs=False,
+            phases=(Phase.generate, Phase.shrink),
+            suppress_health_check=list(HealthCheck),
+            print_blob=False,
+        )
+        @given(st.data())
+        def try_all(data: st.DataObject) -> None:
+            drawn = data.draw(scenarios(self.profile), label=self.name)
+            with tempfile.TemporaryDirectory() as folder:
+                try:
+                    self.check(Case(drawn, data.draw, Path(folder)))
+                except EvaluationError:
+                    # Whether a start has room, and whether motors are stable, nobody knows before a simulation.
+                    reject()
+
+        try:
+            try_all()
+        except Exception as error:
+            error.add_note(f"show it: {SHOW.format(name=self.name, seed=seed)} --examples {examples}")
+            raise
+
+
+LAWS: dict[str, Law] = {}
+
+
+def law(
+    cost: int = 50, profile: Profile = EVERY
+) -> Callable[[Callable[[Case], None]], Callable[[Case], None]]:
+    """Enter a function into `LAWS`, under its name."""
+
+    def enter(check: Callable[[Case], None]) -> Callable[[Case], None]:
+        name = check.__name__
+        assert name not in LAWS, name
+        assert check.__doc__, f"{name} does not say why it holds"
+        LAWS[name] = Law(name, check, cost, profile)
+        return check
+
+    return enter
+
+
+class Attempt(NamedTuple):
+    """One law on the scenarios of one seed; `failure` is empty where it holds."""
+
+    law: str
+    seed: int
+    seconds: float
+    failure: str
+
+
+def attempt(name: str, seed: int, examples: int) -> Attempt:
+    """Try a law, and return what came of it, with the CPU time."""
+    import tests.laws  # enters all laws, in a process of its own
+
+    begin = time.process_time()
+    failure = ""
+    try:
+        tests.laws.LAWS[name].try_on(seed, examples)
+    except Exception as error:  # noqa: BLE001 - whatever a law meets is its result
+        failure = "".join(traceback.format_exception(error, limit=-8))
+    return Attempt(name, seed, time.process_time() - begin, failure)
+
+
+# Episodes
+
+
+def same(actual: Any, expected: Any, place: str = "") -> None:
+    """Require two values to be equal to the bit: arrays, numbers, and what consists of them. NaN equals NaN."""
+    if isinstance(expected, dict):
+        assert list(actual) == list(expected), place
+        for key, value in expected.items():
+            same(actual[key], value, f"{place}.{key}")
+    elif isinstance(expected, np.ndarray | float | np.floating):
+        np.testing.assert_array_equal(actual, expected, err_msg=place)
+    elif isinstance(expected, list | tuple):
+        assert len(actual) == len(expected), place
+        for number, (one, other) in enumerate(zip(actual, expected, strict=True)):
+            same(one, other, f"{place}[{number}]")
+    else:
+        assert actual == expected, place

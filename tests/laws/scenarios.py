@@ -1,0 +1,736 @@
+"""Strategies for whole valid scenarios, from the models of the language.
+
+Each section is drawn from the fields of its model: required keys always, others by chance, as many of them as its
+`key_rules` allow. What one section takes from another (names, joints, the timestep) is in `Author`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import yaml
+from hypothesis import strategies as st
+
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.document import shipped
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Known, ValueType
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.robots.reader import read
+from deepbots_cli.scenario.actuators import ACTUATORS
+from deepbots_cli.scenario.agent import PythonTerm
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
+from deepbots_cli.scenario.documentation import example_of
+from deepbots_cli.scenario.episode import MapLayout, Reset
+from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.names import Reference
+from deepbots_cli.scenario.fields.quantities import Expression
+from deepbots_cli.scenario.robots import Messages, Robot
+from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.sensors import SENSORS, RayScan
+from deepbots_cli.scenario.world import World
+from tests.laws.expressions import (
+    CONDITION,
+    SCALARS,
+    Draw,
+    Expressions,
+    Names,
+    UnavailableError,
+    chance,
+    literal,
+    literal_range,
+    number_text,
+    pick,
+    units_of,
+)
+from tests.laws.fields import Place, Values
+
+# Robots
+
+
+@dataclass(frozen=True)
+class Body:
+    """A shipped robot: how it stands, and the kinds of its actuators."""
+
+    urdf: str
+    base: str
+    actuators: tuple[str, ...]
+    z: str = ""
+
+
+_MOTORS = ("velocity_motor", "position_motor", "torque_motor")
+BODIES = (
+    Body("cartpole_rail", "fixed", _MOTORS, "50 cm"),
+    Body("epuck", "free", _MOTORS),
+    Body("quadrotor", "free", ("thrust",), "60 cm"),
+    Body("panda", "fixed", (*_MOTORS, "cartesian", "gripper")),
+    Body("biped", "free", _MOTORS),
+)
+
+
+@cache
+def model_of(urdf: str) -> RobotModel:
+    """Return the model of a shipped robot."""
+    path = shipped.robot_path(urdf)
+    assert path is not None
+    robot = read(path, path.name, Findings())
+    assert robot is not None
+    return robot.model
+
+
+def joint_dimension(model: RobotModel, name: str) -> Dimension:
+    return LENGTH if model.joint(name).type == "prismatic" else ANGLE
+
+
+# Scenarios
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A scenario that was drawn: its data, and its text."""
+
+    data: dict[str, Any]
+
+    @property
+    def text(self) -> str:
+        return yaml.safe_dump(self.data, sort_keys=False, allow_unicode=True, width=110)
+
+    def _repr_pretty_(self, printer: Any, _cycle: bool) -> None:
+        """Print the text: Hypothesis calls this for a failure."""
+        printer.text(f"\n{self.text}")
+
+
+def _timed(author: Author, _data: Mapping[str, Any], _place: Place) -> str:
+    return f"{author.timestep * author.draw(st.integers(1, 4))} ms"
+
+
+def _points(author: Author, _data: Mapping[str, Any], _place: Place) -> list[str]:
+    corners = ("-0.3 0 m", "0.3 0.1 m", "20 45 cm", "-0.5 0.6 m")
+    return list(corners[: author.draw(st.integers(2, 4))])
+
+
+GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] = {
+    ("World", "timestep"): lambda author, *_: f"{author.timestep} ms",
+    ("World", "substeps"): lambda author, *_: author.substeps,
+    ("World", "engine"): lambda author, *_: pick(author.draw, author.profile.engines),
+    ("World", "gravity"): lambda author, *_: pick(
+        author.draw,
+        ("0 0 -9.81 m/s^2", "0 0 -1.62 m/s^2", "uniform(0 0 -10 .. 0 0 -9 m/s^2)", "0 0 -980 cm/s^2"),
+    ),
+    ("Arena", "size"): lambda author, *_: pick(author.draw, ("4 4 m", "300 250 cm")),
+    ("Sensor", "period"): _timed,
+    ("Wall", "points"): _points,
+    ("Line", "points"): _points,
+    ("Camera", "resolution"): lambda author, *_: pick(author.draw, ("4 3", "8 6")),
+    ("ReactionSensor", "link"): lambda author, _data, place: author.carried_link(place.robot),
+    ("VariedObject", "mass"): lambda *_: "0.5 kg",
+    ("ShapedBody", "mass"): lambda author, data, _: pick(
+        author.draw, ("0.5 kg", "800 g", *(("uniform(0.3 .. 0.6 kg)",) if data.get("solid", True) else ()))
+    ),
+    ("Material", "color"): lambda author, *_: pick(author.draw, ("red", "#ffa500", "choice(red | green)")),
+    ("Observed", "range"): lambda author, _data, place: author.wide_range(place),
+    ("Observation", "range"): lambda author, _data, place: author.wide_range(place),
+    ("PlacedBody", "count"): lambda author, *_: pick(author.draw, (2, 3)),
+    ("RaySensor", "range"): lambda author, data, _: author.ray_range(data),
+    ("CalibrationTable", "value"): lambda *_: "300 200 100",
+    ("LinkOverride", "scale"): lambda author, *_: pick(author.draw, ("1.2 1.2 1.2", "0.9 0.9 0.9")),
+    ("JointOverride", "armature"): lambda author, _data, place: author.armature(place),
+    ("Formula", "heights"): lambda author, *_: pick(
+        author.draw, ("3 cm * sin(x / m * 90 deg)", "clamp(x / 20, -1 .. 1 cm)", "1 cm")
+    ),
+    ("Formula", "size"): lambda *_: "4 4 m",
+    ("Placement", "clearance"): lambda author, *_: pick(author.draw, ("1 cm", "2 mm")),
+    ("Placement", "grid"): lambda author, *_: pick(author.draw, ("20 cm", "0.25 m")),
+    ("Region", "x"): lambda *_: "-1.5 .. 1.5 m",
+    ("Region", "y"): lambda *_: "0 .. 1.5 m",
+    ("Reset", "settle"): _timed,
+    ("Reset", "require"): lambda author, *_: author.requirement(),
+    ("Placement", "on"): lambda author, *_: pick(author.draw, author.tables()),
+    ("HeightScan", "range"): lambda *_: "-1 .. 1 m",
+    ("Gripper", "open"): lambda *_: "4 cm",
+    ("Gripper", "closed"): lambda *_: "0 mm",
+    ("Gripper", "max_torque"): lambda author, *_: pick(author.draw, ("20 N", "uniform(10 .. 30 N)")),
+    ("Thrust", "spin"): lambda author, *_: pick(author.draw, (1, -1, 0.5)),
+    ("RayScan", "angle_range"): lambda author, data, _: author.fan(data),
+    ("Disturbance", "body"): lambda author, *_: pick(author.draw, author.references("body or link", "")),
+    ("Route", "loss"): lambda author, *_: pick(author.draw, (0.1, "20 %", "uniform(0 .. 0.3) each step")),
+    ("Route", "burst"): lambda author, *_: pick(author.draw, (2, 3)),
+    ("Cartesian", "link"): lambda *_: "panda_hand",
+    ("Cartesian", "joints"): lambda *_: [f"panda_joint{number}" for number in range(1, 8)],
+    ("Gripper", "joints"): lambda *_: ["panda_finger_joint1", "panda_finger_joint2"],
+    ("JointOverride", "range"): lambda author, data, place: author.joint_range(place),
+}
+"""Values of keys that depend on other sections, or that a plausible world needs."""
+PLACES: dict[tuple[str, str], Callable[[Place], Place]] = {
+    ("Sensor", "drift"): lambda place: replace(place, kind=ValueType(place.kind.dimension / TIME)),
+    ("CalibrationTable", "value"): lambda place: replace(place, kind=ValueType()),
+}
+"""Keys whose value has another dimension than what the section measures."""
+BY_EXAMPLE = ("Tile", "TileTerrain", "Pit")
+"""Sections whose keys have the values of their examples: a wrong terrain has no room for a robot."""
+EXCLUSIVE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "GridScan": (("grid", "rays"), ("grid", "angle_range")),
+    "LinkOverride": (("mass", "density"), ("scale", "density"), ("inertia", "density"), ("com", "density")),
+}
+"""Keys that the compiler does not combine."""
+TOGETHER: dict[str, tuple[tuple[str, ...], ...]] = {
+    "SpeedLimitedMotor": (("stall_torque", "no_load_speed"),),
+    "PositionMotor": (("stiffness", "damping"), ("stall_torque", "no_load_speed", "stiffness", "damping")),
+    "Route": (("burst", "loss"),),
+    "RayScan": (("angle_range", "rays"),),
+    "Placement": (("grid", "region"),),
+    "GridScan": (("spacing", "grid"), ("align", "grid")),
+    "RaySensor": (("range",),),
+    "HeightScan": (("range",), ("grid",)),
+}
+"""Keys that need each other, or that the compiler requires."""
+LEFT_OUT = {
+    "Scenario": {"role", "tune", "ros", "deploy"},
+    "Camera": {"noise", "bias", "drift", "range"},
+    "Placement": {"spacing", "at_most"},
+    "Touch": {"noise", "bias", "drift", "range", "resolution"},
+}
+"""Keys that the compiler refuses in a section."""
+_CHANGING = r"\b(act|sense|says|sig|aug|one|two|thing|time|step)"
+"""The beginnings of names whose values change."""
+_OPTIONS_LEFT_OUT = (PythonTerm, MapLayout)
+_FIRST = ("solid", "fixed", "lookup", "measure", "rays", "grid")
+"""Keys on which others depend."""
+
+
+class Author(Values):
+    """Draws the sections of one scenario, and remembers their names."""
+
+    def __init__(self, draw: Draw, profile: Profile) -> None:
+        super().__init__(draw)
+        self.profile = profile
+        self.data: dict[str, Any] = {"deepbots": 1, "name": "Drawn"}
+        self.timestep = 20
+        self.substeps = 4
+        self.bodies: dict[str, Body] = {}
+        self.driven: dict[str, set[str]] = {}
+        self.parameters: dict[str, ValueType] = {}
+        self.actions: dict[str, ValueType] = {}
+        self.supervised: dict[str, ValueType] = {}
+        """Values of the supervisor: entries of `augment`, signals."""
+        self.sent: dict[str, ValueType] = {}
+        """What robots send, as `cart.angle`."""
+        self.on_board: dict[str, dict[str, ValueType]] = {}
+        """Sensors and received values of each robot."""
+        self.endings: list[str] = []
+        self.layouts: tuple[str, ...] = ()
+        self.count = 0
+
+    # Names
+
+    def new_name(self) -> str:
+        """Return a name that nothing else has."""
+        self.count += 1
+        return f"n{self.count}"
+
+    def names(self, context: Context, robot: str = "") -> Names:
+        values = dict(self.parameters)
+        if context in (Context.EMIT, Context.APPLY):
+            values = {name: kind for name, kind in values.items() if kind.known is Known.FIXED}
+            values |= self.on_board.get(robot, {})
+            if context is Context.APPLY:
+                values |= self.actions
+        elif context not in (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.RESET, Context.REQUIRE):
+            step = Known.STEP
+            values |= self.supervised | self.sent | self.actions
+            values |= {"time": ValueType(TIME, known=step), "step": ValueType(known=step)}
+            if context in (Context.REWARD, Context.ENDING, Context.TEST):
+                values |= {name: CONDITION._replace(known=step) for name in self.endings}
+        return Names(context, values, self._subjects(), self._joints(), {})
+
+    def _subjects(self) -> dict[Kind, list[str]]:
+        subjects: dict[Kind, list[str]] = {Kind.GROUND: ["ground"], Kind.ROBOT: list(self.bodies)}
+        for robot, body in self.bodies.items():
+            model = model_of(body.urdf)
+            subjects.setdefault(Kind.LINK, []).extend(f"{robot}.{link.name}" for link in model.links)
+            for name, sensor in self.sensors(robot).items():
+                kind = Kind.CAMERA if sensor["type"] == "camera" else Kind.SENSOR
+                subjects.setdefault(kind, []).append(f"{robot}.{name}")
+        for name, entry in self.data.get("objects", {}).items():
+            subjects.setdefault(Kind.OBJECTS if "count" in entry else Kind.OBJECT, []).append(name)
+        subjects[Kind.LINE] = list(self.data.get("world", {}).get("lines", {}))
+        for name, wall in self.data.get("world", {}).get("walls", {}).items():
+            subjects.setdefault(Kind.WALL if len(wall["points"]) == 2 else Kind.WALLS, []).append(name)
+        return subjects
+
+    def _joints(self) -> dict[str, Dimension]:
+        return {
+            f"{robot}.{joint.name}": joint_dimension(model_of(body.urdf), joint.name)
+            for robot, body in self.bodies.items()
+            for joint in model_of(body.urdf).moving_joints
+        }
+
+    def sensors(self, robot: str) -> Mapping[str, Any]:
+        return self.data.get("robots", {}).get(robot, {}).get("sensors", {})
+
+    def references(self, kind: str, robot: str) -> list[str]:
+        """Return the names that a reference of this kind may have, in a section of `robot` if there is one."""
+        world, objects = self.data.get("world", {}), self.data.get("objects", {})
+        bodies = [*self.bodies, *objects]
+        names: dict[str, list[str]] = {
+            "joint": list(self._joints()),
+            "link": [],
+            "body": bodies,
+            "body or link": [*bodies, *self._subjects().get(Kind.LINK, ())],
+            "bodies or links": ["ground", *objects],
+            "robot": list(self.bodies),
+            "object": list(objects),
+            "line": list(world.get("lines", {})),
+            "sensor": list(self.sensors(robot)),
+            "action": list(self.actions),
+            "layout": list(self.layouts),
+            "region": ["arena"] if "arena" in world else [],
+        }
+        if robot:
+            model = model_of(self.bodies[robot].urdf)
+            names["joint"] = [joint.name for joint in model.moving_joints]
+            names["link"] = [link.name for link in model.links]
+        return names.get({"joints": "joint", "links": "link"}.get(kind, kind), [])
+
+    # Shapes
+
+    def value(self, shape: Shape, place: Place) -> Any:
+        """Draw a value of a shape."""
+        match shape:
+            case FieldType():
+                return self.value_of(shape, place)
+            case ListOf(item=item):
+                return [self.value(item, place) for _ in range(self.draw(st.integers(1, 2)))]
+            case MappingOf():
+                return self.mapping(shape, place)
+            case Forms(options=options):
+                return self._first_available(
+                    [
+                        lambda o=option: self.value(o, place)
+                        for option in options
+                        if option not in _OPTIONS_LEFT_OUT
+                    ]
+                )
+            case Kinds():
+                return self._first_available(
+                    [lambda n=name: self.kind(shape, n, place) for name in shape.models]
+                )
+            case type():
+                return self.section(shape, place)
+        raise TypeError(shape)
+
+    def _first_available(self, ways: list[Callable[[], Any]]) -> Any:
+        """Draw one of the ways; the next one where the scenario has nothing for it."""
+        first = self.draw(st.integers(0, len(ways) - 1))
+        for way in (*ways[first:], *ways[:first]):
+            try:
+                return way()
+            except UnavailableError:
+                continue
+        raise UnavailableError
+
+    def kind(self, kinds: Kinds, word: str, place: Place) -> dict[str, Any]:
+        """Draw a section of the kind `word`."""
+        return self.section(kinds.models[word], place, {kinds.key: word})
+
+    def mapping(self, shape: MappingOf, place: Place, most: int = 2) -> dict[str, Any]:
+        mapping: dict[str, Any] = {}
+        for _ in range(self.draw(st.integers(1, most))):
+            key = self.value_of(shape.key, place)
+            if isinstance(key, str) and key not in mapping:
+                mapping[key] = self.value(shape.value, self.place_of_key(shape.key, key, place))
+        return mapping
+
+    def place_of_key(self, kind: FieldType, key: str, place: Place) -> Place:
+        """Return the place of the value under a key that names a joint or a value."""
+        name = key if "." in key else f"{place.robot}.{key}"
+        dimension = self._joints().get(name)
+        return place if dimension is None else replace(place, second=dimension == LENGTH, joint=name)
+
+    def section(self, model: type[Section], place: Place, given: Mapping[str, Any] = {}) -> dict[str, Any]:
+        """Draw a section: its required keys, and others by chance."""
+        shapes = section_fields(model)
+        data = dict(given)
+        for key in self._chosen(model, given):
+            if key in data:
+                continue
+            inner = self.place_of_section(model, data, place)
+            try:
+                data[key] = self._entry(model, key, shapes[key], data, inner)
+            except UnavailableError:
+                if model.model_fields[key].is_required():
+                    raise
+        if any(len(data.keys() & set(rule.names)) < rule.min for rule in model.key_rules):
+            raise UnavailableError
+        return data
+
+    def _entry(
+        self, model: type[Section], key: str, shape: Shape, data: Mapping[str, Any], place: Place
+    ) -> Any:
+        for base in model.__mro__:
+            if (base.__name__, key) in GIVEN:
+                return GIVEN[base.__name__, key](self, data, place)
+            if base.__name__ in BY_EXAMPLE and (example := example_of(model, key)):
+                return example.data
+            if (base.__name__, key) in PLACES:
+                place = PLACES[base.__name__, key](place)
+        return self.value(shape, place)
+
+    def _chosen(self, model: type[Section], given: Mapping[str, Any]) -> Iterator[str]:
+        """Yield the keys to draw: names of other things first, since the others depend on them."""
+        fields = section_fields(model)
+        chosen = {
+            key
+            for key, info in model.model_fields.items()
+            if key not in given
+            and key not in LEFT_OUT.get(model.__name__, ())
+            and (info.is_required() or chance(self.draw, 25))
+        }
+        names = [base.__name__ for base in model.__mro__]
+        for keys in (keys for name in names for keys in TOGETHER.get(name, ())):
+            if not chosen.isdisjoint(keys) or len(keys) == 1:
+                chosen.update(key for key in keys if key in fields)
+        for keys in (keys for name in names for keys in EXCLUSIVE.get(name, ())):
+            if chosen.issuperset(keys):
+                chosen.discard(keys[1])
+        chosen -= {key for key in chosen if key in given}
+        for rule in model.key_rules:
+            present = [name for name in rule.names if name in chosen or name in given]
+            for name in present[rule.max :]:
+                chosen.discard(name)
+            if len(present) < rule.min:
+                chosen.add(pick(self.draw, [name for name in rule.names if name in fields]))
+
+        def order(key: str) -> tuple[bool, int]:
+            return not (isinstance(fields[key], Reference) or key in _FIRST), list(fields).index(key)
+
+        yield from sorted(chosen, key=order)
+
+    def place_of_section(self, model: type[Section], data: Mapping[str, Any], place: Place) -> Place:
+        """Return the place of the keys of a sensor or an actuator, with what it measures or commands."""
+        if not place.robot or not hasattr(model, "dimension"):
+            return place
+        robot = model_of(self.bodies[place.robot].urdf)
+        joint = data.get("joint", data.get("joints"))
+        joint = joint[0] if isinstance(joint, list) else joint
+        if joint is not None and hasattr(model, "dimension_of"):
+            joint = robot.joint(joint)
+            kind = ValueType(model.dimension_of(joint))
+            return replace(place, kind=kind, second=joint.type == "prismatic")
+        return replace(place, kind=ValueType(NUMBER if "lookup" in data else model.dimension))
+
+    def carried_link(self, robot: str) -> str:
+        """Draw a link that a joint carries."""
+        return pick(self.draw, [joint.child for joint in model_of(self.bodies[robot].urdf).joints])
+
+    def requirement(self) -> str:
+        """Draw a condition on the start that nearly every start meets."""
+        names = self.names(Context.REQUIRE)
+        names = replace(
+            names, subjects={kind: names.subjects.get(kind, ()) for kind in (Kind.ROBOT, Kind.LINK)}
+        )
+        functions = [
+            FUNCTIONS[name] for name in ("position", "yaw", "tilt", "distance", "clearance", "height")
+        ]
+        text, dimension = Expressions(self.draw, names).changing(functions)
+        return f"{text} > {literal(self.draw, dimension, low=-9.0, high=-8.0)}"
+
+    def armature(self, place: Place) -> str:
+        """Draw the inertia of a rotor, which PyBullet does not take."""
+        if self.data["world"].get("engine") != "mujoco":
+            raise UnavailableError
+        unit = "kg" if place.second else "kg*m^2"
+        return pick(self.draw, (f"0.01 {unit}", f"uniform(0.002 .. 0.004 {unit})"))
+
+    def tables(self) -> list[str]:
+        """Return the objects with a flat top."""
+        return [
+            name
+            for name, entry in self.data.get("objects", {}).items()
+            if entry.get("shape") in ("box", "cylinder") and "count" not in entry and entry.get("solid", True)
+        ]
+
+    def ray_range(self, data: Mapping[str, Any]) -> str:
+        return pick(self.draw, ("0 .. 250", "120 .. 280") if "lookup" in data else ("0 .. 2 m", "5 .. 80 cm"))
+
+    def fan(self, data: Mapping[str, Any]) -> str:
+        """Draw the angles of a fan of rays."""
+        if not isinstance(data.get("rays"), int):
+            raise UnavailableError
+        return pick(self.draw, ("90 .. -90 deg", "-1 .. 1 rad"))
+
+    def joint_range(self, place: Place) -> str:
+        """Draw a range of a joint that has limits."""
+        robot, _, name = place.joint.partition(".")
+        if not name or model_of(self.bodies[robot].urdf).joint(name).type == "continuous":
+            raise UnavailableError
+        return "-0.1 .. 0.1 m" if place.second else "-1 .. 1 rad"
+
+    def wide_range(self, place: Place) -> str:
+        """Draw a range that is wide enough for most values of an expression."""
+        unit = pick(self.draw, units_of(place.kind.dimension))
+        end = number_text(unit.from_si(pick(self.draw, (1000.0, 300.0))))
+        return f"-{end} .. {end} {unit.text}".strip()
+
+    # The whole scenario
+
+    def scenario(self) -> Drawn:
+        """Draw all sections in the order in which they take names from each other."""
+        self.timestep = pick(self.draw, (20, 10, 32))
+        self.substeps = pick(self.draw, (4, 8))
+        self.data["world"] = self.section(World, Place())
+        if self.profile.engines[0] != "pybullet":
+            self.data["world"].setdefault("engine", self.profile.engines[0])
+        self._define("parameters", self._parameter, 3)
+        self._objects()
+        for name in ("one", "two")[: 1 + chance(self.draw, 20)]:
+            self._robot(name)
+        self.data["action"] = {}
+        for number in range(self.draw(st.integers(1, 2))):
+            self._action(f"act{number}")
+        for name in self.bodies:
+            self._messages_of(name)
+        if chance(self.draw, 60):
+            self.data["messages"] = self.section(Messages, Place())
+            if self.data["messages"].get("format") == "none":
+                self.data["messages"] = {"format": "none"}
+        self._reset()
+        self._define("signals", self._signal, 3)
+        self._define("augment", self._augmentation, 3)
+        self.data["observation"] = self._observation()
+        self._endings()
+        self.data["reward"] = {
+            f"term{number}": self.value(section_fields(Scenario)["reward"].value, Place())
+            for number in range(self.draw(st.integers(1, 3)))
+        }
+        self.data["truncation"] = {"max_steps": self.draw(st.integers(5, 30))}
+        return Drawn(self.data)
+
+    def _define(self, section: str, define: Callable[[str], Any], most: int) -> None:
+        entries = self.data.setdefault(section, {})
+        for number in range(self.draw(st.integers(0, most))):
+            name = f"{section[:3]}{number}"
+            entries[name] = define(name)
+        if not entries:
+            del self.data[section]
+
+    def _parameter(self, name: str) -> str:
+        dimension = pick(self.draw, SCALARS)
+        latest = Known.EPISODE if chance(self.draw, 50) else Known.FIXED
+        kind = ValueType(dimension)
+        if latest is Known.FIXED:
+            text = self.expression(Context.FIXED, kind, latest=Known.FIXED)
+        else:
+            text = f"uniform({literal_range(self.draw, dimension, 0.5, 2.0)})"
+        self.parameters[name] = kind._replace(known=latest)
+        return text
+
+    def _objects(self) -> None:
+        objects = {}
+        for number in range(self.draw(st.integers(0, 2))):
+            body = self.value(section_fields(Scenario)["objects"].value, Place())
+            objects[f"thing{number}"] = body
+            self.data["objects"] = objects
+
+    def _robot(self, name: str) -> None:
+        body = pick(self.draw, self.profile.bodies)
+        self.bodies[name] = body
+        self.on_board[name] = {}
+        self.driven[name] = set()
+        place = Place(robot=name)
+        x = {"one": "0 m", "two": "1 m"}[name]
+        robot: dict[str, Any] = {"urdf": body.urdf, "pose": {"x": x}}
+        if body.base == "fixed":
+            robot["base"] = "fixed"
+        if body.z:
+            robot["pose"]["z"] = body.z
+        self.data.setdefault("robots", {})[name] = robot
+        given = (*robot, "xacro", "count", "spacing", "groups", "poses", "receive", "hear", "emit", "apply")
+        for key, shape in section_fields(Robot).items():
+            if key in given:
+                continue
+            if key == "sensors":
+                robot[key] = {}
+                for number in range(self.draw(st.integers(1, 3))):
+                    self._sensor(name, f"sense{number}", place)
+            elif key == "actuators":
+                robot[key] = {}
+                for number in range(self.draw(st.integers(1, 2))):
+                    self._actuator(name, f"move{number}", place)
+                if not robot[key]:
+                    del robot[key]
+            elif chance(self.draw, 15):
+                with suppress(UnavailableError):
+                    robot[key] = self.value(shape, place)
+
+    def _sensor(self, robot: str, name: str, place: Place) -> None:
+        word = pick(self.draw, tuple(SENSORS.built_in))
+        model = SENSORS[word]
+        try:
+            data = self.section(model, place, {"type": word})
+        except UnavailableError:
+            return
+        self.data["robots"][robot]["sensors"][name] = data
+        kind = self.place_of_section(model, data, place).kind
+        components: Components | None = model.components or None
+        if issubclass(model, RayScan) and data.get("measure", "each") == "each":
+            rays = data.get("rays")
+            if "grid" in data:
+                components = ("grid", "of rays")
+            elif isinstance(rays, int):
+                components = tuple(f"r{number}" for number in range(rays))
+            elif rays:
+                components = tuple(rays)
+        picture = (1, 1, 1) if word == "camera" else None
+        if "joints" in data or "links" in data:
+            parts = data.get("joints", data.get("links"))
+            components = tuple(parts) if isinstance(parts, list) else (parts,)
+        kind = ValueType(kind.dimension, components, model.boolean, known=Known.STEP, picture=picture)
+        self.on_board[robot][name] = kind
+
+    def _actuator(self, robot: str, name: str, place: Place) -> None:
+        word = pick(self.draw, self.bodies[robot].actuators)
+        try:
+            data = self.section(ACTUATORS[word], place, {"type": word})
+        except UnavailableError:
+            return
+        joints = data.get("joint", data.get("joints", data.get("link", data.get("links"))))
+        parts = set(joints) if isinstance(joints, list) else {joints}
+        if parts & self.driven[robot]:
+            return
+        self.driven[robot] |= parts
+        self.data["robots"][robot]["actuators"][name] = data
+
+    def _action(self, name: str) -> None:
+        if chance(self.draw, 50):
+            self.data["action"][name] = "-1 .. 1"
+        else:
+            self.data["action"][name] = {"choices": {"left": -1, "rest": 0, "right": 1}}
+        self.actions[name] = ValueType(known=Known.STEP)
+
+    def _messages_of(self, robot: str) -> None:
+        data = self.data["robots"][robot]
+        place = Place(robot=robot)
+        if chance(self.draw, 30):
+            data["receive"] = {}
+            for number in range(self.draw(st.integers(1, 2))):
+                dimension = pick(self.draw, SCALARS)
+                name = f"{robot}_got{number}"
+                data["receive"][name] = self.expression(Context.RECEIVE, ValueType(dimension))
+                self.on_board[robot][name] = ValueType(dimension, known=Known.STEP)
+        sensors = list(data.get("sensors", {}))
+        if chance(self.draw, 70):
+            data["emit"] = sensors
+            for name in sensors:
+                self.sent[f"{robot}.{name}"] = self.on_board[robot][name]
+        else:
+            data["emit"] = {}
+            for number in range(self.draw(st.integers(1, 2))):
+                dimension = pick(self.draw, SCALARS)
+                received = {name: self.on_board[robot].pop(name) for name in data.get("receive", {})}
+                data["emit"][f"says{number}"] = self.expression(Context.EMIT, ValueType(dimension), robot)
+                self.on_board[robot] |= received
+                self.sent[f"{robot}.says{number}"] = ValueType(dimension, known=Known.STEP)
+        if data.get("actuators"):
+            data["apply"] = {name: self._command(robot, name, place) for name in data["actuators"]}
+
+    def _command(self, robot: str, name: str, place: Place) -> str:
+        actuator = self.data["robots"][robot]["actuators"][name]
+        model = ACTUATORS[actuator["type"]]
+        kind = self.place_of_section(model, actuator, place).kind
+        low, high = {"cartesian": (0.2, 0.5), "gripper": (0.0, 1.0), "thrust": (0.0, 0.1)}.get(
+            actuator["type"], (-1.0, 1.0)
+        )
+        wanted = ValueType(kind.dimension, SPACE if model.components else None)
+        text = self.expression(Context.APPLY, wanted, robot)
+        if wanted.components:
+            return text
+        return f"clamp({text}, {literal_range(self.draw, kind.dimension, low, high)})"
+
+    def _reset(self) -> None:
+        """Place all groups of objects, as the compiler requires, and what chance draws."""
+        groups = {
+            name: {"region": {"x": "-2 .. 2 m", "y": "0.5 .. 3 m"}}
+            for name, entry in self.data.get("objects", {}).items()
+            if "count" in entry
+        }
+        if not groups and chance(self.draw, 30):
+            layouts = self.value(section_fields(Reset)["layouts"], Place())
+            self.layouts = tuple(layouts)
+            data = self.section(Reset, Place(), {"layouts": layouts, "layout": self.layouts[0]})
+        else:
+            data = self.section(Reset, Place(), {"place": groups, "layout": None, "layouts": None})
+        data = {key: value for key, value in data.items() if value}
+        if data:
+            self.data["reset"] = data
+
+    def _signal(self, name: str) -> Any:
+        kind = ValueType(pick(self.draw, SCALARS), pick(self.draw, (None, None, None, SPACE)))
+        if chance(self.draw, 20):
+            kind = CONDITION
+        text = self.expression(Context.SIGNAL, kind)
+        changes = re.search(_CHANGING, str(text)) is not None
+        self.supervised[name] = kind._replace(known=Known.STEP if changes else Known.FIXED)
+        return text
+
+    def _augmentation(self, name: str) -> Any:
+        return self._signal(name)
+
+    def _observation(self) -> dict[str, Any]:
+        entries: dict[str, Any] = {}
+        augmented = {name: self.supervised[name] for name in self.data.get("augment", {})}
+        visible = {
+            name: kind
+            for name, kind in (self.sent | augmented).items()
+            if not kind.boolean and not kind.picture
+        }
+        for name, kind in visible.items():
+            if entries and not chance(self.draw, 60):
+                continue
+            shape = section_fields(Scenario)["observation"].value
+            place = Place(kind=ValueType(kind.dimension, known=Known.STEP))
+            observed, _ = shape.options
+            entries[name] = self.section(observed, place) if chance(self.draw, 50) else self.wide_range(place)
+        return entries or {"previous_action": "auto"}
+
+    def _endings(self) -> None:
+        data: dict[str, Any] = {}
+        for word in ("success", "failure"):
+            if chance(self.draw, 50):
+                name = f"{word}0"
+                # A condition that is true at the start is an error.
+                data[word] = {name: f"time > 50 ms and {self.value_of(Condition, Place())}"}
+                self.endings.append(name)
+        if data:
+            self.data["termination"] = data
+
+
+Condition = Expression("ending", boolean=True)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Which scenarios a law is about.
+
+    Attributes:
+        engines: The engines that the scenario may name.
+        bodies: The robots.
+    """
+
+    engines: tuple[str, ...] = ("pybullet", "mujoco")
+    bodies: tuple[Body, ...] = BODIES
+
+
+EVERY = Profile()
+
+
+@st.composite
+def scenarios(draw: Draw, profile: Profile = EVERY) -> Drawn:
+    """Draw a whole scenario."""
+    return Author(draw, profile).scenario()
