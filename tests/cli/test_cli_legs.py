@@ -15,7 +15,7 @@ from deepbots_cli import api, frames
 from deepbots_cli.robots.kinematics import center_of_mass, link_frames, min_spring_inertia
 from deepbots_cli.robots.model import Inertial, Joint, Link, Pose, RobotModel
 
-pytest.importorskip("mujoco")
+pytest.importorskip("deepbots_cli.engines.mujoco")  # first chooses the OpenGL library of `mujoco`
 
 HINGE = 'lower="{}" upper="{}" effort="60" velocity="10"'
 
