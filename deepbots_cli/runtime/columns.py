@@ -98,7 +98,9 @@ def scale(value: Any, low: float, high: float) -> Any:
 
 
 def scale_each(values: Any, low: float, high: float) -> Any:
-    return scale(np.array(values), low, high)
+    if not isinstance(values, np.ndarray):
+        values = np.stack(np.broadcast_arrays(*values))  # some components may be constants
+    return scale(values, low, high)
 
 
 def scale_freely(value: Any, low: float, high: float) -> Any:

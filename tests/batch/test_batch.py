@@ -26,7 +26,7 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchEnvironment
 from deepbots_cli.runtime.spaces import fitting_rows
 from tests.few import few
-from tests.worlds import SCENARIOS
+from tests.worlds import CART, SCENARIOS
 
 FAST = ("cartpole", "find_ball", "find_and_avoid", "pit_escape", "balancer")
 PUSHED = str(SCENARIOS / "pushed.yaml")
@@ -576,3 +576,12 @@ def test_one_round_of_a_bench_is_not_called_medians(capsys: pytest.CaptureFixtur
 def test_bench_refuses_worlds_without_a_batch(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "cartpole", "--worlds", "4"]) == 2
     assert "--worlds needs --engine batch" in capsys.readouterr().err
+
+
+def test_a_vector_with_constant_components_is_observed(tmp_path: Path) -> None:
+    file = tmp_path / "scenario.yaml"
+    text = CART.replace(
+        "observation: {", "augment: {where: 'vector(cart.place, 1 m, 2 m)'}\nobservation: {where: -4 .. 4 m, "
+    )
+    file.write_text(f"{text}reward: {{alive: 1}}\n", encoding="utf-8")
+    compare(str(file), worlds=3, steps=10)

@@ -138,7 +138,8 @@ class Law:
 def _is_of_the_world(error: Exception) -> bool:
     """Return whether only a simulation shows the problem: there is no room at the start, a motor is unstable, a
     function has no value."""
-    return any(text in str(error) for text in ("no start was found", "is not stable", "no value for"))
+    problems = ("no start was found", "is not stable", "infinite or NaN", "no value for")
+    return any(text in str(error) for text in problems)
 
 
 LAWS: dict[str, Law] = {}
