@@ -14,7 +14,7 @@ from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.engine_kinds import DEFAULT_ENGINE, ENGINES, OTHER_ENGINES, Feature
+from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES, Feature
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
@@ -84,12 +84,11 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """Report a physics engine that is not installed, or does not support a part of the world."""
     world = context.program.world
-    kind = ENGINES.get(context.program.engine or DEFAULT_ENGINE)
+    kind = ENGINES.get(context.program.engine or "")
     terrain = world.terrain
     if kind is None:
         return
-    is_named = context.program.engine is not None
-    if is_named and not kind.is_installed and any(one.is_installed for one in ENGINES.built_in.values()):
+    if not kind.is_installed and any(engine.is_installed for engine in ENGINES.built_in.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
         yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.help)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
@@ -102,7 +101,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
     if followers and not kind.supports("mimic"):
         headline = (
-            f"the engine `{context.program.engine or DEFAULT_ENGINE}` does not simulate <mimic>, but the joint"
+            f"the engine `{context.program.engine}` does not simulate <mimic>, but the joint"
             f" `{followers[0][1]}` follows another joint"
         )
         yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)

@@ -139,6 +139,7 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("PlacedBody", "count"): lambda author, *_: pick(author.draw, (2, 3)),
     ("RaySensor", "range"): lambda author, data, _: author.ray_range(data),
     ("CalibrationTable", "value"): lambda *_: "300 200 100",
+    ("LinkOverride", "com"): lambda author, *_: author.center_of_mass(),
     ("LinkOverride", "scale"): lambda author, *_: pick(author.draw, ("1.2 1.2 1.2", "0.9 0.9 0.9")),
     ("JointOverride", "armature"): lambda author, _data, place: author.armature(place),
     ("Formula", "heights"): lambda author, *_: pick(
@@ -447,6 +448,11 @@ class Author(Values):
             raise UnavailableError
         unit = "kg" if place.second else "kg*m^2"
         return pick(self.draw, (f"0.01 {unit}", f"uniform(0.002 .. 0.004 {unit})"))
+
+    def center_of_mass(self) -> str:
+        """Draw the offset of a center of mass, which PyBullet cannot vary."""
+        drawn = ("uniform(0 0 -1 .. 1 1 1 cm)",) if self.data["world"].get("engine") == "mujoco" else ()
+        return pick(self.draw, ("1 0 0 cm", "0 5 -5 mm", *drawn))
 
     def tables(self) -> list[str]:
         """Return the objects with a flat top."""
