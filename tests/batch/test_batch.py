@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -585,3 +586,12 @@ def test_a_vector_with_constant_components_is_observed(tmp_path: Path) -> None:
     )
     file.write_text(f"{text}reward: {{alive: 1}}\n", encoding="utf-8")
     compare(str(file), worlds=3, steps=10)
+
+
+def test_a_robot_has_no_clearance_to_its_own_link(tmp_path: Path) -> None:
+    file = tmp_path / "scenario.yaml"
+    gap = "augment: {gap: 'clearance(rover, rover.base_link)'}\nobservation: {gap: -1 .. 1 m, "
+    text = (SCENARIOS / "reference.yaml").read_text("utf-8").replace("observation: {", gap)
+    text = text.replace("emit: [near, eye]", "emit: [near]")
+    file.write_text(re.sub(r"      eye: .*\n", "", text), encoding="utf-8")
+    compare(str(file), worlds=2, steps=5)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
@@ -115,10 +115,10 @@ def literal(
     """Draw numbers with one unit, whose values in SI are within `low` and `high`."""
     unit = pick(draw, units_of(dimension))
     numbers = [_number(draw, unit, low, high) for _ in range(count)]
-    return " ".join([*map(number_text, numbers), unit.text]).strip()
+    return " ".join([*numbers, unit.text]).strip()
 
 
-def _number(draw: Draw, unit: Unit, low: float, high: float) -> float:
+def _number(draw: Draw, unit: Unit, low: float, high: float) -> str:
     """Draw a number in a unit; without bounds one of a few that are plausible in every unit of SI."""
     digits = pick(draw, _DIGITS)
     if math.isfinite(low) and math.isfinite(high):
@@ -127,9 +127,9 @@ def _number(draw: Draw, unit: Unit, low: float, high: float) -> float:
         value = low + digits
     else:
         value = min(digits * draw(st.sampled_from((1, -1))), high)
-    written = float(number_text(unit.from_si(value)))
+    text = number_text(unit.from_si(value))
     # Rounding must not leave the bounds.
-    return written if low <= unit.to_si(written) <= high else unit.from_si(value)
+    return text if low <= unit.to_si(float(text)) <= high else repr(unit.from_si(value))
 
 
 def literal_range(
@@ -158,14 +158,13 @@ class Names:
         context: The place, which determines the families of functions.
         values: Names of values by text, with their types.
         subjects: Names of the parts of the world by kind.
-        joints: The dimension of the positions of a joint, or of each joint of a group.
+        joints: The dimension of the position of each joint.
     """
 
     context: Context
     values: Mapping[str, ValueType] = field(default_factory=dict)
     subjects: Mapping[Kind, Sequence[str]] = field(default_factory=dict)
     joints: Mapping[str, Dimension] = field(default_factory=dict)
-    members: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def functions(self) -> list[Function]:
@@ -176,7 +175,7 @@ class Names:
     def known_by(self, latest: Known) -> Names:
         """Return the names of which the values are known by then."""
         values = {name: kind for name, kind in self.values.items() if kind.known <= latest}
-        return Names(self.context, values, self.subjects, self.joints, self.members)
+        return Names(self.context, values, self.subjects, self.joints)
 
 
 def size_of(components: Components | None) -> int:
@@ -186,11 +185,9 @@ def size_of(components: Components | None) -> int:
 class Expressions:
     """Draws expressions of a type."""
 
-    def __init__(self, draw: Draw, names: Names, used: Collection[str] = ()) -> None:
+    def __init__(self, draw: Draw, names: Names) -> None:
         self.draw = draw
         self.names = names
-        self.used: set[str] = set(used)
-        """The functions that were drawn."""
 
     def text(self, kind: ValueType, depth: int = MAX_DEPTH) -> str:
         """Draw an expression with the dimension and the components of `kind`."""
@@ -199,22 +196,13 @@ class Expressions:
         return pick(self.draw, ways or self._leaves(kind))(depth - 1)
 
     def operand(self, kind: ValueType, depth: int) -> str:
-        """Draw an expression that can stand beside an operator."""
+        """Draw an expression, in parentheses where an operator beside it would split it."""
         text = self.text(kind, depth)
         return text if re.fullmatch(_OPERAND, text) else f"({text})"
 
-    def call(self, function: Function, kind: ValueType, depth: int = 1) -> str:
-        """Draw a call of a function.
-
-        Raises:
-            UnavailableError: The function has no value of this type here.
-        """
-        ways = list(self._calls_of(function, kind))
-        return pick(self.draw, ways)(depth)
-
     def changing(self, functions: Sequence[Function] = ()) -> tuple[str, Dimension]:
-        """Draw a value that may be another one in every step, and its dimension: a name, or one of the functions
-        of the world."""
+        """Draw a value that may be another one in every step, and its dimension: a name, or one of these
+        functions (default: all functions of the world)."""
         ways: list[tuple[Callable[[int], str], Dimension]] = []
         world = functions or [
             function for function in self.names.functions if function.family is Family.WORLD
@@ -277,17 +265,17 @@ class Expressions:
             lambda depth: f"-{self.operand(kind, depth)}",
         ]
         if not kind.components:
-            ways.append(
-                lambda depth: (
-                    f"({self.text(kind, depth)}) if {self.operand(CONDITION, depth)} else ({self.text(kind, depth)})"
-                )
-            )
+            ways.append(lambda depth: self._choice(kind, depth))
             ways += [
                 lambda depth, root=root: f"{self.operand(ValueType(root), depth)} ^ 2"
                 for root in _SHARED
                 if root**2 == kind.dimension
             ]
         return ways
+
+    def _choice(self, kind: ValueType, depth: int) -> str:
+        condition = self.operand(CONDITION, depth)
+        return f"({self.text(kind, depth)}) if {condition} else ({self.text(kind, depth)})"
 
     def _comparison(self, depth: int) -> str:
         kind = ValueType(pick(self.draw, SCALARS))
@@ -340,10 +328,9 @@ class Expressions:
             if wanted == function.components:
                 return [lambda depth: self._written(function, arguments, depth)]
             if wanted is None and set("xyz") <= set(function.components):
+                components = function.components
                 return [
-                    lambda depth: (
-                        f"{self._written(function, arguments, depth)}.{pick(self.draw, function.components or ())}"
-                    )
+                    lambda depth: f"{self._written(function, arguments, depth)}.{pick(self.draw, components)}"
                 ]
             return []
         if function.reduction is not None and function.python == "":
@@ -362,8 +349,8 @@ class Expressions:
     def _reductions(self, function: Function, arguments: ValueType) -> list[Callable[[int], str]]:
         vector = arguments._replace(components=SPACE, boolean=function.params[0].boolean)
         if vector.boolean:
-            return [lambda depth: f"{self._named(function)}({self._conditions(depth)})"]
-        return [lambda depth: f"{self._named(function)}({self.text(vector, depth)})"]
+            return [lambda depth: f"{function.name}({self._conditions(depth)})"]
+        return [lambda depth: f"{function.name}({self.text(vector, depth)})"]
 
     def _conditions(self, depth: int) -> str:
         """Draw a vector of conditions."""
@@ -372,30 +359,16 @@ class Expressions:
         return f"{vector} {pick(self.draw, ('<', '>'))} {literal(self.draw, dimension)}"
 
     def _vector(self, item: ValueType, depth: int, count: int) -> str:
-        self.used.add("vector")
         return f"vector({', '.join(self.text(item, depth) for _ in range(count))})"
 
     def _joint_calls(self, function: Function, kind: ValueType) -> list[Callable[[int], str]]:
-        ways: list[Callable[[int], str]] = []
-        for name, dimension in self.names.joints.items():
-            if function.result(dimension) != kind.dimension:
-                continue
-            text = f"{self._named(function, note=False)}({name})"
-            count = self.names.members.get(name, 1)
-            if kind.components is None and count == 1:
-                ways.append(lambda _, text=text: self._note(function, text))
-            elif kind.components is None:
-                ways.append(lambda _, text=text: self._note(function, f"max({text})"))
-        return ways
-
-    def _note(self, function: Function, text: str) -> str:
-        self.used.add(function.name)
-        return text
-
-    def _named(self, function: Function, note: bool = True) -> str:
-        if note:
-            self.used.add(function.name)
-        return function.name
+        if kind.components is not None:
+            return []
+        return [
+            lambda _, name=name: f"{function.name}({name})"
+            for name, dimension in self.names.joints.items()
+            if function.result(dimension) == kind.dimension
+        ]
 
     def _written(self, function: Function, arguments: ValueType, depth: int) -> str:
         texts: list[str] = []
@@ -410,7 +383,7 @@ class Expressions:
                 texts.append(self._argument(param, arguments, depth, taken, function.components is None))
         if function.domain != EVERYTHING:
             texts[0] = f"1 + abs({texts[0]})" if function.domain.low > 0 else f"abs({texts[0]})"
-        text = f"{self._named(function)}({', '.join(texts)})"
+        text = f"{function.name}({', '.join(texts)})"
         if any(map(self._is_group, taken)):
             # One value for each member.
             return f"{pick(self.draw, ('any', 'all') if function.boolean else ('min', 'max'))}({text})"

@@ -1,6 +1,6 @@
 """Strategies for single values: one entry for each class of `scenario/fields`.
 
-A class without an entry makes `value_of` fail, so that a new field type gets a strategy the day it is entered.
+`value_of` fails for a class without an entry, so a new field type needs a strategy the day it is entered.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from hypothesis import strategies as st
@@ -42,7 +42,6 @@ from deepbots_cli.scenario.fields.quantities import (
 from deepbots_cli.scenario.fields.training import Setting, Solved, Until
 from deepbots_cli.scenario.search import SearchField
 from tests.laws.expressions import (
-    CONDITION,
     Draw,
     Expressions,
     Names,
@@ -88,12 +87,14 @@ class Place:
         second: Whether measures of two dimensions take the second one: those of a sliding joint.
         robot: The robot to which the section belongs.
         joint: The joint to which the section belongs, as `cart.hinge`.
+        body: The body, or another name, under which the section is.
     """
 
     kind: ValueType = field(default_factory=ValueType)
     second: bool = False
     robot: str = ""
     joint: str = ""
+    body: str = ""
 
 
 class Values:
@@ -272,15 +273,11 @@ def _expression(values: Values, kind: Expression, place: Place) -> Any:
     context = _CONTEXTS[kind.context]
     if kind.boolean:
         return Expressions(values.draw, values.names(context, place.robot)).condition()
-    wanted = CONDITION if kind.boolean else replace_kind(place.kind)
-    if not kind.boolean and wanted.dimension == NUMBER and chance(values.draw, 10):
+    # An expression need not have the intervals of what the section measures.
+    wanted = ValueType(place.kind.dimension, place.kind.components, place.kind.boolean)
+    if wanted.dimension == NUMBER and chance(values.draw, 10):
         return pick(values.draw, (1, 0.5, 0))
     return values.expression(context, wanted, place.robot)
-
-
-def replace_kind(kind: ValueType) -> ValueType:
-    """Return the type without its intervals, which an expression need not have."""
-    return ValueType(kind.dimension, kind.components, kind.boolean)
 
 
 def _unavailable(values: Values, kind: FieldType, _place: Place) -> Any:
@@ -313,5 +310,3 @@ FIELDS: dict[type[FieldType], Callable[[Values, Any, Place], Any]] = {
     Setting: _unavailable,
     SearchField: _unavailable,
 }
-
-__all__ = ["FIELDS", "SPANS", "Place", "Values", "replace"]

@@ -1,7 +1,7 @@
 """Strategies for whole valid scenarios, from the models of the language.
 
-Each section is drawn from the fields of its model: required keys always, others by chance, as many of them as its
-`key_rules` allow. What one section takes from another (names, joints, the timestep) is in `Author`.
+Each section is drawn from the fields of its model: required keys always, others by chance, as many of them as
+its `key_rules` allow. What one section takes from another (names, joints, the timestep) is in `Author`.
 """
 
 from __future__ import annotations
@@ -135,7 +135,6 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ),
     ("Material", "color"): lambda author, *_: pick(author.draw, ("red", "#ffa500", "choice(red | green)")),
     ("Observed", "range"): lambda author, _data, place: author.wide_range(place),
-    ("Observation", "range"): lambda author, _data, place: author.wide_range(place),
     ("PlacedBody", "count"): lambda author, *_: pick(author.draw, (2, 3)),
     ("RaySensor", "range"): lambda author, data, _: author.ray_range(data),
     ("CalibrationTable", "value"): lambda *_: "300 200 100",
@@ -152,14 +151,13 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("Region", "y"): lambda *_: "0 .. 1.5 m",
     ("Reset", "settle"): _timed,
     ("Reset", "require"): lambda author, *_: author.requirement(),
-    ("Placement", "on"): lambda author, *_: pick(author.draw, author.tables()),
+    ("Placement", "on"): lambda author, _data, place: author.table(place),
     ("HeightScan", "range"): lambda *_: "-1 .. 1 m",
     ("Gripper", "open"): lambda *_: "4 cm",
     ("Gripper", "closed"): lambda *_: "0 mm",
     ("Gripper", "max_torque"): lambda author, *_: pick(author.draw, ("20 N", "uniform(10 .. 30 N)")),
     ("Thrust", "spin"): lambda author, *_: pick(author.draw, (1, -1, 0.5)),
     ("RayScan", "angle_range"): lambda author, data, _: author.fan(data),
-    ("Disturbance", "body"): lambda author, *_: pick(author.draw, author.references("body or link", "")),
     ("Route", "loss"): lambda author, *_: pick(author.draw, (0.1, "20 %", "uniform(0 .. 0.3) each step")),
     ("Route", "burst"): lambda author, *_: pick(author.draw, (2, 3)),
     ("Cartesian", "link"): lambda *_: "panda_hand",
@@ -226,6 +224,7 @@ class Author(Values):
         """Sensors and received values of each robot."""
         self.endings: list[str] = []
         self.layouts: tuple[str, ...] = ()
+        self.tables: tuple[str, ...] = ()
         self.count = 0
 
     # Names
@@ -248,7 +247,7 @@ class Author(Values):
             values |= {"time": ValueType(TIME, known=step), "step": ValueType(known=step)}
             if context in (Context.REWARD, Context.ENDING, Context.TEST):
                 values |= {name: CONDITION._replace(known=step) for name in self.endings}
-        return Names(context, values, self._subjects(), self._joints(), {})
+        return Names(context, values, self._subjects(), self._joints())
 
     def _subjects(self) -> dict[Kind, list[str]]:
         subjects: dict[Kind, list[str]] = {Kind.GROUND: ["ground"], Kind.ROBOT: list(self.bodies)}
@@ -276,13 +275,14 @@ class Author(Values):
         return self.data.get("robots", {}).get(robot, {}).get("sensors", {})
 
     def references(self, kind: str, robot: str) -> list[str]:
-        """Return the names that a reference of this kind may have, in a section of `robot` if there is one."""
+        """Return the names that a reference of this kind may have: of `robot`, unless it is empty."""
         world, objects = self.data.get("world", {}), self.data.get("objects", {})
         bodies = [*self.bodies, *objects]
         names: dict[str, list[str]] = {
             "joint": list(self._joints()),
             "link": [],
-            "body": bodies,
+            # A table stays where it is, level.
+            "body": [name for name in bodies if name not in self.tables],
             "body or link": [*bodies, *self._subjects().get(Kind.LINK, ())],
             "bodies or links": ["ground", *objects],
             "robot": list(self.bodies),
@@ -352,7 +352,9 @@ class Author(Values):
         """Return the place of the value under a key that names a joint or a value."""
         name = key if "." in key else f"{place.robot}.{key}"
         dimension = self._joints().get(name)
-        return place if dimension is None else replace(place, second=dimension == LENGTH, joint=name)
+        if dimension is None:
+            return replace(place, body=key)
+        return replace(place, second=dimension == LENGTH, joint=name)
 
     def section(self, model: type[Section], place: Place, given: Mapping[str, Any] = {}) -> dict[str, Any]:
         """Draw a section: its required keys, and others by chance."""
@@ -454,13 +456,9 @@ class Author(Values):
         drawn = ("uniform(0 0 -1 .. 1 1 1 cm)",) if self.data["world"].get("engine") == "mujoco" else ()
         return pick(self.draw, ("1 0 0 cm", "0 5 -5 mm", *drawn))
 
-    def tables(self) -> list[str]:
-        """Return the objects with a flat top."""
-        return [
-            name
-            for name, entry in self.data.get("objects", {}).items()
-            if entry.get("shape") in ("box", "cylinder") and "count" not in entry and entry.get("solid", True)
-        ]
+    def table(self, place: Place) -> str:
+        """Draw an object with a level top that is wide enough for a small body."""
+        return pick(self.draw, [name for name in self.tables if name != place.body])
 
     def ray_range(self, data: Mapping[str, Any]) -> str:
         return pick(self.draw, ("0 .. 250", "120 .. 280") if "lookup" in data else ("0 .. 2 m", "5 .. 80 cm"))
@@ -508,7 +506,7 @@ class Author(Values):
                 self.data["messages"] = {"format": "none"}
         self._reset()
         self._define("signals", self._signal, 3)
-        self._define("augment", self._augmentation, 3)
+        self._define("augment", self._signal, 3)
         self.data["observation"] = self._observation()
         self._endings()
         self.data["reward"] = {
@@ -543,6 +541,9 @@ class Author(Values):
             body = self.value(section_fields(Scenario)["objects"].value, Place())
             objects[f"thing{number}"] = body
             self.data["objects"] = objects
+        if objects and chance(self.draw, 30):
+            objects["table0"] = {"shape": "box", "size": "9 9 0.1 m", "fixed": True, "pose": {"y": "-9 m"}}
+            self.tables = ("table0",)
 
     def _robot(self, name: str) -> None:
         body = pick(self.draw, self.profile.bodies)
@@ -557,7 +558,8 @@ class Author(Values):
         if body.z:
             robot["pose"]["z"] = body.z
         self.data.setdefault("robots", {})[name] = robot
-        given = (*robot, "xacro", "count", "spacing", "groups", "poses", "receive", "hear", "emit", "apply")
+        messages = ("receive", "hear", "emit", "apply")
+        given = (*robot, "xacro", "count", "spacing", "groups", "poses", *messages)
         for key, shape in section_fields(Robot).items():
             if key in given:
                 continue
@@ -684,9 +686,6 @@ class Author(Values):
         changes = re.search(_CHANGING, str(text)) is not None
         self.supervised[name] = kind._replace(known=Known.STEP if changes else Known.FIXED)
         return text
-
-    def _augmentation(self, name: str) -> Any:
-        return self._signal(name)
 
     def _observation(self) -> dict[str, Any]:
         entries: dict[str, Any] = {}

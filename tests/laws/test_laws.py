@@ -1,4 +1,4 @@
-"""The laws, on scenarios of fixed seeds: a minute of CPU. `python -m tests.laws` tries them for as long as you like."""
+"""The laws, on scenarios of a fixed seed. `python -m tests.laws` tries them on others."""
 
 from __future__ import annotations
 

@@ -438,16 +438,17 @@ class BatchReaders:
             pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True)
         )
         kinds = self.nominal.geom_type
-        numbers = self._observer.distances(
-            [(a, b) for a in first_geoms for b in second_geoms if ELLIPSOID not in (kinds[a], kinds[b])]
-        )
+        pairs = [(a, b) for a in first_geoms for b in second_geoms if ELLIPSOID not in (kinds[a], kinds[b])]
+        # MuJoCo takes no pair of a geom with itself, as between a robot and one of its links.
+        numbers = self._observer.distances([(a, b) for a, b in pairs if a != b])
+        nearest = 0.0 if any(a == b for a, b in pairs) else MAX_CLEARANCE_M
         absent = [
             index for index, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools
         ]
 
         def read() -> Column:
-            # `initial` stands for bodies without a pair of geoms, such as those that are only seen.
-            apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
+            # `nearest` stands for bodies without a pair of geoms, such as those that are only seen.
+            apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=nearest)
             apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
             for index in absent:
                 apart[[not memory[0][index][0] for memory in self._memories]] = inf
