@@ -23,6 +23,8 @@ from tests.laws.scenarios import Profile
 
 STEPS = 12
 SEEDS = (7, 8, 9)
+ROUNDED = ("contact_force_vector", "angular_momentum", "reaction_force", "reaction_torque")
+"""Readings of a batch that are equal but for the last digits."""
 
 
 def actions(environment: Any, seed: int) -> Iterator[Any]:
@@ -70,9 +72,13 @@ def a_reset_world_is_a_fresh_one(case: Case) -> None:
 
 @law(cost=150, profile=Profile(engines=("mujoco",)))
 def one_world_is_one_of_many(case: Case) -> None:
-    """A batch is a faster way to step single worlds, so each world has the episode of its seed."""
+    """A batch is a faster way to step single worlds, so each world has the episode of its seed, to the bit.
+
+    docs/engines.md names the readings that are equal but for the last digits, and the number of contacts whose
+    forces a batch can read.
+    """
     compiled = case.compile()
-    if batch_obstacles(compiled.program):
+    if batch_obstacles(compiled.program) or any(name in case.drawn.text for name in ROUNDED):
         reject()
     episodes = []
     for seed in SEEDS:
@@ -87,7 +93,8 @@ def one_world_is_one_of_many(case: Case) -> None:
             same(part_of(together, world), steps[0].observation, f"world {world}, reset")
         for number in range(1, min(STEPS + 1, *map(len, episodes))):
             expected = [steps[number] for steps in episodes]
-            together, rewards, *ends, _ = batch.step(stacked([step.action for step in expected]))
+            with reference("but a batch supports at most"):
+                together, rewards, *ends, _ = batch.step(stacked([step.action for step in expected]))
             for world, step in enumerate(expected):
                 place = f"world {world}, step {number}"
                 same([bool(end[world]) for end in ends], list(step.ends), f"{place}, ends")

@@ -126,18 +126,20 @@ class Law:
             raise
 
 
+OF_THE_WORLD = ("no start was found", "is not stable", "infinite or NaN", "no value for")
+"""Problems that only a simulation shows: no room at the start, an unstable motor, no value of a function."""
+
+
 @contextmanager
-def reference() -> Iterator[None]:
-    """Reject a scenario that cannot be played, for a reason that only a simulation shows: there is no room at
-    the start, a motor is unstable, a function has no value.
+def reference(*problems: str) -> Iterator[None]:
+    """Reject a scenario that cannot be played, for one of these reasons (default: `OF_THE_WORLD`).
 
     Only the episode with which a law compares others stands inside: the others must then go as it does.
     """
     try:
         yield
     except (EvaluationError, EngineError) as error:
-        problems = ("no start was found", "is not stable", "infinite or NaN", "no value for")
-        if not any(text in str(error) for text in problems):
+        if not any(text in str(error) for text in problems or OF_THE_WORLD):
             raise
         reject()
 
