@@ -590,6 +590,27 @@ def gripper() -> str:
     return "".join([*links, joint("left", "palm", "a", "0 0.1 0.1", "1 0 0", opening), right])
 
 
+def strong_hand() -> str:
+    """Three fingers and a thumb of light links whose motors are far too strong for them."""
+    strong = 'lower="{}" upper="{}" effort="30" velocity="10"'
+    parts = [link("palm", box("0.03 0.1 0.1"), 0.4, "0 0 0.05")]
+    for name, y in (("a", 0.04), ("b", 0.0), ("c", -0.04)):
+        for number, (above, z) in enumerate((("palm", 0.1), (f"{name}0", 0.05), (f"{name}1", 0.05))):
+            at = f"0 {y if number == 0 else 0} {z}"
+            parts += [
+                joint(f"{name}_{number}", above, f"{name}{number}", at, limit=strong.format(0, 1.6)),
+                link(f"{name}{number}", box("0.02 0.02 0.045"), 0.03, "0 0 0.025"),
+            ]
+    turn = strong.format(-1.2, 1.2)
+    parts += [
+        joint("thumb_0", "palm", "t0", "0.02 0.05 0.03", "0 0 1", turn),
+        link("t0", box("0.045 0.02 0.02"), 0.03, "0.025 0 0"),
+        joint("thumb_1", "t0", "t1", "0.05 0 0", "0 0 1", turn),
+        link("t1", box("0.045 0.02 0.02"), 0.03, "0.025 0 0"),
+    ]
+    return "".join(parts).replace("0.0003", "1e-05")
+
+
 def odd_names() -> str:
     names = [
         "on",
@@ -623,7 +644,18 @@ def odd_names() -> str:
 
 ODD_ROBOTS = {
     make.__name__: make
-    for make in (tall_foot, flat_arm, hoist, snake, spider, hexacopter, locked, gripper, odd_names)
+    for make in (
+        tall_foot,
+        flat_arm,
+        hoist,
+        snake,
+        spider,
+        hexacopter,
+        locked,
+        gripper,
+        strong_hand,
+        odd_names,
+    )
 }
 
 
