@@ -906,7 +906,7 @@ def _with_free_base(model: RobotModel) -> RobotModel:
     every robot whose base is not fixed has it."""
     below = [joint for joint in model.joints if joint.parent == model.root]
     root = model.link(model.root)
-    is_empty = root.inertial is None and not root.visuals and not root.collisions
+    is_empty = not root.mass and not root.visuals and not root.collisions
     if len(below) != 1 or below[0].type != "floating" or not is_empty:
         return model
     first = below[0]
@@ -950,6 +950,8 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
             "; or give the scenario a density, from which its shape gives the mass: under `links` of the robot,"
             f" `{shaped[0]}: {{density: 1000 kg/m^3}}`"
         )
+    elif missing:
+        help += f"; or under `links` of the robot in the scenario, `{missing[0].name}: {{mass: 10 g}}`"
     warn("DB305", missing, "no <inertial>", help)
     massless = [
         link

@@ -820,11 +820,36 @@ def test_thrusters_push_along_the_axes_about_which_they_turn(deepbots, tmp_path)
 
 
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
-    massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
-    (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
+    empty = f'<link name="a"/><link name="foot"/>{joint("j", "foot", "a", "0 0 1")}'
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{empty}</robot>')
     created = deepbots("new", "first", "--urdf", "light.urdf", code=2)
-    assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in created.err
+    assert "light.urdf has neither masses nor shapes, so it cannot be simulated" in created.err
+    adrift = joint("j", "foot", "a", "0 0 1").replace("revolute", "floating")
+    parts = [link(name, box("1 1 0.1")) for name in ("a", "foot")]
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{"".join(parts)}{adrift}</robot>')
+    created = deepbots("new", "first", "--urdf", "light.urdf", code=2)
+    assert "joint 'j' of light.urdf is floating, which no engine supports; make it fixed" in created.err
     assert not (tmp_path / "first.yaml").exists()
+
+
+@pytest.mark.usefixtures("simulated_here")
+@pytest.mark.parametrize(
+    "inertial", ["", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>']
+)
+@pytest.mark.parametrize(
+    ("shape", "setting"),
+    [
+        ("", "{mass: 0.01 kg}"),
+        ('<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>', "{density: 1000 kg/m^3}"),
+    ],
+)
+def test_a_joint_that_moves_no_mass_gets_one_in_the_scenario(deepbots, tmp_path, inertial, shape, setting):
+    parts = f'<link name="a">{inertial}{shape}</link>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{parts}</robot>')
+    deepbots("new", "first", "--urdf", "light.urdf", "--task", "follow")
+    assert f"a: {setting}" in (tmp_path / "first.yaml").read_text()
+    ran = deepbots("lint", "first.yaml", "--deep")
+    assert ran.out == "first.yaml: no findings, including the simulation\n"
 
 
 def test_of_a_robot_file_that_is_not_there_the_nearest_shipped_one_is_suggested(deepbots):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 
@@ -11,7 +12,11 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.document import loads
-from deepbots_cli.robots.kinematics import inertial_of_shapes, with_inertia_of_shapes
+from deepbots_cli.robots.kinematics import (
+    inertial_of_shapes,
+    with_inertia_of_shapes,
+    with_mass_of_shapes,
+)
 from deepbots_cli.robots.model import (
     Box,
     Geometry,
@@ -226,6 +231,14 @@ def test_a_robot_without_usable_inertials_runs_with_those_of_the_scenario_and_wi
     text = scenario(links)
     assert [finding.code for finding in check(loads(text, "t.yaml", base=tmp_path)).findings] == []
     runs(tmp_path, text)
+
+
+def test_a_mass_without_a_shape_is_a_ball_of_water():
+    model = RobotModel("r", (Link("a"),), (), "a")
+    radius = 0.1
+    mass = 4 / 3 * math.pi * radius**3 * 1000
+    ball = with_mass_of_shapes(model, "a", mass).link("a").inertial
+    assert (ball.ixx, ball.iyy, ball.izz) == pytest.approx((0.4 * mass * radius**2,) * 3)
 
 
 def test_an_automatic_inertia_needs_a_shape_and_a_mass(tmp_path: Path):
