@@ -305,3 +305,16 @@ def test_a_density_is_not_offered_to_a_link_without_a_shape(tmp_path: Path):
         _, findings = opened(tmp_path, text)
         (finding,) = (finding for finding in findings if finding.code == "DB305")
         assert ("density" in str(finding.help)) is is_offered
+
+
+def test_new_for_sixteen_hinges_with_alternating_velocity_limits_runs(deepbots: Deepbots, tmp_path: Path):
+    limit = '<origin xyz="0 0 0.06"/><limit lower="-1" upper="1" effort="20" velocity="{}"/>'
+    velocities = ["5.123456", "5.123456", "1.832612", "1.832612"] * 4
+    links = [link(f"l{number}") for number in range(17)]
+    hinges = [
+        joint(f"j{number}", f"l{number}", f"l{number + 1}", inside=limit.format(velocity))
+        for number, velocity in enumerate(velocities)
+    ]
+    (tmp_path / "arm.urdf").write_text(robot(*links, *hinges))
+    deepbots("new", "first", "--urdf", "arm.urdf")
+    runs(tmp_path, (tmp_path / "first.yaml").read_text())
