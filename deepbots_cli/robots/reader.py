@@ -17,7 +17,8 @@ from typing import get_args
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_help, parse, quoted
+from deepbots_cli.robots.elements import MAX_MAGNITUDE, Edits, Element, known_names_help, parse, quoted
+from deepbots_cli.robots.kinematics import with_inertia_of_shapes
 from deepbots_cli.robots.meshes import MeshReader
 from deepbots_cli.robots.model import (
     FRICTION_TAGS,
@@ -217,8 +218,9 @@ def _read(
         )
         return None
     xacro, hashed = None, hashlib.sha256(data)
+    root.report.is_expanded = is_xacro(source.text)
     try:
-        if is_xacro(source.text):
+        if root.report.is_expanded:
             xacro = expand(root, resolve_mesh, arguments, findings)
             if xacro is None:
                 return None
@@ -309,6 +311,8 @@ def _check_words(root: Element) -> None:
                 attribute=attribute,
                 help=f"did you mean {match!r}?",
                 kind=f"{noun} {word} of {element.tag}",
+                edits=element.renaming(attribute, match),
+                safe=False,
             )
 
 
@@ -409,7 +413,8 @@ def _pose(element: Element) -> Pose:
             f"URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write"
             f' rpy="{in_rad}"'
         )
-        origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
+        headline, edits = f"{largest:g} rad is more than a full turn", origin.writing(rpy=in_rad)
+        origin.warn(headline, attribute="rpy", help=help, code="DB504", edits=edits, safe=False)
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
@@ -474,11 +479,11 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
             "deepbots ignores a second shape in the same <geometry>",
             help="put it into its own <visual> or <collision>",
         )
-    shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
+    shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder)
     return Geometry(shape, _pose(holder), color) if shape else None
 
 
-def _solid(element: Element, holder: str) -> Shape | None:
+def _solid(element: Element, holder: Element) -> Shape | None:
     """Return a shape whose measures are above 0. A shape of size 0 is a known way to have none, and
     harmless."""
     shape: Shape
@@ -499,12 +504,13 @@ def _solid(element: Element, holder: str) -> Shape | None:
     if measures[wrong] < 0:
         element.error(f"'{wrong}' must be above 0", attribute=wrong)
     else:
-        without = "draws nothing" if holder == "visual" else "touches nothing; deepbots ignores it"
+        without = "draws nothing" if holder.tag == "visual" else "touches nothing; deepbots ignores it"
         element.warn(
-            f"a {holder} without size {without}",
+            f"a {holder.tag} without size {without}",
             attribute=wrong,
-            help=f"remove the <{holder}>",
-            kind=f"{holder} without size",
+            help=f"remove the <{holder.tag}>",
+            kind=f"{holder.tag} without size",
+            edits=holder.removing(),
         )
     return None
 
@@ -532,8 +538,9 @@ def _scale(mesh: Element) -> Vector:
         return mesh.vector("scale", (1.0, 1.0, 1.0))
     factor = mesh.number("scale")
     headline = "the scale of a mesh is one number; deepbots scales all three axes by it"
-    help = f'write scale="{factor:g} {factor:g} {factor:g}"'
-    mesh.warn(headline, attribute="scale", help=help, kind="scale of one number")
+    scale = f"{factor:g} {factor:g} {factor:g}"
+    help, edits = f'write scale="{scale}"', mesh.writing(scale=scale)
+    mesh.warn(headline, attribute="scale", help=help, kind="scale of one number", edits=edits)
     return factor, factor, factor
 
 
@@ -554,6 +561,7 @@ def _report_meshes(meshes: MeshReader) -> None:
             attribute="filename",
             help=f'write filename="{reference}"',
             notes=_listed("deepbots also reads", names[1:]),
+            edits=tuple(edit for mesh, path in meshes.elsewhere for edit in mesh.writing(filename=path)),
         )
 
 
@@ -608,7 +616,9 @@ def _joint_type(element: Element) -> JointType | None:
     )
     if word is not None and kind is None:
         help = known_names_help(word, _JOINT_TYPES, "joint types")
-        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
+        near = nearest_word(word, _JOINT_TYPES)
+        edits = element.writing(type=near) if near else ()
+        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help, edits=edits)
     return kind
 
 
@@ -643,6 +653,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help='add <limit lower="..." upper="..." .../>',
                 code="DB307",
                 kind="no limits",
+                edits=joint.writing(type="continuous") if kind == "revolute" else (),
+                safe=False,
             )
         return Limit()
     effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
@@ -657,6 +669,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help='add lower="..." and upper="..."',
                 code="DB307",
                 kind="no limits",
+                edits=joint.writing(type="continuous") if kind == "revolute" else (),
+                safe=False,
             )
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
@@ -669,6 +683,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help="swap the two limits, or change the type of the joint to continuous",
                 code="DB307",
                 kind="crossed limits",
+                edits=element.writing(lower=f"{upper:.9g}", upper=f"{lower:.9g}"),
+                safe=False,
             )
     elif (
         kind == "continuous" and lower < upper < lower + _ENDLESS_RANGE and joint.attributes["type"] != _BALL
@@ -698,6 +714,7 @@ def _positive(limit: Element, name: str) -> float | None:
             attribute=name,
             help=f"write the {name} of the motor",
             kind="negative limit",
+            edits=limit.writing(**{name: "0"}),
         )
     return value if value is not None and value > 0 else None
 
@@ -779,9 +796,9 @@ def _check_references(
             if link not in links:
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
-                element.find_all(tag)[0].error(
-                    headline, attribute="link", help=known_names_help(link, links, "links")
-                )
+                end, near = element.find_all(tag)[0], nearest_word(link, list(links))
+                help, edits = known_names_help(link, links, "links"), end.writing(link=near) if near else ()
+                end.error(headline, attribute="link", help=help, edits=edits)
         if joint.mimic:
             _check_mimic(joint, joint.mimic, joints, element.find_all("mimic")[0])
     for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
@@ -802,6 +819,7 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
             f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing",
             help="remove the <mimic>",
             kind="mimic of a joint that does not move",
+            edits=element.removing(),
         )
     elif not leader.moves:
         headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
@@ -976,11 +994,28 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
             f" compute it from shape and mass: under `links` of the robot, `{link.name}: {{inertia: auto}}`"
         )
         at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
+        computed = [_inertia_of_shapes(model, other, elements[other.name]) for other in wrong]
         at.warn(
             f"no rigid body can have the inertia of link {quoted(link.name)}",
             help=help,
             notes=_listed("the same is true of", [other.name for other in wrong[1:]]),
             code="DB306",
+            edits=tuple(edit for edits in computed for edit in edits) if all(computed) else (),
+            safe=False,
         )
         places[at.value_span(None)] = tuple(other.name for other in wrong)
     return places
+
+
+def _inertia_of_shapes(model: RobotModel, link: Link, element: Element) -> Edits:
+    """Return the edits that write the inertia of the shapes of a link; none for one without shapes, or whose
+    inertia stands in turned axes."""
+    changed = with_inertia_of_shapes(model, link.name)
+    new = None if isinstance(changed, str) else changed.link(link.name).inertial
+    if new is None or link.inertial is None or {*new.origin.rpy, *link.inertial.origin.rpy} != {0.0}:
+        return ()
+    inertia = element.find_all("inertial")[0].find_all("inertia")[0]
+    moments = {name: f"{getattr(new, name):.4g}" for name in _VOCABULARY["inertia"][1].split()}
+    if any(moments[name] != "0" for name in moments.keys() - inertia.attributes.keys()):
+        return ()
+    return inertia.writing(**{name: moments[name] for name in inertia.attributes if name in moments})

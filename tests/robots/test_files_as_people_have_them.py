@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
 from pathlib import Path
@@ -257,9 +258,78 @@ def test_a_robot_file_is_linted_alone(deepbots: Deepbots, tmp_path: Path):
     ran = deepbots("lint", "my robot.urdf", "--json")
     assert '"code": "DB311"' in ran.out
     assert '"file": "my robot.urdf"' in ran.out
-    deepbots("lint", "my robot.urdf", "--fix", code=2)
     (tmp_path / "my robot.urdf").write_text("<robot")
     deepbots("lint", "my robot.urdf", "--format", "github", code=1)
+
+
+ORIGIN = '<origin xyz="0 0 0"/>'
+FIXES = {
+    "a misspelled element": ("</collision>", "</colision>", ("<collision>", "<colision>")),
+    "a misspelled attribute": ('lower="-1"', 'lowr="-1"'),
+    "a misspelled type": ('type="revolute"', 'type="revolut"'),
+    "a misspelled link": ('<child link="arm"/>', '<child link="amr"/>'),
+    "two materials": ("</visual>", '<material name="a"/>\n  <material name="b"></material></visual>'),
+    "limits of minus one": ('effort="5" velocity="5"', 'effort="-1" velocity="-1.0"'),
+    "crossed limits": ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
+    "one scale": ('"m.obj"', '"m.obj" scale="0.5"'),
+    "no limits": (' lower="-1" upper="1"', ""),
+    "another version of XML": ("<robot", '<?xml version="1.1"?>\n<robot'),
+    "an empty line before the declaration": ("<robot", '\n<?xml version="1.0"?>\n<robot'),
+    "no size": ("</visual>", '</visual><collision><geometry><sphere radius="0"/></geometry></collision>'),
+    "an angle in degrees": (ORIGIN, '<origin xyz="0 0 0" rpy="0 90 0"/>'),
+    "a comma": ('"0 0 0"', '"0, 0, 0"'),
+    "a mesh elsewhere": ('"m.obj"', '"/home/x/ws/meshes/m.obj"'),
+    "an impossible inertia": ('izz="0.01"', 'izz="0.03"'),
+    "a follower that is fixed": (
+        "</robot>",
+        link("tip") + joint("weld", "arm", "tip", "fixed", '<mimic joint="hinge"/>') + "</robot>",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FIXES)
+def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_path: Path, case: str):
+    (tmp_path / "m.obj").write_text(TETRAHEDRON)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes/m.obj").write_text(TETRAHEDRON)
+    drawn = '<visual><geometry><mesh filename="m.obj"/></geometry></visual>'
+    moved = f'<collision>{ORIGIN}<geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
+    text = robot(link("base", MASS + drawn + moved), link("arm"), joint("hinge", "base", "arm"))
+    right, wrong, *more = FIXES[case]
+    for old, new in ((right, wrong), *more):
+        text = text.replace(old, new, 1)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json", "--exit-zero").out)["findings"]
+    assert finding["fix"]["edits"]
+    assert deepbots("lint", "robot.urdf", "--diff", "--unsafe-fixes", code=1).out.startswith("--- robot.urdf")
+    assert path.read_text() == text
+    ran = deepbots("lint", "robot.urdf", "--fix", "--unsafe-fixes")
+    assert ran.out == "robot.urdf: no findings\n"
+
+
+def test_a_fix_that_is_a_guess_needs_its_option(deepbots: Deepbots, tmp_path: Path):
+    crossed = robot(*ARM).replace('lower="-1" upper="1"', 'lower="1" upper="-1"')
+    (tmp_path / "robot.urdf").write_text(crossed)
+    deepbots("lint", "robot.urdf", "--fix")
+    assert (tmp_path / "robot.urdf").read_text() == crossed
+
+
+def test_no_text_of_a_template_is_fixed(deepbots: Deepbots, tmp_path: Path):
+    text = robot(*ARM).replace('effort="5"', 'effort="${-1}"').replace('velocity="5"', 'velocity="-1"')
+    (tmp_path / "robot.urdf.xacro").write_text(text)
+    ran = deepbots("lint", "robot.urdf.xacro", "--fix")
+    assert "DB311" in ran.out
+    assert (tmp_path / "robot.urdf.xacro").read_text() == text
+
+
+def test_the_robot_file_of_a_scenario_is_not_changed_with_it(deepbots: Deepbots, tmp_path: Path):
+    text = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
+    (tmp_path / "robot.urdf").write_text(text)
+    (tmp_path / "t.yaml").write_text(scenario())
+    ran = deepbots("lint", "t.yaml", "--fix")
+    assert "DB311" in ran.out
+    assert (tmp_path / "robot.urdf").read_text() == text
 
 
 def test_a_robot_outside_the_project_is_copied_with_its_meshes_as_the_message_offers(
