@@ -419,10 +419,11 @@ def _pose(element: Element) -> Pose:
 
 
 def _link(element: Element, name: str, colors: dict[str, Color], meshes: MeshReader) -> Link:
-    visuals = [
-        _geometry(visual, meshes, _visual_color(visual, colors)) for visual in element.find_all("visual")
-    ]
     collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
+    visuals = [
+        _geometry(visual, meshes, _visual_color(visual, colors), is_optional=any(collisions))
+        for visual in element.find_all("visual")
+    ]
     return Link(
         name,
         _inertial(element),
@@ -466,7 +467,10 @@ def _visual_color(visual: Element, colors: dict[str, Color]) -> Color | None:
     return _color(material) if material.find_all("color") else colors.get(material.attributes.get("name", ""))
 
 
-def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -> Geometry | None:
+def _geometry(
+    holder: Element, meshes: MeshReader, color: Color | None = None, *, is_optional: bool = False
+) -> Geometry | None:
+    """Return one `<visual>` or `<collision>`; `is_optional` if its mesh may be missing."""
     element = holder.require_one("geometry")
     if element is None:
         return None
@@ -479,7 +483,8 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
             "deepbots ignores a second shape in the same <geometry>",
             help="put it into its own <visual> or <collision>",
         )
-    shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder)
+    is_mesh = shapes[0].tag == "mesh"
+    shape = _mesh(shapes[0], meshes, is_optional=is_optional) if is_mesh else _solid(shapes[0], holder)
     return Geometry(shape, _pose(holder), color) if shape else None
 
 
@@ -515,7 +520,7 @@ def _solid(element: Element, holder: Element) -> Shape | None:
     return None
 
 
-def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
+def _mesh(element: Element, meshes: MeshReader, *, is_optional: bool) -> Mesh | None:
     filename = element.text("filename")
     scale = _scale(element)
     if not all(scale):
@@ -524,7 +529,8 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         return None
     loaded = meshes.load(filename, scale)
     if isinstance(loaded, UnusableMesh):
-        meshes.refused.setdefault(loaded.headline, []).append((element, loaded))
+        can_do_without = is_optional and loaded.is_missing
+        meshes.refused.setdefault(loaded.headline, []).append((element, loaded, can_do_without))
         return None
     if loaded.elsewhere:
         meshes.elsewhere.append((element, loaded.elsewhere))
@@ -545,14 +551,19 @@ def _scale(mesh: Element) -> Vector:
 
 
 def _report_meshes(meshes: MeshReader) -> None:
-    """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere."""
+    """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere. A
+    missing mesh of a link that has other shapes to touch is a warning, as in PyBullet."""
     for headline, refused in meshes.refused.items():
-        element, first = refused[0]
-        names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _ in refused))
+        element, first, _ = refused[0]
+        names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _, _ in refused))
         notes = _listed("the same is true of", names[1:])
         if first.tried:
             notes = (*_listed("deepbots tried", first.tried), *notes)
-        element.error(headline, attribute="filename", help=first.help, notes=notes)
+        if all(can_do_without for _, _, can_do_without in refused):
+            headline = f"{headline}; the robot is drawn without it"
+            element.warn(headline, attribute="filename", help=first.help, notes=notes)
+        else:
+            element.error(headline, attribute="filename", help=first.help, notes=notes)
     if meshes.elsewhere:
         element, reference = meshes.elsewhere[0]
         names = list(dict.fromkeys(path for _, path in meshes.elsewhere))
@@ -956,10 +967,14 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
         elements[names[0]].warn(headline, attribute="name", help=help, notes=notes, code=code)
         places[elements[names[0]].value_span("name")] = tuple(names)
 
+    # A root that is a mere frame of what is bolted to it, as `base_link` is in files for ROS.
+    bolted = [joint.child for joint in model.joints if joint.parent == model.root and not joint.moves]
+    is_carried = any(model.link(name).mass for name in bolted)
     missing = [
         link
         for link in model.links
         if link.inertial is None
+        and not (link.name == model.root and is_carried)
         and (link.collisions or (link.name in moving and (link.visuals or subtree_mass[link.name] <= 0.0)))
     ]
     help = "add an <inertial>"

@@ -1115,6 +1115,7 @@ def test_a_drone_of_rotors_without_mass_is_turned_by_their_thrust(deepbots, tmp_
     body = link("base", box("0.2 0.2 0.05"), 1.0)
     (tmp_path / "drone.urdf").write_text(f'<robot name="r">{body}{rotors}</robot>')
     deepbots("new", "first", "--urdf", "drone.urdf")
+    assert "    actuators:\n      rotors:" in (tmp_path / "first.yaml").read_text()
     with closing(api.make(tmp_path / "first.yaml")) as environment:
         environment.reset(seed=0)
         before = environment.engine.pose("robot")()[1]

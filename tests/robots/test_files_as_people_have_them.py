@@ -388,3 +388,23 @@ def test_new_for_sixteen_hinges_with_alternating_velocity_limits_runs(deepbots: 
     (tmp_path / "arm.urdf").write_text(robot(*links, *hinges))
     deepbots("new", "first", "--urdf", "arm.urdf")
     runs(tmp_path, (tmp_path / "first.yaml").read_text())
+
+
+def test_a_drawing_whose_mesh_is_missing_is_a_warning_where_the_link_has_another_shape(tmp_path: Path):
+    drawn = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual>'
+    file, findings = opened(tmp_path, robot(link("base", MASS + BOX + drawn * 3), link("arm"), ARM[2]))
+    assert file is not None
+    assert file.model.link("base").visuals == ()
+    assert [(finding.code, finding.headline) for finding in findings] == [
+        ("DB311", "the mesh does not exist; the robot is drawn without it")
+    ]
+    for shape in (drawn, BOX + drawn.replace("visual", "collision")):
+        file, (finding,) = opened(tmp_path, robot(link("base", MASS + shape), link("arm"), ARM[2]))
+        assert (file, finding.code) == (None, "DB301")
+
+
+def test_a_root_that_is_the_frame_of_the_heavy_link_bolted_to_it_needs_no_mass(tmp_path: Path):
+    weld = joint("weld", "base_link", "base", "fixed")
+    assert opened(tmp_path, robot(link("base_link", BOX), *ARM, weld))[1] == []
+    light = robot(link("base_link", BOX), link("base", ""), *ARM[1:], weld)
+    assert [finding.code for finding in opened(tmp_path, light)[1]] == ["DB305"]
