@@ -14,11 +14,12 @@ from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import did_you_mean, nearest_word
 from deepbots_cli.document import Permissions, files, shipped
+from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.robots import packages
-from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
@@ -137,14 +138,17 @@ def open_robot(
 
 
 def robot_findings(
-    reference: str, allowed: Sequence[str | Path] = (), arguments: Mapping[str, str] | None = None
+    reference: str,
+    allowed: Sequence[str | Path] = (),
+    arguments: Mapping[str, str] | None = None,
+    drafts: Drafts = NO_DRAFTS,
 ) -> list[Finding]:
-    """Return the findings of a robot file alone.
+    """Return the findings of a robot file alone, or of its draft.
 
     Raises:
         UsageError: There is no such file.
     """
-    return list(_read_robot(reference, allowed, arguments)[1])
+    return list(_read_robot(reference, allowed, arguments, drafts)[1])
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
@@ -166,7 +170,10 @@ def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
 
 
 def _read_robot(
-    reference: str, allowed: Sequence[str | Path], arguments: Mapping[str, str] | None = None
+    reference: str,
+    allowed: Sequence[str | Path],
+    arguments: Mapping[str, str] | None = None,
+    drafts: Drafts = NO_DRAFTS,
 ) -> tuple[RobotFile | None, Findings, packages.Places]:
     path = robot_path(reference, allowed)
     findings = Findings()
@@ -176,7 +183,11 @@ def _read_robot(
         suggests=True,
     )
     display = files.display_path(path.resolve())
-    file = read(path, display, findings, resolve_mesh=places.resolve, arguments=arguments)
+    draft, resolve = drafts.get(path.resolve()), places.resolve
+    if draft is None:
+        file = read(path, display, findings, resolve_mesh=resolve, arguments=arguments)
+    else:
+        file = read_bytes(draft, display, findings, resolve_mesh=resolve, arguments=arguments)
     declared = sorted(file.xacro.arguments) if file and file.xacro else []
     for argument in arguments or () if file else ():
         if argument not in declared:

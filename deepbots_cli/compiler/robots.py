@@ -716,12 +716,12 @@ def _tell(
     inertial_links: Mapping[Span, tuple[str, ...]],
     changed: Collection[str],
 ) -> None:
-    """Report the findings of a robot file, except for those about inertials that the scenario has
-    `changed`."""
+    """Report the findings of a robot file, except for those about inertials that the scenario has `changed`;
+    their fixes are those of the robot file alone."""
     for finding in findings:
         links = inertial_links.get(finding.span, ())
         if not links or not set(links) <= set(changed):
-            values.findings.append(finding)
+            values.findings.append(replace(finding, fix=None))
 
 
 def locate_file(

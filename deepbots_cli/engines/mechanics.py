@@ -211,7 +211,7 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
         if joint.moves and subtree_mass[joint.child] <= 0.0:
             raise EngineError(
                 f"joint '{joint.name}' of '{name}' moves no mass; add an <inertial> with a mass to link"
-                f" '{joint.child}'"
+                f" '{joint.child}', or a `mass` under `links` in the scenario"
             )
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):

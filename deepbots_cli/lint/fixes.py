@@ -1,4 +1,4 @@
-"""Fixes, for `deepbots lint --fix` and for editors.
+"""Fixes of scenarios and robot files, for `deepbots lint --fix` and for editors.
 
 As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix
 is left. Fixes that together cause a new error are halved until the harmful ones are found and left out. An
@@ -34,9 +34,6 @@ it."""
 _PER_SCENARIO = frozenset({"DB205", "DB901"})
 """A definition that this scenario does not use may be used by another one that includes the same file."""
 
-Load = Callable[..., CheckedScenario]
-"""`api.load`, or a partial of it; called with a name and `drafts`."""
-
 
 @dataclass(frozen=True)
 class Rewrite:
@@ -51,7 +48,8 @@ class Rewrite:
 class LintResult:
     """The findings of a scenario and the files that it was read from, its own first.
 
-    `root` is None if the text is not YAML; `compiled` is true if lint rules have run.
+    `root` is None if the text is not YAML, and empty for a robot file; `compiled` is true if lint rules have
+    run.
     """
 
     findings: Sequence[Finding]
@@ -78,6 +76,10 @@ class LintResult:
     def first_error(self) -> int:
         """Its line."""
         return min((finding.span.start_position.line for finding in self.errors), default=0)
+
+
+Load = Callable[..., CheckedScenario | LintResult]
+"""`api.load`, or a partial of it; called with a name and `drafts`. It lints what is no scenario itself."""
 
 
 class Fixer:
@@ -130,6 +132,8 @@ class Fixer:
 
     def _lint(self, name: str, drafts: Drafts) -> LintResult:
         checked = self._load(name, drafts=drafts)
+        if isinstance(checked, LintResult):
+            return checked
         document = checked.document
         return LintResult(
             all_findings(checked, preview=self._preview),

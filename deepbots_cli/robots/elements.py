@@ -14,10 +14,12 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import chain
 from xml.parsers import expat
 
-from deepbots_cli.diagnostics import Findings, Label, Source, Span
+from deepbots_cli.diagnostics import Edit, Findings, Fix, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.robots.model import XML_ESCAPES
 
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
@@ -49,6 +51,9 @@ def known_names_help(word: str, candidates: Iterable[str], kind: str) -> str:
     return f"did you mean {quoted(match)}? {listing}" if match else listing
 
 
+Edits = tuple[Edit, ...]
+
+
 @dataclass
 class ElementReport:
     """The findings of one file so far, and their number."""
@@ -57,16 +62,23 @@ class ElementReport:
     findings: Findings
     errors: int = 0
     warnings: int = 0
-    repeated: dict[str, list[tuple[Element, Callable[[tuple[str, ...]], None]]]] = field(default_factory=dict)
-    """The warnings that are reported once for each kind: the elements, and functions that report them."""
+    repeated: dict[str, list[tuple[Element, Edits, Callable[[tuple[str, ...], Edits], None]]]] = field(
+        default_factory=dict
+    )
+    """The warnings that are reported once for each kind: the elements, their edits, and functions that report
+    them."""
+    is_expanded: bool = False
+    """Whether the text is a template of the elements, so that no edit of it has one effect."""
 
     def report_repeated(self) -> None:
-        """Report the first warning of each kind, with the lines of the others."""
+        """Report the first warning of each kind, with the lines of the others, and with the edits of all if
+        each has some."""
         for places in self.repeated.values():
-            lines = [str(element.span.start_position.line) for element, _ in places[1:]]
+            lines = [str(element.span.start_position.line) for element, _, _ in places[1:]]
             shown = ", ".join(lines[:_MAX_LINES]) + (" ..." if len(lines) > _MAX_LINES else "")
             note = f"the same is true of {len(lines)} more, in lines {shown}" if lines else ""
-            places[0][1]((note,) if note else ())
+            edits = [edits for _, edits, _ in places]
+            places[0][2]((note,) if note else (), tuple(chain(*edits)) if all(edits) else ())
         self.repeated.clear()
 
 
@@ -81,6 +93,8 @@ class Element:
     start: int
     children: list[Element] = field(default_factory=list)
     source: Source | None = None
+    end: int = 0
+    """The offset of the end tag; that of what follows where the start tag is the end tag, too."""
 
     @property
     def span(self) -> Span:
@@ -108,13 +122,15 @@ class Element:
         labels: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
         code: str = "DB301",
+        edits: Edits = (),
     ) -> None:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file
-        are kept."""
+        are kept. `edits` are its unsafe fix."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
+            fix = Fix(edits, safe=False) if edits else None
             self.report.findings.add(
-                code, self.value_span(attribute), headline, help, labels=labels, notes=notes
+                code, self.value_span(attribute), headline, help, labels=labels, notes=notes, fix=fix
             )
 
     def warn(
@@ -126,19 +142,70 @@ class Element:
         notes: tuple[str, ...] = (),
         code: str = "DB311",
         kind: str | None = None,
+        edits: Edits = (),
+        safe: bool = True,
     ) -> None:
         """Report a warning at the value of `attribute`, or at the start tag; of several of one `kind`, only
-        the first."""
+        the first. `edits` are its fix, which is `safe` or a guess."""
         if kind is not None:
 
-            def report(more: tuple[str, ...]) -> None:
-                self.warn(headline, attribute=attribute, help=help, notes=(*notes, *more), code=code)
+            def report(more: tuple[str, ...], edits: Edits) -> None:
+                self.warn(
+                    headline,
+                    attribute=attribute,
+                    help=help,
+                    notes=(*notes, *more),
+                    code=code,
+                    edits=edits,
+                    safe=safe,
+                )
 
-            self.report.repeated.setdefault(kind, []).append((self, report))
+            self.report.repeated.setdefault(kind, []).append((self, edits, report))
             return
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help, notes=notes)
+            fix = Fix(edits, safe) if edits else None
+            self.report.findings.add(code, self.value_span(attribute), headline, help, notes=notes, fix=fix)
+
+    # Edits, none in a file that is expanded
+
+    def writing(self, **values: str) -> Edits:
+        """Return the edits that write values of attributes; none if one is absent."""
+        spans = {name: self.value_span(name) for name in values}
+        if self.report.is_expanded or any(span == self.span for span in spans.values()):
+            return ()
+        return tuple(
+            Edit(spans[name], value.translate(XML_ESCAPES).replace("'", "&apos;"))
+            for name, value in values.items()
+        )
+
+    @property
+    def _is_empty(self) -> bool:
+        """Whether the start tag is the end tag, too."""
+        return self.span.text.endswith("/>")
+
+    def renaming(self, attribute: str | None, name: str) -> Edits:
+        """Return the edits that rename an attribute, or the element."""
+        text = self.span.source.text
+        if self.report.is_expanded:
+            return ()
+        if attribute is not None:
+            at = next(
+                match.start(1)
+                for match in _ATTRIBUTE.finditer(text, self.start + 1 + len(self.tag), self.span.end)
+                if match[1] == attribute
+            )
+            return (Edit(Span(self.span.source, at, at + len(attribute)), name),)
+        starts = [self.start + 1, *([] if self._is_empty else [self.end + 2])]
+        return tuple(Edit(Span(self.span.source, at, at + len(self.tag)), name) for at in starts)
+
+    def removing(self) -> Edits:
+        """Return the edit that removes the element and the blanks before it."""
+        text = self.span.source.text
+        if self.report.is_expanded:
+            return ()
+        end = self.end if self._is_empty else text.index(">", self.end) + 1
+        return (Edit(Span(self.span.source, len(text[: self.start].rstrip()), end), ""),)
 
     def find_all(self, tag: str) -> list[Element]:
         return [child for child in self.children if child.tag == tag]
@@ -148,7 +215,8 @@ class Element:
         first = self.find_all(tag)
         for extra in first[1:]:
             headline = f"deepbots ignores a second <{tag}> in the same <{self.tag}>"
-            extra.warn(headline, help="remove it", kind=f"second {tag} in {self.tag}")
+            kind = f"second {tag} in {self.tag}"
+            extra.warn(headline, help="remove it", kind=kind, edits=extra.removing())
         return first[0] if first else None
 
     def require_one(self, tag: str) -> Element | None:
@@ -240,10 +308,13 @@ class Element:
         odd = next((word for word, number in zip(words, plain, strict=True) if word != number), None)
         if odd is not None:
             headline = f"{quoted(odd)} is not a number; deepbots reads {odd.rstrip(',.')}, as PyBullet does"
-            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"')
+            edits = self.writing(**{name: " ".join(plain)})
+            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain)}"', edits=edits)
         if size == 3 and len(plain) == 4:
             headline = f"'{name}' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does"
-            self.warn(headline, attribute=name, help=f'write {name}="{" ".join(plain[:3])}"')
+            help = f'write {name}="{" ".join(plain[:3])}"'
+            edits = self.writing(**{name: " ".join(plain[:3])}) if odd is None else ()
+            self.warn(headline, attribute=name, help=help, edits=edits)
             return plain[:3]
         return plain
 
@@ -307,7 +378,7 @@ class _Builder:
         self.open.append(element)
 
     def _end(self, tag: str) -> None:
-        self.open.pop()
+        self.open.pop().end = self.offset(self.parser.CurrentByteIndex)
 
 
 def parse(source: Source, findings: Findings) -> Element | None:
@@ -322,11 +393,13 @@ def parse(source: Source, findings: Findings) -> Element | None:
         return None
     if builder.version != "1.0":
         end = text.find("?>") + 2
+        at = text.index(builder.version, text.index("=", early))
         findings.add(
             "DB311",
             Span(source, early, end),
             f"XML version {builder.version[:20]!r} does not exist",
             'write version="1.0"',
+            fix=Fix((Edit(Span(source, at, at + len(builder.version)), "1.0"),), safe=True),
         )
     if early:
         headline = "the XML declaration is not at the start of the file"
@@ -335,6 +408,7 @@ def parse(source: Source, findings: Findings) -> Element | None:
             Span(source, early, early + len("<?xml")),
             headline,
             "remove the blanks and empty lines before it",
+            fix=Fix((Edit(Span(source, 0, early), ""),), safe=True),
         )
     if late >= 0:
         findings.add(

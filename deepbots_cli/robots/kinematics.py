@@ -6,6 +6,7 @@ Link frames do not use yourdfpy: lint needs them and imports no numpy.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -14,6 +15,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.robots.meshes import Bounds, mesh_bounds, mesh_reach
 from deepbots_cli.robots.model import (
+    WATER,
     Box,
     Capsule,
     Cylinder,
@@ -233,12 +235,12 @@ def with_inertia_of_shapes(model: RobotModel, link: str) -> RobotModel | str:
     return with_link(model, replace(old, inertial=replace(inertial, origin=origin)))
 
 
-def with_mass_of_shapes(model: RobotModel, link: str, mass: float) -> RobotModel | str:
-    """Return a link without a mass as a homogeneous body of `mass` kg."""
+def with_mass_of_shapes(model: RobotModel, link: str, mass: float) -> RobotModel:
+    """Return a link without a mass as a homogeneous body of `mass` kg: of its shapes, or a ball of water at
+    its origin."""
     old = model.link(link)
-    inertial = inertial_of_shapes(old, mass)
-    if inertial is None:
-        return f"link {link!r} has neither a mass nor a shape, so its inertia cannot be computed"
+    ball = Sphere((mass / (4 / 3 * math.pi * WATER)) ** (1 / 3))
+    inertial = inertial_of_shapes(old, mass) or homogeneous_inertial(ball, mass)
     return with_link(model, replace(old, inertial=inertial))
 
 

@@ -98,12 +98,13 @@ class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
     each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
     vertices, in its own units, by suffix and digest. The reader collects the elements of the meshes that are
-    `refused`, by the headline of the refusal, and of those `elsewhere`, with their paths."""
+    `refused`, by the headline of the refusal, with whether the robot can do without, and of those
+    `elsewhere`, with their paths."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self.spans: dict[Span, str] = {}
         self.boxes: dict[tuple[str, str], Bounds] = {}
-        self.refused: dict[str, list[tuple[Element, UnusableMesh]]] = {}
+        self.refused: dict[str, list[tuple[Element, UnusableMesh, bool]]] = {}
         self.elsewhere: list[tuple[Element, str]] = []
         self._resolve = resolve
         self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
@@ -149,7 +150,8 @@ class MeshReader:
                 f"convert it to one of: {', '.join(MESH_SUFFIXES)}",
             )
         if not path.exists():
-            return UnusableMesh("the mesh does not exist", f"check the path: deepbots looked for {path}")
+            help = f"check the path: deepbots looked for {path}"
+            return UnusableMesh("the mesh does not exist", help, is_missing=True)
         if not path.is_file():
             return UnusableMesh("the mesh is not a regular file")
         # By the bytes that are read: the size that the system names may be that of another moment.

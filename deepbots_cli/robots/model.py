@@ -24,6 +24,8 @@ Color = tuple[float, float, float, float]
 """Red, green, blue and alpha, 0 to 1."""
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 ZERO: Vector = (0.0, 0.0, 0.0)
+WATER = 1000.0
+"""The density of water, kg/m^3, for links that state no mass."""
 _TRACE_INERTIA = 1e-18  # kg m^2; a grain of dust of 1 ug and 0.1 mm has 1e-17
 
 

@@ -43,7 +43,8 @@ class UnusableMesh:
     """The reason why a file is not read, as a headline and the sentence that helps.
 
     `tried` has the places where the file was looked for; `allow` is a folder that has it and that the user
-    has to allow first. `lacks_package` says that no folder is the package of the file.
+    has to allow first. `lacks_package` says that no folder is the package of the file, `is_missing` that the file
+    is nowhere.
     """
 
     headline: str
@@ -51,6 +52,7 @@ class UnusableMesh:
     tried: tuple[str, ...] = ()
     allow: Path | None = None
     lacks_package: bool = False
+    is_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class Places:
             return self._elsewhere(path)
         if is_allowed:
             help = self._namesake(written) or f"check the path: deepbots looked for {real}"
-            return UnusableMesh("the mesh does not exist", help)
+            return UnusableMesh("the mesh does not exist", help, is_missing=True)
         allow = self._suggested([written])
         return UnusableMesh("the mesh lies outside the folder of the robot", _outside_help(allow), (), allow)
 
@@ -179,7 +181,7 @@ class Places:
             help += f", and for a package called {package[:60]}"
         help += "; put the file into one of these places, or allow a folder that has it with --allow-path"
         help = self._namesake(inside) or help
-        return UnusableMesh("the mesh does not exist", help, shown, lacks_package=lacks_package)
+        return UnusableMesh("the mesh does not exist", help, shown, None, lacks_package, is_missing=True)
 
     def _namesake(self, written: str) -> str | None:
         """Return the help that names a file of the same name in a folder nearby."""

@@ -17,7 +17,8 @@ from typing import get_args
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_help, parse, quoted
+from deepbots_cli.robots.elements import MAX_MAGNITUDE, Edits, Element, known_names_help, parse, quoted
+from deepbots_cli.robots.kinematics import with_inertia_of_shapes
 from deepbots_cli.robots.meshes import MeshReader
 from deepbots_cli.robots.model import (
     FRICTION_TAGS,
@@ -217,8 +218,9 @@ def _read(
         )
         return None
     xacro, hashed = None, hashlib.sha256(data)
+    root.report.is_expanded = is_xacro(source.text)
     try:
-        if is_xacro(source.text):
+        if root.report.is_expanded:
             xacro = expand(root, resolve_mesh, arguments, findings)
             if xacro is None:
                 return None
@@ -309,6 +311,8 @@ def _check_words(root: Element) -> None:
                 attribute=attribute,
                 help=f"did you mean {match!r}?",
                 kind=f"{noun} {word} of {element.tag}",
+                edits=element.renaming(attribute, match),
+                safe=False,
             )
 
 
@@ -409,15 +413,17 @@ def _pose(element: Element) -> Pose:
             f"URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write"
             f' rpy="{in_rad}"'
         )
-        origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
+        headline, edits = f"{largest:g} rad is more than a full turn", origin.writing(rpy=in_rad)
+        origin.warn(headline, attribute="rpy", help=help, code="DB504", edits=edits, safe=False)
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
 def _link(element: Element, name: str, colors: dict[str, Color], meshes: MeshReader) -> Link:
-    visuals = [
-        _geometry(visual, meshes, _visual_color(visual, colors)) for visual in element.find_all("visual")
-    ]
     collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
+    visuals = [
+        _geometry(visual, meshes, _visual_color(visual, colors), is_optional=any(collisions))
+        for visual in element.find_all("visual")
+    ]
     return Link(
         name,
         _inertial(element),
@@ -461,7 +467,10 @@ def _visual_color(visual: Element, colors: dict[str, Color]) -> Color | None:
     return _color(material) if material.find_all("color") else colors.get(material.attributes.get("name", ""))
 
 
-def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -> Geometry | None:
+def _geometry(
+    holder: Element, meshes: MeshReader, color: Color | None = None, *, is_optional: bool = False
+) -> Geometry | None:
+    """Return one `<visual>` or `<collision>`; `is_optional` if its mesh may be missing."""
     element = holder.require_one("geometry")
     if element is None:
         return None
@@ -474,11 +483,12 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
             "deepbots ignores a second shape in the same <geometry>",
             help="put it into its own <visual> or <collision>",
         )
-    shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
+    is_mesh = shapes[0].tag == "mesh"
+    shape = _mesh(shapes[0], meshes, is_optional=is_optional) if is_mesh else _solid(shapes[0], holder)
     return Geometry(shape, _pose(holder), color) if shape else None
 
 
-def _solid(element: Element, holder: str) -> Shape | None:
+def _solid(element: Element, holder: Element) -> Shape | None:
     """Return a shape whose measures are above 0. A shape of size 0 is a known way to have none, and
     harmless."""
     shape: Shape
@@ -499,17 +509,18 @@ def _solid(element: Element, holder: str) -> Shape | None:
     if measures[wrong] < 0:
         element.error(f"'{wrong}' must be above 0", attribute=wrong)
     else:
-        without = "draws nothing" if holder == "visual" else "touches nothing; deepbots ignores it"
+        without = "draws nothing" if holder.tag == "visual" else "touches nothing; deepbots ignores it"
         element.warn(
-            f"a {holder} without size {without}",
+            f"a {holder.tag} without size {without}",
             attribute=wrong,
-            help=f"remove the <{holder}>",
-            kind=f"{holder} without size",
+            help=f"remove the <{holder.tag}>",
+            kind=f"{holder.tag} without size",
+            edits=holder.removing(),
         )
     return None
 
 
-def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
+def _mesh(element: Element, meshes: MeshReader, *, is_optional: bool) -> Mesh | None:
     filename = element.text("filename")
     scale = _scale(element)
     if not all(scale):
@@ -518,7 +529,8 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         return None
     loaded = meshes.load(filename, scale)
     if isinstance(loaded, UnusableMesh):
-        meshes.refused.setdefault(loaded.headline, []).append((element, loaded))
+        can_do_without = is_optional and loaded.is_missing
+        meshes.refused.setdefault(loaded.headline, []).append((element, loaded, can_do_without))
         return None
     if loaded.elsewhere:
         meshes.elsewhere.append((element, loaded.elsewhere))
@@ -532,20 +544,26 @@ def _scale(mesh: Element) -> Vector:
         return mesh.vector("scale", (1.0, 1.0, 1.0))
     factor = mesh.number("scale")
     headline = "the scale of a mesh is one number; deepbots scales all three axes by it"
-    help = f'write scale="{factor:g} {factor:g} {factor:g}"'
-    mesh.warn(headline, attribute="scale", help=help, kind="scale of one number")
+    scale = f"{factor:g} {factor:g} {factor:g}"
+    help, edits = f'write scale="{scale}"', mesh.writing(scale=scale)
+    mesh.warn(headline, attribute="scale", help=help, kind="scale of one number", edits=edits)
     return factor, factor, factor
 
 
 def _report_meshes(meshes: MeshReader) -> None:
-    """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere."""
+    """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere. A
+    missing mesh of a link that has other shapes to touch is a warning, as in PyBullet."""
     for headline, refused in meshes.refused.items():
-        element, first = refused[0]
-        names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _ in refused))
+        element, first, _ = refused[0]
+        names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _, _ in refused))
         notes = _listed("the same is true of", names[1:])
         if first.tried:
             notes = (*_listed("deepbots tried", first.tried), *notes)
-        element.error(headline, attribute="filename", help=first.help, notes=notes)
+        if all(can_do_without for _, _, can_do_without in refused):
+            headline = f"{headline}; the robot is drawn without it"
+            element.warn(headline, attribute="filename", help=first.help, notes=notes)
+        else:
+            element.error(headline, attribute="filename", help=first.help, notes=notes)
     if meshes.elsewhere:
         element, reference = meshes.elsewhere[0]
         names = list(dict.fromkeys(path for _, path in meshes.elsewhere))
@@ -554,6 +572,7 @@ def _report_meshes(meshes: MeshReader) -> None:
             attribute="filename",
             help=f'write filename="{reference}"',
             notes=_listed("deepbots also reads", names[1:]),
+            edits=tuple(edit for mesh, path in meshes.elsewhere for edit in mesh.writing(filename=path)),
         )
 
 
@@ -608,7 +627,9 @@ def _joint_type(element: Element) -> JointType | None:
     )
     if word is not None and kind is None:
         help = known_names_help(word, _JOINT_TYPES, "joint types")
-        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
+        near = nearest_word(word, _JOINT_TYPES)
+        edits = element.writing(type=near) if near else ()
+        element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help, edits=edits)
     return kind
 
 
@@ -643,6 +664,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help='add <limit lower="..." upper="..." .../>',
                 code="DB307",
                 kind="no limits",
+                edits=joint.writing(type="continuous") if kind == "revolute" else (),
+                safe=False,
             )
         return Limit()
     effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
@@ -657,6 +680,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help='add lower="..." and upper="..."',
                 code="DB307",
                 kind="no limits",
+                edits=joint.writing(type="continuous") if kind == "revolute" else (),
+                safe=False,
             )
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
@@ -669,6 +694,8 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help="swap the two limits, or change the type of the joint to continuous",
                 code="DB307",
                 kind="crossed limits",
+                edits=element.writing(lower=f"{upper:.9g}", upper=f"{lower:.9g}"),
+                safe=False,
             )
     elif (
         kind == "continuous" and lower < upper < lower + _ENDLESS_RANGE and joint.attributes["type"] != _BALL
@@ -698,6 +725,7 @@ def _positive(limit: Element, name: str) -> float | None:
             attribute=name,
             help=f"write the {name} of the motor",
             kind="negative limit",
+            edits=limit.writing(**{name: "0"}),
         )
     return value if value is not None and value > 0 else None
 
@@ -779,9 +807,9 @@ def _check_references(
             if link not in links:
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
-                element.find_all(tag)[0].error(
-                    headline, attribute="link", help=known_names_help(link, links, "links")
-                )
+                end, near = element.find_all(tag)[0], nearest_word(link, list(links))
+                help, edits = known_names_help(link, links, "links"), end.writing(link=near) if near else ()
+                end.error(headline, attribute="link", help=help, edits=edits)
         if joint.mimic:
             _check_mimic(joint, joint.mimic, joints, element.find_all("mimic")[0])
     for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
@@ -802,6 +830,7 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
             f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing",
             help="remove the <mimic>",
             kind="mimic of a joint that does not move",
+            edits=element.removing(),
         )
     elif not leader.moves:
         headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
@@ -906,7 +935,7 @@ def _with_free_base(model: RobotModel) -> RobotModel:
     every robot whose base is not fixed has it."""
     below = [joint for joint in model.joints if joint.parent == model.root]
     root = model.link(model.root)
-    is_empty = root.inertial is None and not root.visuals and not root.collisions
+    is_empty = not root.mass and not root.visuals and not root.collisions
     if len(below) != 1 or below[0].type != "floating" or not is_empty:
         return model
     first = below[0]
@@ -938,10 +967,14 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
         elements[names[0]].warn(headline, attribute="name", help=help, notes=notes, code=code)
         places[elements[names[0]].value_span("name")] = tuple(names)
 
+    # A root that is a mere frame of what is bolted to it, as `base_link` is in files for ROS.
+    bolted = [joint.child for joint in model.joints if joint.parent == model.root and not joint.moves]
+    is_carried = any(model.link(name).mass for name in bolted)
     missing = [
         link
         for link in model.links
         if link.inertial is None
+        and not (link.name == model.root and is_carried)
         and (link.collisions or (link.name in moving and (link.visuals or subtree_mass[link.name] <= 0.0)))
     ]
     help = "add an <inertial>"
@@ -950,6 +983,8 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
             "; or give the scenario a density, from which its shape gives the mass: under `links` of the robot,"
             f" `{shaped[0]}: {{density: 1000 kg/m^3}}`"
         )
+    elif missing:
+        help += f"; or under `links` of the robot in the scenario, `{missing[0].name}: {{mass: 10 g}}`"
     warn("DB305", missing, "no <inertial>", help)
     massless = [
         link
@@ -974,11 +1009,28 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> dict[S
             f" compute it from shape and mass: under `links` of the robot, `{link.name}: {{inertia: auto}}`"
         )
         at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
+        computed = [_inertia_of_shapes(model, other, elements[other.name]) for other in wrong]
         at.warn(
             f"no rigid body can have the inertia of link {quoted(link.name)}",
             help=help,
             notes=_listed("the same is true of", [other.name for other in wrong[1:]]),
             code="DB306",
+            edits=tuple(edit for edits in computed for edit in edits) if all(computed) else (),
+            safe=False,
         )
         places[at.value_span(None)] = tuple(other.name for other in wrong)
     return places
+
+
+def _inertia_of_shapes(model: RobotModel, link: Link, element: Element) -> Edits:
+    """Return the edits that write the inertia of the shapes of a link; none for one without shapes, or whose
+    inertia stands in turned axes."""
+    changed = with_inertia_of_shapes(model, link.name)
+    new = None if isinstance(changed, str) else changed.link(link.name).inertial
+    if new is None or link.inertial is None or {*new.origin.rpy, *link.inertial.origin.rpy} != {0.0}:
+        return ()
+    inertia = element.find_all("inertial")[0].find_all("inertia")[0]
+    moments = {name: f"{getattr(new, name):.4g}" for name in _VOCABULARY["inertia"][1].split()}
+    if any(moments[name] != "0" for name in moments.keys() - inertia.attributes.keys()):
+        return ()
+    return inertia.writing(**{name: moments[name] for name in inertia.attributes if name in moments})

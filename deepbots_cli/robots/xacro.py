@@ -130,6 +130,11 @@ def expand(
         error = XacroError("macros, includes or expressions are nested too deep", code="DB005")
     except XacroError as caught:
         error = caught
+        below = next(
+            (child for child in root.children if child.attributes.get("name") == error.unknown), None
+        )
+        if below is not None and below.tag == "xacro:property":
+            error.labels.append(Label(below.span, "defined here: move it above its first use"))
     if error.code:  # a fault in the XML of an included file is reported where it is
         span = error.span or root.span
         findings.add(error.code, span, error.headline, error.help, labels=tuple(error.labels))

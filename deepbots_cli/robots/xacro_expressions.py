@@ -32,7 +32,8 @@ WAY_OUT = "expand the file with ROS: xacro robot.urdf.xacro > robot.urdf"
 class XacroError(Exception):
     """The reason why a file cannot be expanded; its place is the innermost one that was reported.
 
-    `lacks_package` says that the cause is a file of a package that no folder is.
+    `lacks_package` says that the cause is a file of a package that no folder is; `unknown` is the name of a
+    property that has no value.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class XacroError(Exception):
         self.headline, self.help, self.code, self.lacks_package = headline, help, code, lacks_package
         self.span: Span | None = None
         self.labels: list[Label] = []
+        self.unknown: str | None = None
 
 
 class Budget:
@@ -211,7 +213,9 @@ class Evaluator:
             if node.id in FUNCTIONS:
                 return FUNCTIONS[node.id]
             help = known_names_help(node.id, sorted(self._names), "properties")
-            raise XacroError(f"there is no property or function {quoted(node.id)}", help) from error
+            unknown = XacroError(f"there is no property or function {quoted(node.id)}", help)
+            unknown.unknown = node.id
+            raise unknown from error
 
     def _binary(self, node: ast.BinOp) -> Any:
         left, right = self._node(node.left), self._node(node.right)

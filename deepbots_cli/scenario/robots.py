@@ -35,7 +35,8 @@ class LinkOverride(Section):
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
     """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file. A link
-    without a mass in the robot file gets the inertia of its shapes."""
+    without a mass in the robot file gets the inertia of its shapes; without shapes, that of a ball of
+    water."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a
     homogeneous body of its shapes. deepbots takes the convex hull of a mesh that is not closed."""

@@ -590,6 +590,27 @@ def gripper() -> str:
     return "".join([*links, joint("left", "palm", "a", "0 0.1 0.1", "1 0 0", opening), right])
 
 
+def strong_hand() -> str:
+    """Three fingers and a thumb of light links whose motors are far too strong for them."""
+    strong = 'lower="{}" upper="{}" effort="30" velocity="10"'
+    parts = [link("palm", box("0.03 0.1 0.1"), 0.4, "0 0 0.05")]
+    for name, y in (("a", 0.04), ("b", 0.0), ("c", -0.04)):
+        for number, (above, z) in enumerate((("palm", 0.1), (f"{name}0", 0.05), (f"{name}1", 0.05))):
+            at = f"0 {y if number == 0 else 0} {z}"
+            parts += [
+                joint(f"{name}_{number}", above, f"{name}{number}", at, limit=strong.format(0, 1.6)),
+                link(f"{name}{number}", box("0.02 0.02 0.045"), 0.03, "0 0 0.025"),
+            ]
+    turn = strong.format(-1.2, 1.2)
+    parts += [
+        joint("thumb_0", "palm", "t0", "0.02 0.05 0.03", "0 0 1", turn),
+        link("t0", box("0.045 0.02 0.02"), 0.03, "0.025 0 0"),
+        joint("thumb_1", "t0", "t1", "0.05 0 0", "0 0 1", turn),
+        link("t1", box("0.045 0.02 0.02"), 0.03, "0.025 0 0"),
+    ]
+    return "".join(parts).replace("0.0003", "1e-05")
+
+
 def odd_names() -> str:
     names = [
         "on",
@@ -623,7 +644,18 @@ def odd_names() -> str:
 
 ODD_ROBOTS = {
     make.__name__: make
-    for make in (tall_foot, flat_arm, hoist, snake, spider, hexacopter, locked, gripper, odd_names)
+    for make in (
+        tall_foot,
+        flat_arm,
+        hoist,
+        snake,
+        spider,
+        hexacopter,
+        locked,
+        gripper,
+        strong_hand,
+        odd_names,
+    )
 }
 
 
@@ -788,11 +820,36 @@ def test_thrusters_push_along_the_axes_about_which_they_turn(deepbots, tmp_path)
 
 
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
-    massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
-    (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
+    empty = f'<link name="a"/><link name="foot"/>{joint("j", "foot", "a", "0 0 1")}'
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{empty}</robot>')
     created = deepbots("new", "first", "--urdf", "light.urdf", code=2)
-    assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in created.err
+    assert "light.urdf has neither masses nor shapes, so it cannot be simulated" in created.err
+    adrift = joint("j", "foot", "a", "0 0 1").replace("revolute", "floating")
+    parts = [link(name, box("1 1 0.1")) for name in ("a", "foot")]
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{"".join(parts)}{adrift}</robot>')
+    created = deepbots("new", "first", "--urdf", "light.urdf", code=2)
+    assert "joint 'j' of light.urdf is floating, which no engine supports; make it fixed" in created.err
     assert not (tmp_path / "first.yaml").exists()
+
+
+@pytest.mark.usefixtures("simulated_here")
+@pytest.mark.parametrize(
+    "inertial", ["", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>']
+)
+@pytest.mark.parametrize(
+    ("shape", "setting"),
+    [
+        ("", "{mass: 0.01 kg}"),
+        ('<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>', "{density: 1000 kg/m^3}"),
+    ],
+)
+def test_a_joint_that_moves_no_mass_gets_one_in_the_scenario(deepbots, tmp_path, inertial, shape, setting):
+    parts = f'<link name="a">{inertial}{shape}</link>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
+    (tmp_path / "light.urdf").write_text(f'<robot name="r">{parts}</robot>')
+    deepbots("new", "first", "--urdf", "light.urdf", "--task", "follow")
+    assert f"a: {setting}" in (tmp_path / "first.yaml").read_text()
+    ran = deepbots("lint", "first.yaml", "--deep")
+    assert ran.out == "first.yaml: no findings, including the simulation\n"
 
 
 def test_of_a_robot_file_that_is_not_there_the_nearest_shipped_one_is_suggested(deepbots):
@@ -1058,6 +1115,7 @@ def test_a_drone_of_rotors_without_mass_is_turned_by_their_thrust(deepbots, tmp_
     body = link("base", box("0.2 0.2 0.05"), 1.0)
     (tmp_path / "drone.urdf").write_text(f'<robot name="r">{body}{rotors}</robot>')
     deepbots("new", "first", "--urdf", "drone.urdf")
+    assert "    actuators:\n      rotors:" in (tmp_path / "first.yaml").read_text()
     with closing(api.make(tmp_path / "first.yaml")) as environment:
         environment.reset(seed=0)
         before = environment.engine.pose("robot")()[1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shlex
 from pathlib import Path
 
@@ -11,7 +13,11 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.document import loads
-from deepbots_cli.robots.kinematics import inertial_of_shapes, with_inertia_of_shapes
+from deepbots_cli.robots.kinematics import (
+    inertial_of_shapes,
+    with_inertia_of_shapes,
+    with_mass_of_shapes,
+)
 from deepbots_cli.robots.model import (
     Box,
     Geometry,
@@ -228,6 +234,14 @@ def test_a_robot_without_usable_inertials_runs_with_those_of_the_scenario_and_wi
     runs(tmp_path, text)
 
 
+def test_a_mass_without_a_shape_is_a_ball_of_water():
+    model = RobotModel("r", (Link("a"),), (), "a")
+    radius = 0.1
+    mass = 4 / 3 * math.pi * radius**3 * 1000
+    ball = with_mass_of_shapes(model, "a", mass).link("a").inertial
+    assert (ball.ixx, ball.iyy, ball.izz) == pytest.approx((0.4 * mass * radius**2,) * 3)
+
+
 def test_an_automatic_inertia_needs_a_shape_and_a_mass(tmp_path: Path):
     (tmp_path / "robot.urdf").write_text(robot(link("base", MASS), link("arm"), ARM[2]))
     findings = list(check(loads(scenario("base: {inertia: auto}"), "t.yaml", base=tmp_path)).findings)
@@ -244,9 +258,78 @@ def test_a_robot_file_is_linted_alone(deepbots: Deepbots, tmp_path: Path):
     ran = deepbots("lint", "my robot.urdf", "--json")
     assert '"code": "DB311"' in ran.out
     assert '"file": "my robot.urdf"' in ran.out
-    deepbots("lint", "my robot.urdf", "--fix", code=2)
     (tmp_path / "my robot.urdf").write_text("<robot")
     deepbots("lint", "my robot.urdf", "--format", "github", code=1)
+
+
+ORIGIN = '<origin xyz="0 0 0"/>'
+FIXES = {
+    "a misspelled element": ("</collision>", "</colision>", ("<collision>", "<colision>")),
+    "a misspelled attribute": ('lower="-1"', 'lowr="-1"'),
+    "a misspelled type": ('type="revolute"', 'type="revolut"'),
+    "a misspelled link": ('<child link="arm"/>', '<child link="amr"/>'),
+    "two materials": ("</visual>", '<material name="a"/>\n  <material name="b"></material></visual>'),
+    "limits of minus one": ('effort="5" velocity="5"', 'effort="-1" velocity="-1.0"'),
+    "crossed limits": ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
+    "one scale": ('"m.obj"', '"m.obj" scale="0.5"'),
+    "no limits": (' lower="-1" upper="1"', ""),
+    "another version of XML": ("<robot", '<?xml version="1.1"?>\n<robot'),
+    "an empty line before the declaration": ("<robot", '\n<?xml version="1.0"?>\n<robot'),
+    "no size": ("</visual>", '</visual><collision><geometry><sphere radius="0"/></geometry></collision>'),
+    "an angle in degrees": (ORIGIN, '<origin xyz="0 0 0" rpy="0 90 0"/>'),
+    "a comma": ('"0 0 0"', '"0, 0, 0"'),
+    "a mesh elsewhere": ('"m.obj"', '"/home/x/ws/meshes/m.obj"'),
+    "an impossible inertia": ('izz="0.01"', 'izz="0.03"'),
+    "a follower that is fixed": (
+        "</robot>",
+        link("tip") + joint("weld", "arm", "tip", "fixed", '<mimic joint="hinge"/>') + "</robot>",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FIXES)
+def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_path: Path, case: str):
+    (tmp_path / "m.obj").write_text(TETRAHEDRON)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes/m.obj").write_text(TETRAHEDRON)
+    drawn = '<visual><geometry><mesh filename="m.obj"/></geometry></visual>'
+    moved = f'<collision>{ORIGIN}<geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
+    text = robot(link("base", MASS + drawn + moved), link("arm"), joint("hinge", "base", "arm"))
+    right, wrong, *more = FIXES[case]
+    for old, new in ((right, wrong), *more):
+        text = text.replace(old, new, 1)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json", "--exit-zero").out)["findings"]
+    assert finding["fix"]["edits"]
+    assert deepbots("lint", "robot.urdf", "--diff", "--unsafe-fixes", code=1).out.startswith("--- robot.urdf")
+    assert path.read_text() == text
+    ran = deepbots("lint", "robot.urdf", "--fix", "--unsafe-fixes")
+    assert ran.out == "robot.urdf: no findings\n"
+
+
+def test_a_fix_that_is_a_guess_needs_its_option(deepbots: Deepbots, tmp_path: Path):
+    crossed = robot(*ARM).replace('lower="-1" upper="1"', 'lower="1" upper="-1"')
+    (tmp_path / "robot.urdf").write_text(crossed)
+    deepbots("lint", "robot.urdf", "--fix")
+    assert (tmp_path / "robot.urdf").read_text() == crossed
+
+
+def test_no_text_of_a_template_is_fixed(deepbots: Deepbots, tmp_path: Path):
+    text = robot(*ARM).replace('effort="5"', 'effort="${-1}"').replace('velocity="5"', 'velocity="-1"')
+    (tmp_path / "robot.urdf.xacro").write_text(text)
+    ran = deepbots("lint", "robot.urdf.xacro", "--fix")
+    assert "DB311" in ran.out
+    assert (tmp_path / "robot.urdf.xacro").read_text() == text
+
+
+def test_the_robot_file_of_a_scenario_is_not_changed_with_it(deepbots: Deepbots, tmp_path: Path):
+    text = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
+    (tmp_path / "robot.urdf").write_text(text)
+    (tmp_path / "t.yaml").write_text(scenario())
+    ran = deepbots("lint", "t.yaml", "--fix")
+    assert "DB311" in ran.out
+    assert (tmp_path / "robot.urdf").read_text() == text
 
 
 def test_a_robot_outside_the_project_is_copied_with_its_meshes_as_the_message_offers(
@@ -292,3 +375,36 @@ def test_a_density_is_not_offered_to_a_link_without_a_shape(tmp_path: Path):
         _, findings = opened(tmp_path, text)
         (finding,) = (finding for finding in findings if finding.code == "DB305")
         assert ("density" in str(finding.help)) is is_offered
+
+
+def test_new_for_sixteen_hinges_with_alternating_velocity_limits_runs(deepbots: Deepbots, tmp_path: Path):
+    limit = '<origin xyz="0 0 0.06"/><limit lower="-1" upper="1" effort="20" velocity="{}"/>'
+    velocities = ["5.123456", "5.123456", "1.832612", "1.832612"] * 4
+    links = [link(f"l{number}") for number in range(17)]
+    hinges = [
+        joint(f"j{number}", f"l{number}", f"l{number + 1}", inside=limit.format(velocity))
+        for number, velocity in enumerate(velocities)
+    ]
+    (tmp_path / "arm.urdf").write_text(robot(*links, *hinges))
+    deepbots("new", "first", "--urdf", "arm.urdf")
+    runs(tmp_path, (tmp_path / "first.yaml").read_text())
+
+
+def test_a_drawing_whose_mesh_is_missing_is_a_warning_where_the_link_has_another_shape(tmp_path: Path):
+    drawn = '<visual><geometry><mesh filename="gone.stl"/></geometry></visual>'
+    file, findings = opened(tmp_path, robot(link("base", MASS + BOX + drawn * 3), link("arm"), ARM[2]))
+    assert file is not None
+    assert file.model.link("base").visuals == ()
+    assert [(finding.code, finding.headline) for finding in findings] == [
+        ("DB311", "the mesh does not exist; the robot is drawn without it")
+    ]
+    for shape in (drawn, BOX + drawn.replace("visual", "collision")):
+        file, (finding,) = opened(tmp_path, robot(link("base", MASS + shape), link("arm"), ARM[2]))
+        assert (file, finding.code) == (None, "DB301")
+
+
+def test_a_root_that_is_the_frame_of_the_heavy_link_bolted_to_it_needs_no_mass(tmp_path: Path):
+    weld = joint("weld", "base_link", "base", "fixed")
+    assert opened(tmp_path, robot(link("base_link", BOX), *ARM, weld))[1] == []
+    light = robot(link("base_link", BOX), link("base", ""), *ARM[1:], weld)
+    assert [finding.code for finding in opened(tmp_path, light)[1]] == ["DB305"]

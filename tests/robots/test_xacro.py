@@ -80,7 +80,7 @@ def read_file(path: Path, **arguments: str) -> tuple[RobotFile | None, list[Find
     return read(path, path.name, findings, arguments=arguments), list(findings)
 
 
-def test_a_property_that_is_defined_below_its_use_has_a_value(tmp_path):
+def test_a_property_that_is_defined_below_its_use_is_to_be_moved_above_it(tmp_path):
     (tmp_path / "r.urdf").write_text(
         robot(LINK.format(name="base", size="${w} ${2 * w} ${w}") + '<xacro:property name="w" value="0.1"/>')
     )
@@ -88,6 +88,7 @@ def test_a_property_that_is_defined_below_its_use_has_a_value(tmp_path):
     file, findings = read_file(tmp_path / "r.urdf")
     assert file is None
     assert findings[0].headline == "there is no property or function 'w'"
+    assert [label.text for label in findings[0].labels] == ["defined here: move it above its first use"]
     (tmp_path / "r.urdf").write_text(
         robot('<xacro:property name="w" value="0.1"/>' + LINK.format(name="base", size="${w} ${2 * w} ${w}"))
     )

@@ -28,15 +28,17 @@ from deepbots_cli.cli.sources import (
     xacro_arguments,
 )
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Edit, Finding, Severity
+from deepbots_cli.diagnostics import Edit, Finding, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.load import Drafts
+from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.lint import all_findings, find_exploits, simulate
-from deepbots_cli.lint.fixes import Fixer
+from deepbots_cli.lint.fixes import Fixer, LintResult
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
@@ -244,8 +246,8 @@ def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, 
     has_stdin = STDIN in names
     robots = [name for name in names if is_robot(name)]
     _check_together(
-        bool(robots) and (may_fix or bool(look.overrides) or look.deep or look.exploits),
-        "a robot file alone is only read; leave out --fix, --diff, --set, --deep and --exploits",
+        bool(robots) and (bool(look.overrides) or look.deep or look.exploits),
+        "a robot file alone is only read; leave out --set, --deep and --exploits",
     )
     _check_together(
         bool(look.stdin_name) and not has_stdin, "--stdin-filename needs - (standard input) as a scenario"
@@ -325,8 +327,7 @@ def _fixed(
 ) -> tuple[list[Finding], bool]:
     """Fix files. Returns the findings that are left, and whether a file changes; `show` prints the difference
     and writes nothing."""
-    load = partial(api.load, permissions=look.permissions)
-    fixer = Fixer(names, load, unsafe=unsafe, selects=selection.selects, preview=look.preview)
+    fixer = Fixer(names, look.load, unsafe=unsafe, selects=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
     for rewrite in rewrites:
         if show:
@@ -431,6 +432,16 @@ class LintOptions:
             return robot_findings(name, self.permissions.folders, self.xacro)
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name), name)
+
+    def load(self, name: str, drafts: Drafts) -> CheckedScenario | LintResult:
+        """Return the check of a scenario, or the findings of a robot file."""
+        if not is_robot(name):
+            return api.load(name, permissions=self.permissions, drafts=drafts)
+        findings = robot_findings(name, self.permissions.folders, self.xacro, drafts)
+        path = robot_path(name, self.permissions.folders).resolve()
+        sources = {path: findings[0].span.source} if findings else {}
+        nothing = MappingNode(Span(SourceText(name, ""), 0, 0), {})
+        return LintResult(findings, sources, nothing, compiled=True)
 
     def files_read(self, name: str) -> set[Path]:
         """Return the scenario or robot file, and the files that it reads."""

@@ -22,15 +22,16 @@ from deepbots_cli.robots.kinematics import (
     box_sides,
     inertial_of_shapes,
     with_inertia_of_shapes,
+    with_mass_of_shapes,
 )
-from deepbots_cli.robots.model import Joint, Link, RobotModel, volume, with_link
+from deepbots_cli.robots.model import WATER, Joint, Link, RobotModel, volume, with_link
 
-_DENSITY = 1000.0
-"""The density (kg/m^3) of a link without a mass, that of water."""
 _LARGEST_INERTIA_RATIO = 1000.0
 """The largest ratio of the inertia of a link to that of its shapes, either way."""
 _LEAST_MASS = 1e-3
 """The least mass (kg) of a link without a mass."""
+_SHARE_OF_FRAME = 0.01
+"""The share of the mass of the robot of a link that has neither a mass nor a shape, and moves alone."""
 
 
 def hover(draft: Draft) -> dict[str, object] | None:
@@ -205,16 +206,19 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
     """Return a scenario called `name` about a robot file.
 
     Raises:
-        UsageError: No joint of the robot can be driven, a joint carries no mass, so that it cannot be
-            simulated, no kind is sure, or the task does not suit the robot.
+        UsageError: No joint of the robot can be driven, one is floating, it has neither masses nor shapes, no
+            kind is sure, or the task does not suit the robot.
     """
     model, settings = _completed(model)
     build = Build(model)
-    if build.weightless:
-        joint = build.weightless[0]
+    if not model.mass:
         raise UsageError(
-            f"joint '{joint.name}' of {urdf} moves no mass; add an <inertial> with a mass to link"
-            f" '{joint.child}'"
+            f"{urdf} has neither masses nor shapes, so it cannot be simulated; add <inertial> and <collision> to"
+            " its links"
+        )
+    if joint := next((joint for joint in model.joints if joint.type in ("floating", "planar")), None):
+        raise UsageError(
+            f"joint '{joint.name}' of {urdf} is {joint.type}, which no engine supports; make it fixed"
         )
     if not build.driven and not build.propellers:
         raise UsageError(
@@ -261,22 +265,26 @@ def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
 
 def _completed(model: RobotModel) -> tuple[RobotModel, dict[str, dict[str, str]]]:
     """Return a robot that can be simulated, and the settings of links that this needs: a density where a
-    joint moves no mass, for links with a shape and without an <inertial>; the inertia of the shapes where no
-    body can have that of the file."""
+    joint moves no mass, for links with a shape and without a mass, and a small mass for what such a joint
+    moves without a shape; the inertia of the shapes where no body can have that of the file."""
     subtree_mass = model.subtree_mass()
     is_massless = any(subtree_mass[joint.child] <= 0.0 for joint in model.moving_joints)
     settings: dict[str, dict[str, str]] = {}
     for link in model.links:
-        if link.inertial is None and is_massless:
-            mass = max(_DENSITY * _volume(link), _LEAST_MASS)
+        if link.mass == 0.0 and is_massless:
+            mass = max(WATER * _volume(link), _LEAST_MASS)
             if inertial := inertial_of_shapes(link, mass):
                 model = with_link(model, replace(link, inertial=inertial))
-                settings[link.name] = {"density": f"{_DENSITY:.0f} kg/m^3"}
+                settings[link.name] = {"density": f"{WATER:.0f} kg/m^3"}
         elif link.mass > 0.0:
             changed = with_inertia_of_shapes(model, link.name)
             if not isinstance(changed, str) and not _fits(link, changed.link(link.name)):
                 model = changed
                 settings[link.name] = {"inertia": "auto"}
+    mass = max(_SHARE_OF_FRAME * model.mass, _LEAST_MASS)
+    for joint in Build(model).weightless if model.mass else ():
+        model = with_mass_of_shapes(model, joint.child, mass)
+        settings[joint.child] = {"mass": f"{short_number(mass)} kg"}
     return model, settings
 
 
@@ -330,6 +338,7 @@ def _mended(draft: Draft) -> list[str]:
     lines = []
     for key, reason in (
         ("density", "no mass in the file; `density` under `links` gives them that of water"),
+        ("mass", "neither a mass nor a shape in the file, and moves; `mass` under `links` is a guess"),
         (
             "inertia",
             "an inertia in the file that no body of this shape can have; `inertia: auto` takes that of the shape",
