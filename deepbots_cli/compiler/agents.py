@@ -18,7 +18,7 @@ from deepbots_cli.compiler.symmetry import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
-from deepbots_cli.document.nodes import entries_at, node_at
+from deepbots_cli.document.nodes import NodePath, entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
@@ -537,7 +537,32 @@ def _root_of(
             for name, entry in robots.value.entries.items()
         }
         entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
-    return replace(root, entries=entries)
+    divided = replace(root, entries=entries)
+    foreign = [path for path in _settings(divided) if _is_absent(divided, root, str(path[-1]))]
+    without = without_paths(divided, foreign)
+    assert isinstance(without, MappingNode)  # the root stays a mapping
+    return without
+
+
+def _settings(root: MappingNode) -> Iterator[NodePath]:
+    """Yield the paths of all settings of cases and stages."""
+    stages = node_at(root, "curriculum")
+    variants: list[NodePath] = [
+        ("evaluation", "cases", name) for name in entries_at(root, "evaluation", "cases")
+    ]
+    if isinstance(stages, SequenceNode):
+        variants += [("curriculum", number) for number in range(len(stages.items))]
+    for variant in variants:
+        for path in entries_at(root, *variant, "set"):
+            yield (*variant, "set", path)
+
+
+def _is_absent(divided: MappingNode, root: MappingNode, path: str) -> bool:
+    """Return whether a setting changes what only the scenario of another agent has: the controller of its
+    robot."""
+    steps, _, unresolved = follow_dotted(divided, path)
+    is_robot = steps[:-1] == ("robots",)
+    return is_robot and unresolved.split(".")[0] in entries_at(root, *steps)
 
 
 def _limits_of(limits: MappingNode, agent: str) -> MappingNode:

@@ -286,6 +286,17 @@ def test_a_setting_below_an_agent_may_add_the_section_of_its_training(tmp_path: 
     assert {entry.name: entry.value for entry in training.hyperparameters}["gamma"] == 0.9
 
 
+def test_a_case_changes_the_actuator_of_each_agent(carts: Path) -> None:
+    case = "evaluation: {cases: {weak: {set: {robots.right.actuators.wheels.max_velocity: 2 rad/s}}}}\n"
+    carts.write_text(carts.read_text() + case)
+    program = api.compile(carts).program
+    limits = [
+        {robot.name: robot.actuators[0].max_velocity[0] for robot in variant.robots}
+        for variant in (program, program.variant("weak", None))
+    ]
+    assert limits[1] == {**limits[0], "right": 2.0}
+
+
 def test_warnings_about_the_robot_file_of_a_package_are_left_out_for_several_agents(tmp_path: Path) -> None:
     robot = "urdf: package://pybullet_data/racecar/racecar.urdf"
     text = CARTS.replace("urdf: cartpole", robot).replace("pole_hinge", "left_steering_hinge_joint")

@@ -6,6 +6,7 @@ its `key_rules` allow. What one section takes from another (names, joints, the t
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -30,11 +31,11 @@ from deepbots_cli.scenario.documentation import example_of
 from deepbots_cli.scenario.episode import MapLayout, Reset
 from deepbots_cli.scenario.fields.base import FieldType
 from deepbots_cli.scenario.fields.names import Reference
-from deepbots_cli.scenario.fields.quantities import Expression
 from deepbots_cli.scenario.robots import Messages, Robot
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.sensors import SENSORS, RayScan
 from deepbots_cli.scenario.world import World
+from tests.laws import tasks
 from tests.laws.expressions import (
     CONDITION,
     SCALARS,
@@ -49,7 +50,7 @@ from tests.laws.expressions import (
     pick,
     units_of,
 )
-from tests.laws.fields import Place, Values
+from tests.laws.fields import Place, Values, plain
 
 # Robots
 
@@ -158,6 +159,8 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("Gripper", "max_torque"): lambda author, *_: pick(author.draw, ("20 N", "uniform(10 .. 30 N)")),
     ("Thrust", "spin"): lambda author, *_: pick(author.draw, (1, -1, 0.5)),
     ("RayScan", "angle_range"): lambda author, data, _: author.fan(data),
+    ("Disturbance", "every"): lambda author, *_: pick(author.draw, ("0.1 s", "uniform(100 .. 300 ms)")),
+    ("Disturbance", "duration"): lambda author, *_: pick(author.draw, ("40 ms", "uniform(20 .. 100 ms)")),
     ("Route", "loss"): lambda author, *_: pick(author.draw, (0.1, "20 %", "uniform(0 .. 0.3) each step")),
     ("Route", "burst"): lambda author, *_: pick(author.draw, (2, 3)),
     ("Cartesian", "link"): lambda *_: "panda_hand",
@@ -218,11 +221,15 @@ class Author(Values):
         self.actions: dict[str, ValueType] = {}
         self.supervised: dict[str, ValueType] = {}
         """Values of the supervisor: entries of `augment`, signals."""
+        self.seen: dict[str, ValueType] = {}
+        """Values that the policy observes, by name."""
         self.sent: dict[str, ValueType] = {}
         """What robots send, as `cart.angle`."""
         self.on_board: dict[str, dict[str, ValueType]] = {}
         """Sensors and received values of each robot."""
         self.endings: list[str] = []
+        self.drawn: list[tuple[dict[str, Any], str, Callable[[], Any]]] = []
+        """The numbers of sections: the section, the key, and a function that draws another value."""
         self.layouts: tuple[str, ...] = ()
         self.tables: tuple[str, ...] = ()
         self.count = 0
@@ -241,6 +248,8 @@ class Author(Values):
             values |= self.on_board.get(robot, {})
             if context is Context.APPLY:
                 values |= self.actions
+        elif context is Context.FORBID:
+            values |= {name: kind for name, kind in self.seen.items() if not kind.picture}
         elif context not in (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.RESET, Context.REQUIRE):
             step = Known.STEP
             values |= self.supervised | self.sent | self.actions
@@ -366,12 +375,40 @@ class Author(Values):
             inner = self.place_of_section(model, data, place)
             try:
                 data[key] = self._entry(model, key, shapes[key], data, inner)
+                if tasks.numeric(shapes[key]) and len(data) > len(given):
+                    self._remember(model, key, shapes[key], data, inner)
             except UnavailableError:
                 if model.model_fields[key].is_required():
                     raise
         if any(len(data.keys() & set(rule.names)) < rule.min for rule in model.key_rules):
             raise UnavailableError
         return data
+
+    def _remember(
+        self, model: type[Section], key: str, shape: Shape, data: dict[str, Any], place: Place
+    ) -> None:
+        self.drawn.append((data, key, lambda: self._entry(model, key, shape, data, place)))
+
+    def leaves(self) -> list[tuple[tuple[str, ...], Callable[[], Any]]]:
+        """Return the paths of the numbers of sections, each with a function that draws another value."""
+        paths: dict[int, tuple[str, ...]] = {}
+
+        def visit(value: Any, path: tuple[str, ...]) -> None:
+            if isinstance(value, dict):
+                paths[id(value)] = path
+                for key, inner in value.items():
+                    visit(inner, (*path, key))
+
+        visit(self.data, ())
+        return [
+            ((*paths[id(data)], key), again)
+            for data, key, again in self.drawn
+            if id(data) in paths and key in data and key != "timestep"
+        ]
+
+    def condition(self, context: Context) -> str:
+        """Draw a condition that may be true or false."""
+        return Expressions(self.draw, self.names(context)).condition()
 
     def _entry(
         self, model: type[Section], key: str, shape: Shape, data: Mapping[str, Any], place: Place
@@ -491,49 +528,155 @@ class Author(Values):
         self.data["world"] = self.section(World, Place())
         if self.profile.engines[0] != "pybullet":
             self.data["world"].setdefault("engine", self.profile.engines[0])
-        self._define("parameters", self._parameter, 3)
+        self.define(self.data, "parameters", self._parameter, 3)
         self._objects()
-        for name in ("one", "two")[: 1 + chance(self.draw, 20)]:
-            self._robot(name)
-        self.data["action"] = {}
-        for number in range(self.draw(st.integers(1, 2))):
-            self._action(f"act{number}")
-        for name in self.bodies:
-            self._messages_of(name)
+        agents = ("one", "two", "three")[: pick(self.draw, (1, 1, 1, 2, 3))]
+        robots = agents if len(agents) > 1 else ("one", "two")[: 1 + chance(self.draw, 20)]
+        like = len(agents) > 1 and chance(self.draw, 30)
+        for name in robots:
+            self._robot(name, like="one" if like and name != "one" else "")
         if chance(self.draw, 60):
             self.data["messages"] = self.section(Messages, Place())
             if self.data["messages"].get("format") == "none":
                 self.data["messages"] = {"format": "none"}
+        acting = self._act(agents, like=like)
         self._reset()
-        self._define("signals", self._signal, 3)
-        self._define("augment", self._signal, 3)
-        self.data["observation"] = self._observation()
-        self._endings()
-        self.data["reward"] = {
-            f"term{number}": self.value(section_fields(Scenario)["reward"].value, Place())
-            for number in range(self.draw(st.integers(1, 3)))
-        }
-        self.data["truncation"] = {"max_steps": self.draw(st.integers(5, 30))}
+        sent = self.sent
+        if len(agents) > 1:
+            self.sent = {}  # values of one agent are no values of all
+        self.define(self.data, "signals", self.signal, 3)
+        self.sent = sent
+        if len(agents) > 1:
+            self._agents(acting, like=like)
+        else:
+            self._agent(acting[""])
+        self.data["truncation"] = tasks.truncation(self)
+        self._around(agents if len(agents) > 1 else ())
         return Drawn(self.data)
 
-    def _define(self, section: str, define: Callable[[str], Any], most: int) -> None:
-        entries = self.data.setdefault(section, {})
+    def _act(self, agents: tuple[str, ...], *, like: bool) -> dict[str, dict[str, Any]]:
+        """Draw the actions of each agent, and the messages of its robots, which use them."""
+        several = len(agents) > 1
+        acting: dict[str, dict[str, Any]] = {}
+        robots = {name: (name,) for name in agents} if several else {"": tuple(self.bodies)}
+        for name, own in robots.items():
+            if like and name != "one":
+                continue
+            count = self.draw(st.integers(1, 2))
+            acts = [
+                f"{name}act{number}" if several and not like else f"act{number}" for number in range(count)
+            ]
+            acting[name] = {"action": tasks.actions(self, acts)}
+            for robot in own:
+                self._messages_of(robot)
+        if several:
+            self.actions = {}
+        if like:
+            for other in agents[1:]:
+                self.data["robots"][other] |= tasks.mirrored(
+                    {
+                        key: self.data["robots"]["one"][key]
+                        for key in ("receive", "emit", "apply")
+                        if key in self.data["robots"]["one"]
+                    },
+                    "one",
+                    other,
+                )
+        return acting
+
+    def _agent(self, acting: dict[str, Any]) -> None:
+        """Draw what the only agent sees and wants."""
+        data = self.data
+        self.define(data, "augment", self.signal, 3)
+        data["action"] = acting["action"]
+        augmented = {name: self.supervised[name] for name in data.get("augment", {})}
+        self.seen = self.sent | augmented
+        data["observation"] = tasks.observed(self, self.seen, 60) or {"previous_action": "auto"}
+        tasks.forbid(self, data["action"])
+        words = ("success", "failure")
+        if chance(self.draw, 15):
+            data["goal"] = tasks.goal(self)
+        if chance(self.draw, 15):
+            critic = tasks.observed(self, self.seen | self.supervised, 20)
+            data["critic"] = {
+                name: entry for name, entry in critic.items() if name not in data["observation"]
+            }
+        drawn = tasks.endings(self, words)
+        if drawn:
+            data["termination"] = {name.rstrip("0"): {name: text} for name, text in drawn.items()}
+        self.endings = list(drawn)
+        reward = section_fields(Scenario)["reward"].value
+        data["reward"] = {
+            f"term{number}": self.value(reward, Place()) for number in range(self.draw(st.integers(1, 3)))
+        }
+        if chance(self.draw, 40):
+            data["scripts"] = {"written": tasks.script(self, data["action"])}
+        if chance(self.draw, 20):
+            data["agent"] = {
+                "action_repeat": self.draw(st.integers(1, 3)),
+                "frame_stack": self.draw(st.integers(1, 2)),
+            }
+
+    def _agents(self, acting: dict[str, dict[str, Any]], *, like: bool) -> None:
+        """Draw what each agent sees and wants."""
+        data = self.data
+        data["agents"] = {}
+        for name, drawn in acting.items():
+            data["agents"][name] = {"robots": [name], **drawn}
+            tasks.agent(self, name, data["agents"][name])
+        if like:
+            for other in [name for name in self.bodies if name != "one"]:
+                data["agents"][other] = {"like": "one", "robots": [other]}
+        self.sent = {}
+        if ends := tasks.outcomes(self, list(self.bodies)):
+            data["endings"] = ends
+            self.endings = list(ends)
+
+    def _around(self, agents: tuple[str, ...]) -> None:
+        """Draw what is about a whole scenario: how it is disturbed, varied, trained, and tested."""
+        data = self.data
+        if chance(self.draw, 15) and (pushes := tasks.disturbances(self)):
+            data["disturbances"] = pushes
+        if chance(self.draw, 15):
+            data["evaluation"] = tasks.evaluation(self)
+        if not agents and chance(self.draw, 15):
+            data["curriculum"] = tasks.curriculum(self)
+        if not agents and chance(self.draw, 15):
+            data["solved"] = tasks.solved(self)
+        first = data if not agents else data["agents"][agents[0]]
+        if not agents and chance(self.draw, 30):
+            data["train"] = tasks.training(self, first)
+            if chance(self.draw, 25):
+                data["tune"] = tasks.search(self)
+        if chance(self.draw, 15):
+            data["tests"] = {"test0": tasks.check(self, first, self.endings, agents[0] if agents else "")}
+
+    def define(
+        self, data: dict[str, Any], section: str, define: Callable[[str], Any], most: int, prefix: str = ""
+    ) -> None:
+        """Draw up to `most` definitions of a section."""
+        entries = data.setdefault(section, {})
         for number in range(self.draw(st.integers(0, most))):
-            name = f"{section[:3]}{number}"
+            name = f"{prefix or section[:3]}{number}"
             entries[name] = define(name)
         if not entries:
-            del self.data[section]
+            del data[section]
 
     def _parameter(self, name: str) -> str:
         dimension = pick(self.draw, SCALARS)
         latest = Known.EPISODE if chance(self.draw, 50) else Known.FIXED
-        kind = ValueType(dimension)
-        if latest is Known.FIXED:
-            text = self.expression(Context.FIXED, kind, latest=Known.FIXED)
-        else:
-            text = f"uniform({literal_range(self.draw, dimension, 0.5, 2.0)})"
-        self.parameters[name] = kind._replace(known=latest)
+        kind = ValueType(dimension, known=latest)
+        text = self.parameter_text(name, kind)
+        self.parameters[name] = kind
         return text
+
+    def parameter_text(self, name: str, kind: ValueType) -> str:
+        """Draw the value of a parameter: a fixed one, from those above it, or one of each episode."""
+        if kind.known is Known.FIXED:
+            names = self.names(Context.FIXED).known_by(Known.FIXED)
+            above = dict(itertools.takewhile(lambda item: item[0] != name, names.values.items()))
+            return plain(Expressions(self.draw, replace(names, values=above)).text(kind))
+        return f"uniform({literal_range(self.draw, kind.dimension, 0.5, 2.0)})"
 
     def _objects(self) -> None:
         objects = {}
@@ -545,13 +688,19 @@ class Author(Values):
             objects["table0"] = {"shape": "box", "size": "9 9 0.1 m", "fixed": True, "pose": {"y": "-9 m"}}
             self.tables = ("table0",)
 
-    def _robot(self, name: str) -> None:
+    def _robot(self, name: str, like: str = "") -> None:
+        x = {"one": "0 m", "two": "1 m", "three": "2 m"}[name]
+        if like:
+            self.bodies[name] = self.bodies[like]
+            self.on_board[name] = tasks.mirrored(self.on_board[like], like, name)
+            robot = tasks.mirrored(self.data["robots"][like], like, name)
+            self.data["robots"][name] = robot | {"pose": robot["pose"] | {"x": x}}
+            return
         body = pick(self.draw, self.profile.bodies)
         self.bodies[name] = body
         self.on_board[name] = {}
         self.driven[name] = set()
         place = Place(robot=name)
-        x = {"one": "0 m", "two": "1 m"}[name]
         robot: dict[str, Any] = {"urdf": body.urdf, "pose": {"x": x}}
         if body.base == "fixed":
             robot["base"] = "fixed"
@@ -615,13 +764,6 @@ class Author(Values):
         self.driven[robot] |= parts
         self.data["robots"][robot]["actuators"][name] = data
 
-    def _action(self, name: str) -> None:
-        if chance(self.draw, 50):
-            self.data["action"][name] = "-1 .. 1"
-        else:
-            self.data["action"][name] = {"choices": {"left": -1, "rest": 0, "right": 1}}
-        self.actions[name] = ValueType(known=Known.STEP)
-
     def _messages_of(self, robot: str) -> None:
         data = self.data["robots"][robot]
         place = Place(robot=robot)
@@ -678,7 +820,7 @@ class Author(Values):
         if data:
             self.data["reset"] = data
 
-    def _signal(self, name: str) -> Any:
+    def signal(self, name: str) -> Any:
         kind = ValueType(pick(self.draw, SCALARS), pick(self.draw, (None, None, None, SPACE)))
         if chance(self.draw, 20):
             kind = CONDITION
@@ -686,37 +828,6 @@ class Author(Values):
         changes = re.search(_CHANGING, str(text)) is not None
         self.supervised[name] = kind._replace(known=Known.STEP if changes else Known.FIXED)
         return text
-
-    def _observation(self) -> dict[str, Any]:
-        entries: dict[str, Any] = {}
-        augmented = {name: self.supervised[name] for name in self.data.get("augment", {})}
-        visible = {
-            name: kind
-            for name, kind in (self.sent | augmented).items()
-            if not kind.boolean and not kind.picture
-        }
-        for name, kind in visible.items():
-            if entries and not chance(self.draw, 60):
-                continue
-            shape = section_fields(Scenario)["observation"].value
-            place = Place(kind=ValueType(kind.dimension, known=Known.STEP))
-            observed, _ = shape.options
-            entries[name] = self.section(observed, place) if chance(self.draw, 50) else self.wide_range(place)
-        return entries or {"previous_action": "auto"}
-
-    def _endings(self) -> None:
-        data: dict[str, Any] = {}
-        for word in ("success", "failure"):
-            if chance(self.draw, 50):
-                name = f"{word}0"
-                # A condition that is true at the start is an error.
-                data[word] = {name: f"time > 50 ms and {self.value_of(Condition, Place())}"}
-                self.endings.append(name)
-        if data:
-            self.data["termination"] = data
-
-
-Condition = Expression("ending", boolean=True)
 
 
 @dataclass(frozen=True)
