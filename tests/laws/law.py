@@ -62,13 +62,19 @@ class Case:
         path = self.folder / "scenario.yaml"
         return path if path.exists() else self.write(self.drawn.text)
 
-    def compile(self, source: Any = None, **options: Any) -> Compiled:
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """What an environment of one agent needs: of several agents, the one whose role it is."""
+        data = self.drawn.data
+        return ("role.agent=one",) if "agents" in data and "role" not in data else ()
+
+    def compile(self, source: Any = None) -> Compiled:
         """Compile the scenario, or another source, which must be valid if the scenario is."""
         if source is not None:
-            return api.compile(source, **options)
-        if any(finding.severity == "error" for finding in api.lint(self.path)):
+            return api.compile(source, overrides=self.overrides)
+        if any(finding.severity == "error" for finding in api.lint(self.path, overrides=self.overrides)):
             reject()
-        return api.compile(self.path, **options)
+        return api.compile(self.path, overrides=self.overrides)
 
     @contextmanager
     def environment(self, source: Any = None, **options: Any) -> Iterator[Supervisor]:

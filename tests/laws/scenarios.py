@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import shipped
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, Dimension
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Known, ValueType
 from deepbots_cli.robots.model import RobotModel
@@ -140,6 +140,8 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("RaySensor", "range"): lambda author, data, _: author.ray_range(data),
     ("CalibrationTable", "value"): lambda *_: "300 200 100",
     ("LinkOverride", "com"): lambda author, *_: author.center_of_mass(),
+    ("LinkOverride", "density"): lambda author, _data, place: author.density(place),
+    ("LinkOverride", "inertia"): lambda author, _data, place: author.inertia(place),
     ("LinkOverride", "scale"): lambda author, *_: pick(author.draw, ("1.2 1.2 1.2", "0.9 0.9 0.9")),
     ("JointOverride", "armature"): lambda author, _data, place: author.armature(place),
     ("Formula", "heights"): lambda author, *_: pick(
@@ -159,6 +161,7 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("Gripper", "max_torque"): lambda author, *_: pick(author.draw, ("20 N", "uniform(10 .. 30 N)")),
     ("Thrust", "spin"): lambda author, *_: pick(author.draw, (1, -1, 0.5)),
     ("RayScan", "angle_range"): lambda author, data, _: author.fan(data),
+    ("Disturbance", "body"): lambda author, *_: tasks.pushed(author),
     ("Disturbance", "every"): lambda author, *_: pick(author.draw, ("0.1 s", "uniform(100 .. 300 ms)")),
     ("Disturbance", "duration"): lambda author, *_: pick(author.draw, ("40 ms", "uniform(20 .. 100 ms)")),
     ("Route", "loss"): lambda author, *_: pick(author.draw, (0.1, "20 %", "uniform(0 .. 0.3) each step")),
@@ -177,6 +180,7 @@ PLACES: dict[tuple[str, str], Callable[[Place], Place]] = {
 BY_EXAMPLE = ("Tile", "TileTerrain", "Pit")
 """Sections whose keys have the values of their examples: a wrong terrain has no room for a robot."""
 EXCLUSIVE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "Placement": (("on", "region"), ("on", "grid")),
     "GridScan": (("grid", "rays"), ("grid", "angle_range")),
     "LinkOverride": (("mass", "density"), ("scale", "density"), ("inertia", "density"), ("com", "density")),
 }
@@ -363,7 +367,7 @@ class Author(Values):
         dimension = self._joints().get(name)
         if dimension is None:
             return replace(place, body=key)
-        return replace(place, second=dimension == LENGTH, joint=name)
+        return replace(place, body=key, second=dimension == LENGTH, joint=name)
 
     def section(self, model: type[Section], place: Place, given: Mapping[str, Any] = {}) -> dict[str, Any]:
         """Draw a section: its required keys, and others by chance."""
@@ -488,6 +492,19 @@ class Author(Values):
         unit = "kg" if place.second else "kg*m^2"
         return pick(self.draw, (f"0.01 {unit}", f"uniform(0.002 .. 0.004 {unit})"))
 
+    def inertia(self, place: Place) -> Any:
+        """Draw a factor of the inertia of a link that has one."""
+        if model_of(self.bodies[place.robot].urdf).link(place.body).inertial is None:
+            raise UnavailableError
+        return pick(self.draw, (1.5, "80 %", "uniform(0.8 .. 1.2)", "auto"))
+
+    def density(self, place: Place) -> str:
+        """Draw a density of a link that has a shape."""
+        link = model_of(self.bodies[place.robot].urdf).link(place.body)
+        if not link.visuals and not link.collisions:
+            raise UnavailableError
+        return literal(self.draw, MASS / LENGTH**3, low=300.0, high=2000.0)
+
     def center_of_mass(self) -> str:
         """Draw the offset of a center of mass, which PyBullet cannot vary."""
         drawn = ("uniform(0 0 -1 .. 1 1 1 cm)",) if self.data["world"].get("engine") == "mujoco" else ()
@@ -568,7 +585,9 @@ class Author(Values):
             ]
             acting[name] = {"action": tasks.actions(self, acts)}
             for robot in own:
-                self._messages_of(robot)
+                with tasks.seen_by(self, robot) if several else nullcontext():
+                    fields = self._messages_of(robot)
+                self.sent |= fields
         if several:
             self.actions = {}
         if like:
@@ -595,8 +614,6 @@ class Author(Values):
         tasks.forbid(self, data["action"])
         words = ("success", "failure")
         if chance(self.draw, 15):
-            data["goal"] = tasks.goal(self)
-        if chance(self.draw, 15):
             critic = tasks.observed(self, self.seen | self.supervised, 20)
             data["critic"] = {
                 name: entry for name, entry in critic.items() if name not in data["observation"]
@@ -605,15 +622,20 @@ class Author(Values):
         if drawn:
             data["termination"] = {name.rstrip("0"): {name: text} for name, text in drawn.items()}
         self.endings = list(drawn)
-        reward = section_fields(Scenario)["reward"].value
-        data["reward"] = {
-            f"term{number}": self.value(reward, Place()) for number in range(self.draw(st.integers(1, 3)))
-        }
+        if chance(self.draw, 15):
+            data["goal"], reward = tasks.goal(self)
+            data["reward"] = {"term0": reward}
+        else:
+            reward = section_fields(Scenario)["reward"].value
+            terms = range(self.draw(st.integers(1, 3)))
+            data["reward"] = {f"term{number}": self.value(reward, Place()) for number in terms}
         if chance(self.draw, 40):
             data["scripts"] = {"written": tasks.script(self, data["action"])}
         if chance(self.draw, 20):
+            # Hindsight cannot recompute the reward of several timesteps.
+            repeat = 1 if "goal" in data else self.draw(st.integers(1, 3))
             data["agent"] = {
-                "action_repeat": self.draw(st.integers(1, 3)),
+                "action_repeat": repeat,
                 "frame_stack": self.draw(st.integers(1, 2)),
             }
 
@@ -631,6 +653,10 @@ class Author(Values):
         if ends := tasks.outcomes(self, list(self.bodies)):
             data["endings"] = ends
             self.endings = list(ends)
+        if chance(self.draw, 40):
+            data["role"] = {"agent": "two"}
+            if chance(self.draw, 50):
+                data["role"]["others"] = {"one": pick(self.draw, ("random", "zero"))}
 
     def _around(self, agents: tuple[str, ...]) -> None:
         """Draw what is about a whole scenario: how it is disturbed, varied, trained, and tested."""
@@ -764,7 +790,9 @@ class Author(Values):
         self.driven[robot] |= parts
         self.data["robots"][robot]["actuators"][name] = data
 
-    def _messages_of(self, robot: str) -> None:
+    def _messages_of(self, robot: str) -> dict[str, ValueType]:
+        """Draw what a robot receives, sends and does; return what it sends."""
+        sent: dict[str, ValueType] = {}
         data = self.data["robots"][robot]
         place = Place(robot=robot)
         if chance(self.draw, 30):
@@ -778,7 +806,7 @@ class Author(Values):
         if chance(self.draw, 70):
             data["emit"] = sensors
             for name in sensors:
-                self.sent[f"{robot}.{name}"] = self.on_board[robot][name]
+                sent[f"{robot}.{name}"] = self.on_board[robot][name]
         else:
             data["emit"] = {}
             for number in range(self.draw(st.integers(1, 2))):
@@ -786,9 +814,10 @@ class Author(Values):
                 received = {name: self.on_board[robot].pop(name) for name in data.get("receive", {})}
                 data["emit"][f"says{number}"] = self.expression(Context.EMIT, ValueType(dimension), robot)
                 self.on_board[robot] |= received
-                self.sent[f"{robot}.says{number}"] = ValueType(dimension, known=Known.STEP)
+                sent[f"{robot}.says{number}"] = ValueType(dimension, known=Known.STEP)
         if data.get("actuators"):
             data["apply"] = {name: self._command(robot, name, place) for name in data["actuators"]}
+        return sent
 
     def _command(self, robot: str, name: str, place: Place) -> str:
         actuator = self.data["robots"][robot]["actuators"][name]

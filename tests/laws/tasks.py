@@ -22,8 +22,18 @@ from deepbots_cli.scenario.evaluation import Expectation
 from deepbots_cli.scenario.fields.quantities import Number, Quantity
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS, Training
-from tests.laws.expressions import SCALARS, UnavailableError, chance, literal, literal_range, pick
-from tests.laws.fields import Place
+from tests.laws.expressions import (
+    CONDITION,
+    SCALARS,
+    Expressions,
+    Names,
+    UnavailableError,
+    chance,
+    literal,
+    literal_range,
+    pick,
+)
+from tests.laws.fields import Place, plain
 
 if TYPE_CHECKING:
     from tests.laws.scenarios import Author
@@ -55,7 +65,8 @@ def forbid(author: Author, actions: Mapping[str, Any]) -> None:
     """Draw conditions under which an option must not be chosen; another one stays."""
     for action in actions.values():
         if isinstance(action, dict) and chance(author.draw, 20):
-            action["forbid"] = {"left": author.condition(Context.FORBID)}
+            with suppress(UnavailableError):
+                action["forbid"] = {"left": author.condition(Context.FORBID)}
 
 
 def script(author: Author, actions: Mapping[str, Any]) -> dict[str, Any]:
@@ -71,15 +82,17 @@ def script(author: Author, actions: Mapping[str, Any]) -> dict[str, Any]:
     return decisions
 
 
-def goal(author: Author) -> dict[str, Any]:
-    """Draw a goal: two values of one type."""
+def goal(author: Author) -> tuple[dict[str, Any], str]:
+    """Draw a goal, two values of one type, and a reward, which depends on nothing else."""
     kind = ValueType(pick(author.draw, SCALARS), pick(author.draw, (None, SPACE)))
     achieved, desired = (author.expression(Context.GOAL, kind) for _ in range(2))
     drawn = {"achieved": achieved, "desired": desired, "range": author.wide_range(Place(kind=kind))}
     drawn["tolerance"] = literal(author.draw, kind.dimension, low=0.05, high=0.5)
     if chance(author.draw, 30):
         drawn["noise"] = pick(author.draw, ("2 %", literal(author.draw, kind.dimension, low=0.01, high=0.1)))
-    return drawn
+    values = {"achieved": kind, "desired": kind, "goal_reached": CONDITION}
+    reward = Expressions(author.draw, Names(Context.FIXED, values)).text(ValueType())
+    return drawn, plain(reward)
 
 
 def observed(author: Author, names: Mapping[str, ValueType], percent: int) -> dict[str, Any]:
@@ -115,6 +128,14 @@ def truncation(author: Author) -> dict[str, Any]:
 
 
 # Cases, stages, tests
+
+
+def pushed(author: Author) -> str:
+    """Draw a body that is not fixed, or a link of it."""
+    objects = author.data.get("objects", {})
+    free = [name for name, entry in objects.items() if not entry.get("fixed") and entry.get("solid", True)]
+    free += [name for name, robot in author.data["robots"].items() if robot.get("base") != "fixed"]
+    return pick(author.draw, free)
 
 
 def settings(author: Author) -> dict[str, Any]:
@@ -240,7 +261,7 @@ def search(author: Author) -> dict[str, Any]:
 
 
 @contextmanager
-def _seen_by(author: Author, robot: str) -> Iterator[None]:
+def seen_by(author: Author, robot: str) -> Iterator[None]:
     """Let expressions use what one agent may: the values of its robot, and those of all agents."""
     sent, supervised, own = author.sent, author.supervised, f"{robot}."
     author.sent = {name: kind for name, kind in sent.items() if name.startswith(own)}
@@ -254,7 +275,7 @@ def _seen_by(author: Author, robot: str) -> Iterator[None]:
 
 def agent(author: Author, robot: str, drawn: dict[str, Any]) -> None:
     """Draw the rest of an agent, which has its actions."""
-    with _seen_by(author, robot):
+    with seen_by(author, robot):
         author.define(drawn, "augment", author.signal, 2, prefix=f"{robot}_aug")
         visible = author.sent | {name: author.supervised[name] for name in drawn.get("augment", {})}
         author.define(drawn, "signals", author.signal, 1, prefix=f"{robot}_sig")
