@@ -102,8 +102,8 @@ class Law:
     cost: int
     profile: Profile
 
-    def try_on(self, seed: int, examples: int) -> None:
-        """Try the law on scenarios of a seed.
+    def try_on(self, seed: int, examples: int, drawn: Drawn | None = None) -> None:
+        """Try the law on scenarios of a seed, or on one scenario with several draws of the rest.
 
         Raises:
             Exception: That of the smallest scenario that breaks the law.
@@ -121,9 +121,9 @@ class Law:
         )
         @given(st.data())
         def try_all(data: st.DataObject) -> None:
-            drawn = data.draw(scenarios(self.profile), label=self.name)
+            scenario = drawn or data.draw(scenarios(self.profile), label=self.name)
             with tempfile.TemporaryDirectory() as folder:
-                self.check(Case(drawn, data.draw, Path(folder)))
+                self.check(Case(scenario, data.draw, Path(folder)))
 
         try:
             try_all()

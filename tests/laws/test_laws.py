@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import pytest
+import yaml
 
 from tests.laws import LAWS
+from tests.laws.scenarios import Drawn
 
 SHARE = 3_000
 """CPU time of each law, in ms."""
@@ -14,3 +19,12 @@ SHARE = 3_000
 def test_a_law_holds_for_scenarios_of_a_fixed_seed(name: str) -> None:
     law = LAWS[name]
     law.try_on(seed=1, examples=max(SHARE // law.cost, 3))
+
+
+FOUND = [*yaml.safe_load_all((Path(__file__).parent / "found.yaml").read_text(encoding="utf-8"))]
+"""Scenarios that once broke a law, as small as they could be made, each with the name of the law."""
+
+
+@pytest.mark.parametrize("case", FOUND, ids=lambda case: case["law"])
+def test_a_scenario_that_once_broke_a_law_does_not(case: dict[str, Any]) -> None:
+    LAWS[case["law"]].try_on(seed=1, examples=case["draws"], drawn=Drawn(case["scenario"]))

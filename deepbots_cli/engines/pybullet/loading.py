@@ -244,11 +244,18 @@ def _load(
 
 def _collide_with_itself(client: int, body: Body) -> None:
     """Let links touch each other that no joint joins."""
-    body.self_collision = True
-    pairs = set(self_collision_pairs(body.model))
-    for first, second in combinations((link.name for link in body.model.links), 2):
-        numbers = (body.number, body.number, body.links[first], body.links[second])
-        p.setCollisionFilterPair(*numbers, int((first, second) in pairs), client)
+    body.own_pairs = tuple(
+        (body.links[first], body.links[second]) for first, second in self_collision_pairs(body.model)
+    )
+    for pair in combinations(body.links.values(), 2):
+        p.setCollisionFilterPair(body.number, body.number, *pair, 0, client)
+    set_self_contact(client, body, is_on=True)
+
+
+def set_self_contact(client: int, body: Body, *, is_on: bool) -> None:
+    """Let the links of a body touch each other, or not."""
+    for pair in body.own_pairs:
+        p.setCollisionFilterPair(body.number, body.number, *pair, int(is_on), client)
 
 
 def _follow(client: int, number: int, follower: int, leader: int, mimic: Mimic) -> None:

@@ -51,12 +51,12 @@ class Body:
 
     `brakes` is the friction (N m or N) of each joint by index, `offsets` the position (rad or m) at a reset
     of each joint that follows another one, `anchor` a link that moves and touches, `static_links` the links
-    that never move.
+    that never move, `own_pairs` the pairs of its links that touch each other.
     """
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
-        self.self_collision = False
+        self.own_pairs: tuple[tuple[int, int], ...] = ()
         self._is_deactivated = False
         self.number = number
         self.model = model

@@ -135,7 +135,7 @@ def _contact_points(client: int, body: Body, link: int) -> ContactQuery:
     """Return a reader of the contact points of a link, with the body itself as the first body of each; a
     point between two of its links is listed from either side."""
     read = partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
-    if not body.self_collision:
+    if not body.own_pairs:
         return read
     read_own = partial(p.getContactPoints, body.number, body.number, ANY_LINK, link, client)
     return lambda: [*read(), *map(_from_other_side, read_own())]
