@@ -41,9 +41,14 @@ test: dev ## the tests, with a few of many cases that show one fact
 	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: nightly
-nightly: dev ## every case of every test, and a long run over damaged files; takes one to two hours
+nightly: dev ## every case of every test, an hour of laws, and a long run over damaged files; takes two to three hours
 	$(PYTEST) -m "not editors" --hypothesis-profile nightly
+	$(MAKE) laws
 	$(MAKE) fuzz
+
+.PHONY: laws
+laws: dev ## what must hold for all scenarios, tried on scenarios that chance draws; MINUTES=60, SEED= draws those of another night again
+	$(BIN)/python -m tests.laws --seed $(or $(SEED),$(shell date +%Y%m%d)) --minutes $(or $(MINUTES),60) --jobs 2 --report build/laws.json
 
 .PHONY: fuzz
 fuzz: dev ## damaged files: lint, then fmt, diff and editors for a tenth; COUNT=500000 takes hours of CPU, START= goes on from a number

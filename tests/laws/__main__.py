@@ -17,9 +17,11 @@ import sys
 import time
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from pathlib import Path
+from typing import Any
 
 from tests.laws import LAWS
 from tests.laws.law import Attempt, attempt
+from tests.laws.pairs import report
 
 
 def main() -> int:
@@ -38,12 +40,28 @@ def main() -> int:
         parser.error(f"unknown law {sorted(unknown)[0]}; the laws are {', '.join(LAWS)}")
     attempts = try_all(options)
     failed = [done for done in attempts if done.failure]
+    pairs = report(pair for done in attempts for pair in done.met)
     if options.report:
-        data = [done._asdict() for done in attempts]
-        options.report.write_text(json.dumps(data, indent=1), encoding="utf-8")
+        options.report.parent.mkdir(parents=True, exist_ok=True)
+        options.report.write_text(json.dumps(summary(attempts, pairs), indent=1), encoding="utf-8")
     seconds = sum(done.seconds for done in attempts)
     print(f"{len(attempts)} attempts, {len(failed)} failed, {seconds:.0f} s of CPU")
+    print(f"{pairs['share']:.1%} of all pairs met")
     return int(bool(failed))
+
+
+def summary(attempts: list[Attempt], pairs: dict[str, Any]) -> dict[str, Any]:
+    """Return what was tried, what failed, and which pairs were met."""
+    tried = {
+        name: {
+            "attempts": sum(done.law == name for done in attempts),
+            "cpu_s": round(sum(done.seconds for done in attempts if done.law == name)),
+            "failed": [done.seed for done in attempts if done.law == name and done.failure],
+        }
+        for name in dict.fromkeys(done.law for done in attempts)
+    }
+    seeds = sorted({done.seed for done in attempts})
+    return {"seeds": [seeds[0], seeds[-1]], "laws": tried, "pairs": pairs}
 
 
 def try_all(options: argparse.Namespace) -> list[Attempt]:

@@ -27,6 +27,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import Draw
+from tests.laws.pairs import Pair, pairs_of
 from tests.laws.scenarios import EVERY, Drawn, Profile, scenarios
 
 # A scenario has 200 draws: by default, Hypothesis shrinks a failure for five minutes. There is no setting.
@@ -102,12 +103,16 @@ class Law:
     cost: int
     profile: Profile
 
-    def try_on(self, seed: int, examples: int, drawn: Drawn | None = None) -> None:
+    def try_on(self, seed: int, examples: int, drawn: Drawn | None = None) -> set[Pair]:
         """Try the law on scenarios of a seed, or on one scenario with several draws of the rest.
+
+        Returns the pairs of the scenarios for which it holds.
 
         Raises:
             Exception: That of the smallest scenario that breaks the law.
         """
+
+        met: set[Pair] = set()
 
         @hypothesis.seed(seed)
         @hypothesis.settings(
@@ -124,12 +129,14 @@ class Law:
             scenario = drawn or data.draw(scenarios(self.profile), label=self.name)
             with tempfile.TemporaryDirectory() as folder:
                 self.check(Case(scenario, data.draw, Path(folder)))
+            met.update(pairs_of(scenario.data))
 
         try:
             try_all()
         except Exception as error:
             error.add_note(f"show it: {SHOW.format(name=self.name, seed=seed)} --examples {examples}")
             raise
+        return met
 
 
 OF_THE_WORLD = ("no start was found", "is not stable", "infinite or NaN", "no value for")
@@ -169,12 +176,14 @@ def law(
 
 
 class Attempt(NamedTuple):
-    """One law on the scenarios of one seed; `failure` is empty where it holds."""
+    """One law on the scenarios of one seed, and the pairs that these had; `failure` is empty where it
+    holds."""
 
     law: str
     seed: int
     seconds: float
     failure: str
+    met: list[Pair]
 
 
 def attempt(name: str, seed: int, examples: int) -> Attempt:
@@ -182,12 +191,12 @@ def attempt(name: str, seed: int, examples: int) -> Attempt:
     import tests.laws  # enters all laws, in a process of its own
 
     begin = time.process_time()
-    failure = ""
+    failure, met = "", set()
     try:
-        tests.laws.LAWS[name].try_on(seed, examples)
+        met = tests.laws.LAWS[name].try_on(seed, examples)
     except Exception as error:  # noqa: BLE001 - whatever a law meets is its result
         failure = "".join(traceback.format_exception(error, limit=-8))
-    return Attempt(name, seed, time.process_time() - begin, failure)
+    return Attempt(name, seed, time.process_time() - begin, failure, sorted(met))
 
 
 # Episodes
