@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import json
+import keyword
 import os
 import re
 from collections import Counter
@@ -33,10 +34,12 @@ from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.syntax import NUMBER, Number
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program, identity
+from deepbots_cli.scenario.base import MappingOf
+from deepbots_cli.scenario.fields.names import RESERVED, Name
 from deepbots_cli.scenario.fields.quantities import Parsed
 from deepbots_cli.scenario.walk import shape_at
 from tests.laws.expressions import Draw, chance, pick, units_of
-from tests.laws.law import Case, as_text, law
+from tests.laws.law import Case, as_text, law, reference
 
 Data = dict[str, Any]
 Path = tuple[str | int, ...]
@@ -622,3 +625,105 @@ def a_quantity_has_any_of_its_units(case: Case) -> None:
     assert (actual.program is None) == (expected.program is None)
     if actual.program is not None and expected.program is not None:
         require_equal(without_units(canonical(actual.program)), without_units(canonical(expected.program)))
+
+
+# Names
+
+_WORDS = (
+    *(word for word in keyword.kwlist if word.islower()),
+    *("self", "np", "math", "world", "engine", "int", "float", "range", "abs", "position", "norm", "any_"),
+    *("x", "y", "z", "w", "name", "type", "shape", "none", "null", "yes", "no", "on", "off", "e1", "inf"),
+    *("nan", "_", "__", "__class__", "one_", "r0", "robot", "reward", "action", "step_", "zero", "random"),
+    *("a" * 64, "success", "failure", "max_steps", "supervisor", "message", "reset", "timing", "l", "o"),
+)
+"""Names that mean something in Python, in YAML or elsewhere in the language."""
+
+
+def with_plain_names(data: Data) -> Data:
+    """Return a scenario in which no name is an English word, which a headline may have."""
+    return Renaming({name: f"v{number}" for number, name in enumerate(defined_names(data))}).applied(data)
+
+
+def defined_names(data: Data) -> list[str]:
+    """Return all names that the author of a scenario chose."""
+    names: dict[str, None] = {}
+    for path, value in walk(data):
+        shape = shape_at(Scenario, data, path)
+        if isinstance(shape, MappingOf) and isinstance(shape.key, Name):
+            names |= dict.fromkeys(value)
+    return list(names)
+
+
+class Renaming(dict[str, str]):
+    """New names by old ones; `names` are all names."""
+
+    names: Sequence[str] = ()
+
+    def word(self, word: str) -> str:
+        """Return a name, or two joined by deepbots (`drive_left`), with their new names."""
+        for first, second in (
+            (word[: match.start()], word[match.end() :]) for match in re.finditer("_", word)
+        ):
+            if word not in self and first in self.names and second in self.names:
+                return f"{self.get(first, first)}_{self.get(second, second)}"
+        return self.get(word, word)
+
+    def applied(self, node: Any) -> Any:
+        """Return data in which all names in keys and texts are replaced."""
+        if isinstance(node, dict):
+            return {self.applied(key): self.applied(value) for key, value in node.items()}
+        if isinstance(node, list):
+            return [self.applied(item) for item in node]
+        if not isinstance(node, str):
+            return node
+        return re.sub(r"(?<![A-Za-z0-9_])[a-z_]\w*", lambda match: self.word(match[0]), node)
+
+
+@st.composite
+def renamings(draw: Draw, names: Sequence[str], words: Sequence[str]) -> Renaming:
+    """Draw new names for one to three names."""
+    old = draw(st.lists(st.sampled_from(names), min_size=1, max_size=3, unique=True))
+    new = draw(st.lists(st.sampled_from(words), min_size=len(old), max_size=len(old), unique=True))
+    renaming = Renaming(zip(old, new, strict=True))
+    renaming.names = names
+    return renaming
+
+
+@law(cost=120)
+def a_name_is_any_name(case: Case) -> None:
+    """A name has no meaning beside what it names, whatever it means in Python or elsewhere in the language."""
+    data = with_plain_names(case.drawn.data)
+    expected = Meaning.of(case.write(data))
+    words = [word for word in _WORDS if word not in RESERVED]
+    renaming = case.draw(renamings(defined_names(data), words))
+    path = case.write(renaming.applied(data))
+    actual = Meaning.of(path)
+    findings = Counter((code, renaming.applied(headline)) for code, headline in expected.findings.elements())
+    Meaning(actual.findings, None).require(Meaning(findings, None))
+    assert (actual.program is None) == (expected.program is None)
+    if actual.program is None or expected.program is None:
+        return
+    require_equal(canonical(actual.program), renaming.applied(canonical(expected.program)))
+    with case.environment(api.compile(path)) as environment, reference():
+        environment.reset(seed=0)
+        environment.step(environment.action_space.sample())
+
+
+@law(cost=60)
+def a_reserved_name_is_one_mistake(case: Case) -> None:
+    """A name that is refused is refused where it is defined; what uses it has no finding of its own."""
+    data = case.drawn.data
+    names = [*data["robots"], *data["action"]]
+    for section in ("parameters", "objects", "signals", "augment"):
+        names += data.get(section, {})
+    words = [*("g", "m", "min", "h", "rad", "if", "is", "any", "auto", "urdf", "lambda")]
+    if chance(case.draw, 50):
+        words += ["time", "step", "ground", "arena", "previous_action"]
+    else:  # what is on board of a robot
+        names += [name for robot in data["robots"].values() for name in robot["sensors"]]
+    renaming = case.draw(renamings(names, words))
+    own = Meaning.of(case.write(data)).findings
+    findings = Meaning.of(case.write(renaming.applied(data))).findings - own
+    errors = Counter({entry: n for entry, n in findings.items() if RULES[entry[0]].severity == "error"})
+    assert {code for code, _ in errors} == {"DB202"}, errors
+    assert len(errors) == len(renaming), errors
