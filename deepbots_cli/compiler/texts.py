@@ -13,7 +13,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word
 from deepbots_cli.document.nodes import MappingNode, NodePath, ScalarNode, descend, walk
 from deepbots_cli.expressions import parser
-from deepbots_cli.expressions.dimensions import TORQUE, UNITS, Dimension
+from deepbots_cli.expressions.dimensions import TORQUE, Dimension
 from deepbots_cli.expressions.types import (
     CORRECTED_LINE,
     NO_NAMES,
@@ -24,6 +24,7 @@ from deepbots_cli.expressions.types import (
 )
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.fields.base import FieldType
+from deepbots_cli.scenario.fields.names import RESERVED
 from deepbots_cli.scenario.fields.quantities import Quantity
 from deepbots_cli.scenario.isaac_lab import term_help
 from deepbots_cli.scenario.synonyms import word_for
@@ -115,9 +116,9 @@ class TextFindings:
                 finding.code == "DB106" and finding.span == span for finding in self._findings
             ):
                 return  # the help for too few numbers shows the unit
-            units = UNITS.keys() & _BARE_WORD.findall(text.text)
-            if any(finding.code == "DB202" and finding.span.text in units for finding in self._findings):
-                return  # a definition has the name of a unit, which is not a name
+            words = RESERVED.intersection((*_BARE_WORD.findall(text.text), *map(str, text.path)))
+            if any(finding.code == "DB202" and finding.span.text in words for finding in self._findings):
+                return  # a definition has a reserved name, which means something else here
             is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"

@@ -14,6 +14,7 @@ from deepbots_cli.scenario.fields.names import (
     FilePath,
     JointPattern,
     LocalName,
+    OnBoardName,
     Pattern,
     Reference,
     Word,
@@ -120,16 +121,16 @@ class Robot(Section):
     poses: dict[LocalName, Annotated[dict[JointPattern, JointPosition], Size(1, "joint")]] = {}
     """Names for positions of the joints, by joint, pattern or group. An entry replaces earlier ones of the
     same joint."""
-    sensors: dict[LocalName, AnySensor] = {}
+    sensors: dict[OnBoardName, AnySensor] = {}
     """Sensors, each under a name that you choose."""
     actuators: dict[LocalName, AnyActuator] = {}
     """Actuators, each under a name that you choose."""
-    receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
+    receive: dict[OnBoardName, Annotated[Scalar, Expression("receive")]] | None = None
     """Further values that the supervisor sends with the action: names with expressions."""
     emit: Emitted | None = None
     """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
     that the supervisor uses."""
-    hear: dict[LocalName, Annotated[str, Reference("message field")]] = {}
+    hear: dict[OnBoardName, Annotated[str, Reference("message field")]] = {}
     """Values that other robots send to this one, each under a name that you choose: `{mate_angle:
     scout.angle}`. They arrive over the channel `messages.between_robots`, at the earliest in the timestep
     after they were sent."""

@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics.nearest import (
 )
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import UNITS
+from deepbots_cli.expressions.syntax import KEYWORDS
 from deepbots_cli.expressions.types import shortened_list
 from deepbots_cli.scenario.fields.base import FieldType, JsonSchema, error, error_at, mismatch, with_article
 from deepbots_cli.scenario.synonyms import line_for, word_for
@@ -204,7 +205,7 @@ BUILT_IN_NAMES = frozenset(
     | {"ground", "arena", "pi", "true", "false"}
 )
 """The names of values that every scenario has."""
-GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
+GRAMMAR_WORDS = KEYWORDS | {"auto", "any", "urdf"}
 """Keywords of expressions, and special values of fields."""
 NAME_PATTERN = r"[a-z_][a-z0-9_]*"
 MAX_NAME_LENGTH = 64
@@ -215,6 +216,7 @@ RESERVED_NAMES: Mapping[str, Collection[str]] = {
     "a word of the language": GRAMMAR_WORDS,
 }
 """Names that no shared name may have, by what they are."""
+RESERVED = frozenset(name for names in RESERVED_NAMES.values() for name in names)
 
 
 # New names
@@ -230,9 +232,10 @@ def suggested_name(text: str) -> str:
 @dataclass(frozen=True)
 class Name(FieldType):
     """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in
-    names."""
+    names. Expressions of a robot name a value `on_board` of it without the robot, so it is no unit either."""
 
     shared: bool = False
+    on_board: bool = False
 
     noun = "a name"
 
@@ -245,9 +248,9 @@ class Name(FieldType):
             raise error("DB105", f"`{value[:40]}` cannot be a name", help)
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
-        if self.shared:
+        if self.shared or self.on_board:
             for noun, names in RESERVED_NAMES.items():
-                if value in names:
+                if value in names and (self.shared or noun != "built in"):
                     raise error(
                         "DB202",
                         f"the name `{value}` is reserved: it is {noun}",
@@ -411,6 +414,7 @@ class ArgumentValue(FieldType):
 
 SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
+OnBoardName = Annotated[str, Name(on_board=True)]
 JointPattern = Annotated[str, Pattern("joint")]
 BodyName = Annotated[str, Reference("body")]
 JointNames = Annotated[str | tuple[str, ...], Reference("joints")]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
-from deepbots_cli.scenario.fields.names import RESERVED_NAMES, suggested_name
+from deepbots_cli.scenario.fields.names import RESERVED, suggested_name
 from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
-_RESERVED = _WORDS_OF_YAML.union(*RESERVED_NAMES.values())
+_RESERVED = _WORDS_OF_YAML | RESERVED
 _COMPONENTS = frozenset("xyz")
 _MAX_LENGTH = 40
 
