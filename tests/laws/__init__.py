@@ -5,9 +5,10 @@ fields.py       strategies for single values, one for each class of `scenario/fi
 scenarios.py    strategies for whole scenarios, from the models of the language
 law.py          what a law is, and how it is tried
 episodes.py     laws of episodes
+claims.py       laws of what the analysis and lint state
 """
 
-from tests.laws import episodes
+from tests.laws import claims, episodes
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "episodes"]
+__all__ = ["LAWS", "claims", "episodes"]
