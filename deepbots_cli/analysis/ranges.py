@@ -134,17 +134,33 @@ class Ranges:
         return TRUTH if function is None or function.boolean else function.interval()
 
     def _state(self, node: State) -> Interval:
-        args = [self.of(arg) for arg in node.args]
+        now = self.of(node.args[0])
+        so_far, *more = (hull((self.of(arg), self._so_far.of(arg))) for arg in node.args)
         match node.function:
             case "duration":
-                return ZERO if args[0] == NEVER else Interval(0.0, self._time.high)
+                return ZERO if now == NEVER else Interval(0.0, self._time.high)
             case "integral":
                 # An integral begins at 0.
-                return hull((ZERO, iv.multiply(args[0], Interval(0.0, self._time.high))))
+                return hull((ZERO, iv.multiply(so_far, Interval(0.0, self._time.high))))
             case "rising_edge":
-                return NEVER if args[0] == NEVER else TRUTH
+                return NEVER if now == NEVER else TRUTH
+            case "delta":
+                return iv.subtract(now, hull((so_far, *more)))
+            case "accumulate":
+                return Interval(self.of(node.args[1]).low, self.of(node.args[2]).high)
+            case "running_max":
+                return Interval(now.low, so_far.high)
+            case "running_min":
+                return Interval(so_far.low, now.high)
             case function:
-                return FUNCTIONS[function].interval(*args)
+                return FUNCTIONS[function].interval(so_far, *more)
+
+    @property
+    def _so_far(self) -> Ranges:
+        """The ranges in all steps up to these, whose values memories keep."""
+        if self._base is None and self._condition is None and not self.steps[0]:
+            return self
+        return self.analysis.ranges_in(0.0, self.steps[1])
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "where":
@@ -333,7 +349,7 @@ class StartRanges(Ranges):
             case "previous":
                 return args[-1]
             case "accumulate":
-                return args[3]
+                return iv.clamp(args[3], args[1], args[2])
             case _:
                 return args[0]
 

@@ -821,11 +821,12 @@ class _Checker:
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
                 warn_of_degrees(value, self._report)
+            interval = value.type.interval
+            if interval.is_finite and interval.low < param.domain.low:
+                argument = f"the argument of `{function.name}`" if len(bound) == 1 else f"`{param.name}`"
+                headline = f"{argument} can be as low as {interval.low:g}"
+                self._fault("DB406", value, headline, keep_above_help(param.domain.low))
         values = [value for _, value in bound]
-        interval = values[0].type.interval if values else TRUTH
-        if interval.is_finite and interval.low < function.domain.low:
-            headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
-            self._fault("DB406", values[0], headline, keep_above_help(function.domain.low))
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
             with suppress(StopChecking):

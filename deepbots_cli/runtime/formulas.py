@@ -314,8 +314,8 @@ class Accumulate(Memory):
     """The running sum of increments, limited to the range."""
 
     def begin(self, increment: float, low: float, high: float, start: float) -> Any:
-        self.kept = start
-        return start
+        self.kept = min(max(start, low), high)
+        return self.kept
 
     def advance(self, increment: float, low: float, high: float, start: float) -> Any:
         self.kept = min(max(self.kept + increment, low), high)

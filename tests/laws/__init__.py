@@ -1,14 +1,18 @@
 """Laws: what must hold for every scenario, tried on scenarios that chance draws.
 
-expressions.py  strategies for literals and expressions, from the table of functions
+expressions.py  strategies for texts of the expression language
 fields.py       strategies for single values, one for each class of `scenario/fields`
 scenarios.py    strategies for whole scenarios, from the models of the language
+tasks.py        strategies for what a scenario says about its task
+pairs.py        the pairs of keys, functions and options that scenarios combine
 law.py          what a law is, and how it is tried
+found.yaml      scenarios that once broke a law
 episodes.py     laws of episodes
 writing.py      laws of writing
+claims.py       laws of what the analysis and lint state
 """
 
-from tests.laws import episodes, writing
+from tests.laws import claims, episodes, writing
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "episodes", "writing"]
+__all__ = ["LAWS", "claims", "episodes", "writing"]

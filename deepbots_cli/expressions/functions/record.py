@@ -63,7 +63,7 @@ class Param(NamedTuple):
     """One argument. `dimension` None means: any, but the same for all such arguments of the call.
 
     `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `variadic`
-    lets the last argument be given once or more often.
+    lets the last argument be given once or more often. A value that can be below `domain` is DB406.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Param(NamedTuple):
     kinds: frozenset[Kind] = frozenset()
     optional: bool = False
     variadic: bool = False
+    domain: Interval = EVERYTHING
 
     def __str__(self) -> str:
         text = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
@@ -125,7 +126,6 @@ class Function(NamedTuple):
         boolean: The value is a truth value.
         accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
             one, too.
-        domain: The interval that must contain the first argument; a wider one is DB406.
 
     The meaning of a pure function is one of these, or both:
         python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
@@ -160,7 +160,6 @@ class Function(NamedTuple):
     components: Components | None = None
     boolean: bool = False
     accepts_truths: bool = False
-    domain: Interval = EVERYTHING
     python: str = ""
     helper: str = ""
     array: str = ""
@@ -170,6 +169,11 @@ class Function(NamedTuple):
     pieces_operator: str = "or"
     method: str = ""
     memory: str = ""
+
+    @property
+    def domain(self) -> Interval:
+        """The interval that must contain the first argument."""
+        return self.params[0].domain
 
     @property
     def signature(self) -> str:

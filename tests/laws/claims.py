@@ -1,0 +1,440 @@
+"""Laws of static claims: what the analysis states about values, and what lint states about a scenario, is
+true in every simulated step."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import pytest
+from hypothesis import reject
+from hypothesis import strategies as st
+
+from deepbots_cli import api
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.returns import return_range
+from deepbots_cli.analysis.speeds import SpeedRanges, highest_return, rate_of
+from deepbots_cli.diagnostics import Finding, edited
+from deepbots_cli.errors import EndsAtResetError, EvaluationError
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, children, is_drawn, walk
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, TypedNode, ValueType
+from deepbots_cli.expressions.types import children as typed_children
+from deepbots_cli.expressions.types import walk as typed_walk
+from deepbots_cli.lint import all_findings
+from deepbots_cli.lint.observations import ranged_numbers
+from deepbots_cli.program import Program, generated
+from deepbots_cli.program.values import Expression
+from deepbots_cli.runtime import Supervisor
+from tests.laws.episodes import actions, played
+from tests.laws.expressions import chance, pick
+from tests.laws.law import Case, law, reference, same
+
+STEPS = 40
+SEEDS = (1, 2)
+MAX_PROBES = 150
+_ROUNDING = 1e-6
+"""A relative difference that rounding causes: PyBullet's quaternions have a length of 1 within 1e-7."""
+_OF_THE_END = frozenset({"terminated", "truncated", "ended", "episode_return", "previous_reward"})
+
+
+def within(value: float, interval: Interval) -> bool:
+    """Return whether a value lies in an interval, but for rounding."""
+    slack = _ROUNDING * max(1.0, abs(value))
+    return interval.low - slack <= value <= interval.high + slack
+
+
+# Probes
+
+
+@dataclass(eq=False)
+class Probe:
+    """A part of an expression whose value the supervisor stores, and the intervals that types state for it."""
+
+    name: str
+    text: str
+    tree: Scalar
+    stated: list[Interval]
+
+    def value(self, world: Supervisor) -> float:
+        return float(getattr(world, generated.last(self.name)))
+
+
+def probes_of(analysis: Analysis) -> list[Probe]:
+    """Return a probe for each part of each expression of the supervisor that has a value in every step."""
+    program = analysis.program
+    hidden = _OF_THE_END | {ending.name for ending in program.endings}
+    probes: dict[int, Probe] = {}
+
+    def add(tree: Scalar, text: str, stated: Iterable[Interval] = ()) -> None:
+        leaves = {part.name for part in walk(tree) if isinstance(part, Name)}
+        if isinstance(tree, Const) or is_drawn(tree) or leaves & hidden or len(probes) >= MAX_PROBES:
+            return
+        probe = probes.setdefault(analysis.identity(tree), Probe(f"probe{len(probes)}", text, tree, []))
+        probe.stated.extend(stated)
+
+    for expression in (*program.signals, *program.endings, *program.agent.reward):
+        if expression.foreign is not None:
+            continue
+        for node in evaluated(expression.typed):
+            names = node.type.components or (None,)
+            text = f"{expression.owner}: {expression.text[node.start : node.end]}"
+            trees = analysis.lowered(node, expression.owner)
+            for name, tree in zip(names, trees, strict=False):
+                add(tree, text, () if node.type.boolean else (node.type.interval_of(name),))
+        for tree in analysis.scalars(expression):
+            for part in evaluated_parts(tree):
+                add(part, f"in {expression.owner}")
+    return list(probes.values())
+
+
+def evaluated(node: TypedNode) -> Iterator[TypedNode]:
+    """Yield the parts of an expression that are computed in every step, whichever branch it takes."""
+    yield node
+    inner = typed_children(node)
+    if isinstance(node, Operation) and node.operator in ("where", "and", "or"):
+        inner = inner[:1]
+    for part in inner:
+        yield from evaluated(part)
+
+
+def evaluated_parts(tree: Scalar) -> Iterator[Scalar]:
+    """Yield the parts of a tree that are computed in every step, whichever branch it takes."""
+    yield tree
+    inner = children(tree)
+    if isinstance(tree, Op) and tree.op in ("where", "and", "or"):
+        inner = inner[:1]
+    for part in inner:
+        yield from evaluated_parts(part)
+
+
+def with_probes(program: Program, probes: Sequence[Probe]) -> Program:
+    """Return the program whose supervisor stores the values of the probes."""
+    place = program.agent.observation[0].value.span
+    signals = []
+    for probe in probes:
+        number = Constant(ValueType(), 0, 0, (0.0,))
+        owner = f"signals.{probe.name}"
+        signals.append(Expression(probe.name, place, probe.text, number, owner, lowered=(probe.tree,)))
+    stored = program.stored_signals | {probe.name for probe in probes}
+    return replace(program, signals=(*program.signals, *signals), stored_signals=stored)
+
+
+# Episodes
+
+
+class Moment(NamedTuple):
+    """A reset (step 0) or a step: the values of the probes, the reward terms, the endings, and the ends."""
+
+    step: int
+    values: tuple[float, ...]
+    terms: Mapping[str, float]
+    endings: tuple[str, ...]
+    terminated: bool
+    truncated: bool
+
+    @property
+    def is_last(self) -> bool:
+        return self.terminated or self.truncated
+
+
+def moments(world: Supervisor, probes: Sequence[Probe], seed: int, steps: int = STEPS) -> list[Moment]:
+    """Return the moments of an episode with random actions."""
+    _, info = world.reset(seed=seed)
+    values = tuple(probe.value(world) for probe in probes)
+    episode = [Moment(0, values, {}, (), False, False)]
+    for number, action in zip(range(1, steps + 1), actions(world, seed), strict=False):
+        _, _, terminated, truncated, info = world.step(action)
+        values = tuple(probe.value(world) for probe in probes)
+        terms = dict(info["reward_terms"])
+        episode.append(Moment(number, values, terms, tuple(info["endings"]), terminated, truncated))
+        if terminated or truncated:
+            break
+    return episode
+
+
+def unsafe_parts(program: Program) -> list[str]:
+    """Return the parts of expressions that, by the intervals of their types, may have no value."""
+    return [
+        expression.text[node.start : node.end]
+        for expression in (
+            *program.computed_expressions,
+            *(value for robot in program.robots for value in (*robot.emit, *robot.receive)),
+            *(command.target for robot in program.robots for command in robot.commands),
+        )
+        for node in typed_walk(expression.typed)
+        if may_lack_value(node)
+    ]
+
+
+def intervals_of(node: TypedNode) -> Sequence[Interval]:
+    return node.type.intervals or (node.type.interval,)
+
+
+def may_lack_value(node: TypedNode) -> bool:
+    """Return whether a division by zero, an argument out of its domain or an overflow is possible."""
+    match node:
+        case Operation(operator="div", args=(_, divisor)):
+            return any(0.0 in interval for interval in intervals_of(divisor))
+        case Operation(operator="pow", args=(base, exponent)):
+            low = min(interval.low for interval in intervals_of(base))
+            size = max(max(-interval.low, interval.high) for interval in intervals_of(base))
+            return low <= 0.0 or size > 1e30 or any(abs(end) > 9.0 for end in exponent.type.interval)
+        case Invocation(function="exp", args=(exponent,)):
+            return exponent.type.interval.high > 700.0
+        case Invocation(function=name, args=args) if len(args) == len(FUNCTIONS[name].params):
+            return not all(
+                interval.is_within(param.domain)
+                for param, arg in zip(FUNCTIONS[name].params, args, strict=True)
+                for interval in intervals_of(arg)
+            )
+    return False
+
+
+@contextmanager
+def with_every_value(program: Program) -> Iterator[None]:
+    """Reject a scenario that cannot be played (`reference`).
+
+    A value may be missing only where the intervals of the types allow it.
+    """
+    with reference("no start was found", "is not stable", "infinite or NaN"):
+        try:
+            yield
+        except EvaluationError as error:
+            if "no value for" not in str(error) or not unsafe_parts(program):
+                raise
+            reject()
+
+
+# Intervals
+
+
+@law(cost=120)
+def every_value_is_within_its_interval(case: Case) -> None:
+    """An interval contains every value that it is stated for: in any step, right after a reset, in a known
+    step, and within limits of speed. Rounding is excepted: the analysis folds in another order."""
+    compiled = case.compile()
+    program = compiled.program
+    analysis = Analysis(program)
+    probes = probes_of(analysis)
+    ranges = [(probe, [*probe.stated, analysis.ranges.of(probe.tree)]) for probe in probes]
+    fast = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
+    speeds = [rate_of(analysis, probe.tree, exact=True) * analysis.period for probe in probes]
+    with closing(api.build(with_probes(program, probes))) as world:
+        for seed in SEEDS:
+            with with_every_value(program):
+                episode = moments(world, probes, seed)
+            for moment in episode:
+                for (probe, intervals), value in zip(ranges, moment.values, strict=True):
+                    now = in_step(analysis, fast, moment.step)
+                    for interval in (*intervals, *(one.of(probe.tree) for one in now)):
+                        assert within(value, interval), (probe.text, probe.tree, moment.step, value, interval)
+            for before, after in pairwise(episode):
+                for probe, first, second, limit in zip(
+                    probes, before.values, after.values, speeds, strict=True
+                ):
+                    # Nothing is infinitely far, and stays so.
+                    change = 0.0 if first == second else abs(second - first)
+                    assert within(change, Interval(0.0, limit)), (probe.text, after.step, change, limit)
+
+
+def in_step(analysis: Analysis, fast: Ranges, step: int) -> list[Ranges]:
+    """Return the ranges that hold in one step; those of most steps are not tried, as they take long."""
+    if step == 0:
+        return [analysis.start]
+    known = [analysis.ranges_in(step, step)] if step in (1, 2, analysis.last_step) else []
+    return [fast, *known]
+
+
+# Rewards and observations
+
+
+@law(cost=80)
+def every_reward_is_within_its_bounds(case: Case) -> None:
+    """The analysis states what each term pays in a step that ends nothing, at each ending and at the time
+    limit, and what a whole episode pays. A rule says what is always zero, and what no episode changes."""
+    compiled = case.compile()
+    program = compiled.program
+    analysis = Analysis(program)
+    reward = analysis.reward
+    findings = api.lint(case.path, preview=True)
+    always_zero = {
+        term.name
+        for term, _ in reward.terms
+        for finding in findings
+        if finding.code == "DB704" and finding.span == term.span
+    }
+    totals = []
+    with case.environment(compiled) as world:
+        for seed in SEEDS:
+            with with_every_value(program):
+                episode = moments(world, (), seed)
+            for moment in episode[1:]:
+                for term, tree in reward.terms:
+                    paid = moment.terms[term.name]
+                    where = (term.name, moment, paid)
+                    assert paid == 0.0 or term.name not in always_zero, where
+                    for ranges in ranges_at(analysis, moment):
+                        assert within(paid, ranges.of(tree)), (*where, ranges.of(tree))
+            if episode[-1].is_last:
+                totals.append(sum(sum(moment.terms.values()) for moment in episode))
+    for total in totals:
+        assert within(total, return_range(analysis)), (total, return_range(analysis))
+        limit = highest_return(analysis)
+        assert within(total, Interval(-math.inf, limit)), (total, limit)
+    if any(finding.code == "DB711" for finding in findings):
+        assert all(within(total, Interval(totals[0], totals[0])) for total in totals), totals
+
+
+def ranges_at(analysis: Analysis, moment: Moment) -> list[Ranges]:
+    """Return the ranges of what a step pays, by how the episode goes on."""
+    reward = analysis.reward
+    every = analysis.ranges_in(1.0, float(analysis.last_step))
+    if not moment.is_last:
+        return [every, reward.ranges_while_running()]
+    if not moment.terminated:
+        return [every, reward.ranges_at(None)]
+    if len(moment.endings) == 1 and not moment.truncated:
+        ending = next(one for one in analysis.program.endings if one.name == moment.endings[0])
+        return [every, reward.ranges_at(ending)]
+    return [every]
+
+
+@law(cost=60)
+def every_observation_is_as_stated(case: Case) -> None:
+    """A number of the observation without noise is its value, mapped from its range and clipped: so it lies
+    within what the interval of its value is mapped to (DB602: at an end of its range). float32 rounds."""
+    compiled = case.compile()
+    analysis = Analysis(compiled.program)
+    agent = compiled.program.agent
+    stated: dict[str, Interval] = {}
+    for number in ranged_numbers(analysis):
+        if number.entry.noise is None:
+            interval = analysis.ranges.of(number.node)
+            ends = [(2.0 * end - number.low - number.high) / (number.high - number.low) for end in interval]
+            if number.entry.clip:
+                ends = [min(max(end, -1.0), 1.0) for end in ends]
+            stated[number.full_name] = Interval(*ends)
+    with case.environment(compiled) as world:
+        with with_every_value(compiled.program):
+            episode = played(world, SEEDS[0], STEPS)
+        for observation in (episode[0], *(step[0] for step in episode[2:])):
+            parts = observation if isinstance(observation, dict) else {"observation": observation}
+            numbers = parts.get("observation", ())
+            for entry, value in zip(agent.inputs, numbers, strict=True):
+                interval = stated.get(entry.name, EVERYTHING)
+                slack = 1e-6 * max(1.0, abs(value))
+                assert interval.low - slack <= value <= interval.high + slack, (entry.name, value, interval)
+
+
+# Findings
+
+
+@law(cost=150)
+def an_ending_comes_as_lint_says(case: Case) -> None:
+    """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when an
+    episode begins, lets no episode begin; one that comes before another always does."""
+    source = case.write(with_bold_endings(case), "bold.yaml")
+    checked = api.load(source)
+    findings = all_findings(checked, preview=True)
+    program = checked.program
+    if program is None or any(one.severity == "error" and one.code not in AT_RESET for one in findings):
+        reject()
+    about = {ending.name: [one for one in findings if one.span == ending.span] for ending in program.endings}
+    with closing(api.build(program)) as world:
+        for seed in SEEDS:
+            if any(one.code in AT_RESET for marks in about.values() for one in marks):
+                with with_every_value(program), pytest.raises(EndsAtResetError):
+                    moments(world, (), seed)
+                continue
+            with with_every_value(program), reference_of_start():
+                episode = moments(world, (), seed)
+            for moment in episode[1:]:
+                for name, marks in about.items():
+                    require_truth(name, marks, moment)
+
+
+AT_RESET = ("DB802", "DB806")
+"""The findings of an ending that is true when an episode begins."""
+
+
+def require_truth(ending: str, findings: Sequence[Finding], moment: Moment) -> None:
+    """Require what findings say about an ending to be true in a moment."""
+    for finding in findings:
+        holds = ending in moment.endings
+        if finding.code in ("DB801", "DB807") or "cannot become true" in finding.headline:
+            assert not holds, (finding.headline, moment)
+        elif finding.code == "DB804" and "has no effect" in finding.headline:
+            first = finding.headline.split("`")[3]
+            assert first in moment.endings or not holds, (finding.headline, moment)
+        elif finding.code == "DB804":
+            assert not moment.truncated, (finding.headline, moment)
+
+
+@contextmanager
+def reference_of_start() -> Iterator[None]:
+    """Reject a scenario with an ending that some starts meet, of which only a simulation knows."""
+    try:
+        yield
+    except EndsAtResetError:
+        reject()
+
+
+def with_bold_endings(case: Case) -> dict[str, Any]:
+    """Return the scenario with endings that may be true at once, always, or behind one another."""
+    data = copy.deepcopy(case.drawn.data)
+    termination = data.setdefault("termination", {})
+    for endings in termination.values():
+        for name, text in endings.items():
+            if chance(case.draw, 40):
+                endings[name] = text.removeprefix("time > 50 ms and ")
+    robot = next(iter(data["robots"]))
+    quantities = [
+        (f"position({robot}).z", "m"),
+        (f"abs(position({robot}).x)", "m"),
+        (f"tilt({robot})", "rad"),
+        ("episode_return", ""),
+        ("time", "s"),
+        ("step", ""),
+    ]
+    for number in range(case.draw(st.integers(1, 3))):
+        quantity, unit = pick(case.draw, quantities)
+        sign = pick(case.draw, (">", "<", ">=", "<="))
+        limit = pick(case.draw, (0, 0.1, -0.1, 0.2, 0.5, 1, 4, 20, -3))
+        word = pick(case.draw, ("failure", "success"))
+        termination.setdefault(word, {})[f"bold{number}"] = f"{quantity} {sign} {limit} {unit}".strip()
+    return data
+
+
+@law(cost=150)
+def what_is_unused_changes_nothing(case: Case) -> None:
+    """Without a definition that nothing uses (DB205), each episode is the same, and the fix removes it."""
+    compiled = case.compile()
+    shorter = case.write(case.drawn.text, "shorter.yaml")
+    removed = []
+    for _ in range(case.draw(st.integers(1, 3))):
+        findings = [one for one in api.lint(shorter) if one.code == "DB205" and one.fix is not None]
+        # Without an action, the action space is another one.
+        findings = [one for one in findings if one.headline.split("`")[1] not in case.drawn.data["action"]]
+        if not findings:
+            break
+        finding = findings[case.draw(st.integers(0, len(findings) - 1))]
+        removed.append(finding.headline)
+        shorter.write_text(edited(finding.span.source, finding.fix.edits), encoding="utf-8")
+        after = api.lint(shorter)
+        assert all(one.severity == "warning" for one in after), (removed, after)
+    if not removed:
+        reject()
+    with case.environment(compiled) as long, case.environment(api.compile(shorter)) as short:
+        with reference():
+            first, drawn, *steps = played(long, SEEDS[0])
+        actual = played(short, SEEDS[0])
+        left = {name: value for name, value in drawn.items() if name in actual[1]}
+        same(actual, [first, left, *steps], str(removed))
