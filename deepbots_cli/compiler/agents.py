@@ -17,8 +17,8 @@ from deepbots_cli.compiler.multi_agent import DividedTests, combined_program
 from deepbots_cli.compiler.symmetry import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
-from deepbots_cli.document.load import TESTS
-from deepbots_cli.document.nodes import NodePath, entries_at, follow_dotted, node_at, without_paths
+from deepbots_cli.document.load import TESTS, settings_in
+from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
@@ -538,23 +538,10 @@ def _root_of(
         }
         entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
     divided = replace(root, entries=entries)
-    foreign = [path for path in _settings(divided) if _is_absent(divided, root, str(path[-1]))]
+    foreign = [path for path in settings_in(divided) if _is_absent(divided, root, str(path[-1]))]
     without = without_paths(divided, foreign)
     assert isinstance(without, MappingNode)  # the root stays a mapping
     return without
-
-
-def _settings(root: MappingNode) -> Iterator[NodePath]:
-    """Yield the paths of all settings of cases and stages."""
-    stages = node_at(root, "curriculum")
-    variants: list[NodePath] = [
-        ("evaluation", "cases", name) for name in entries_at(root, "evaluation", "cases")
-    ]
-    if isinstance(stages, SequenceNode):
-        variants += [("curriculum", number) for number in range(len(stages.items))]
-    for variant in variants:
-        for path in entries_at(root, *variant, "set"):
-            yield (*variant, "set", path)
 
 
 def _is_absent(divided: MappingNode, root: MappingNode, path: str) -> bool:

@@ -8,7 +8,7 @@ the command line are applied last, to the whole tree.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
 from dataclasses import dataclass, replace
@@ -28,6 +28,7 @@ from deepbots_cli.document.nodes import (
     descend,
     entries_at,
     follow_dotted,
+    node_at,
     without_paths,
 )
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
@@ -455,6 +456,18 @@ def apply_assignment(
 def apply_setting(root: MappingNode, setting: Entry, findings: Findings) -> MappingNode:
     """Return `root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
+
+
+def settings_in(root: MappingNode) -> Iterator[NodePath]:
+    """Yield the paths of all settings of cases, stages, levels and `tune`; the last step is the setting."""
+    stages = node_at(root, "curriculum")
+    holders: list[NodePath] = [("curriculum", "set"), ("tune", "search")]
+    holders += [("evaluation", "cases", name, "set") for name in entries_at(root, "evaluation", "cases")]
+    if isinstance(stages, SequenceNode):
+        holders += [("curriculum", number, "set") for number in range(len(stages.items))]
+    for holder in holders:
+        for setting in entries_at(root, *holder):
+            yield (*holder, setting)
 
 
 def with_settings_at(root: MappingNode, path: NodePath) -> MappingNode:

@@ -9,9 +9,11 @@ from math import pi
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
-from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.diagnostics import Finding, Fix, Span
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.document.edits import removal_fix
+from deepbots_cli.document.load import setting_path, settings_in
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
 from deepbots_cli.expressions.types import (
@@ -77,9 +79,16 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
                 context.values.key_span(definition.path),
                 headline,
                 "use it, or remove it",
-                fix=removal_fix(context.values.root, definition.path),
+                fix=_removal(context, definition.path),
             )
     yield from _unused_parts(context)
+
+
+def _removal(context: RuleContext, path: NodePath) -> Fix | None:
+    """Return the fix that removes an entry; None where a case, a stage or `tune` sets it or a part of it."""
+    root = context.values.root
+    set_paths = (setting_path(root, str(setting[-1])) for setting in settings_in(root))
+    return None if any(at[: len(path)] == path for at in set_paths) else removal_fix(root, path)
 
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:
@@ -132,7 +141,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
                     span,
                     f"`{path[-1]}` is {problem}",
                     help,
-                    fix=removal_fix(context.values.root, path),
+                    fix=_removal(context, path),
                 )
 
 

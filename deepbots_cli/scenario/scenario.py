@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Self
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from deepbots_cli.document.nodes import MappingNode, NodePath, node_at
 from deepbots_cli.scenario.agent import (
@@ -234,7 +234,7 @@ class Scenario(Section):
         """
         from deepbots_cli.document import descend, load, shipped, to_data
         from deepbots_cli.errors import ScenarioError
-        from deepbots_cli.scenario.validate import validate
+        from deepbots_cli.scenario.validate import findings_of, validate
 
         document = load(path)
         root = None if document.root is None else _with_whole_training(document.root)
@@ -250,7 +250,10 @@ class Scenario(Section):
                 for step in place[:-1]:
                     holder = holder[step]
                 holder[place[-1]] = str(file.resolve())
-        return cls.model_validate(data)
+        try:
+            return cls.model_validate(data)
+        except ValidationError as invalid:  # `validate` leaves the syntax of expressions to the compiler
+            raise ScenarioError(findings_of(root, data, invalid)) from None
 
     def to_yaml(self) -> str:
         """Return the scenario as YAML text, without the values that were not set."""

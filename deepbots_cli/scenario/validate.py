@@ -113,6 +113,12 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
     return None
 
 
+def findings_of(root: nodes.MappingNode, data: Any, invalid: ValidationError) -> list[Finding]:
+    """Return the errors of a scenario whose text is `root` as findings."""
+    errors = invalid.errors(include_url=False, include_input=False)
+    return [_problem(root, data, error).finding for error in errors]
+
+
 def _is_readable(root: nodes.MappingNode, findings: Findings) -> bool:
     node = root.get("deepbots")
     version = node.value if isinstance(node, ScalarNode) else None

@@ -36,6 +36,7 @@ from deepbots_cli.runtime import Supervisor
 from tests.laws.episodes import actions, played
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference, same
+from tests.laws.scenarios import Profile
 
 STEPS = 40
 SEEDS = (1, 2)
@@ -337,7 +338,7 @@ def every_observation_is_as_stated(case: Case) -> None:
 # Findings
 
 
-@law(cost=150)
+@law(cost=150, profile=Profile(agents=1))
 def an_ending_comes_as_lint_says(case: Case) -> None:
     """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when an
     episode begins, lets no episode begin; one that comes before another always does."""
@@ -422,7 +423,9 @@ def what_is_unused_changes_nothing(case: Case) -> None:
     for _ in range(case.draw(st.integers(1, 3))):
         findings = [one for one in api.lint(shorter) if one.code == "DB205" and one.fix is not None]
         # Without an action, the action space is another one.
-        findings = [one for one in findings if one.headline.split("`")[1] not in case.drawn.data["action"]]
+        findings = [
+            one for one in findings if one.headline.split("`")[1] not in case.drawn.data.get("action", {})
+        ]
         if not findings:
             break
         finding = findings[case.draw(st.integers(0, len(findings) - 1))]

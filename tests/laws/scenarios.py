@@ -547,7 +547,7 @@ class Author(Values):
             self.data["world"].setdefault("engine", self.profile.engines[0])
         self.define(self.data, "parameters", self._parameter, 3)
         self._objects()
-        agents = ("one", "two", "three")[: pick(self.draw, (1, 1, 1, 2, 3))]
+        agents = ("one", "two", "three")[: min(pick(self.draw, (1, 1, 1, 2, 3)), self.profile.agents)]
         robots = agents if len(agents) > 1 else ("one", "two")[: 1 + chance(self.draw, 20)]
         like = len(agents) > 1 and chance(self.draw, 30)
         for name in robots:
@@ -866,10 +866,12 @@ class Profile:
     Attributes:
         engines: The engines that the scenario may name.
         bodies: The robots.
+        agents: The largest number of agents.
     """
 
     engines: tuple[str, ...] = ("pybullet", "mujoco")
     bodies: tuple[Body, ...] = BODIES
+    agents: int = 3
 
 
 EVERY = Profile()

@@ -661,11 +661,10 @@ class Renaming(dict[str, str]):
 
     def word(self, word: str) -> str:
         """Return a name, or two joined by deepbots (`drive_left`), with their new names."""
-        for first, second in (
-            (word[: match.start()], word[match.end() :]) for match in re.finditer("_", word)
-        ):
+        for match in re.finditer("_+", word):
+            first, second = word[: match.start()], word[match.end() :]
             if word not in self and first in self.names and second in self.names:
-                return f"{self.get(first, first)}_{self.get(second, second)}"
+                return f"{self.get(first, first)}{match[0]}{self.get(second, second)}"
         return self.get(word, word)
 
     def applied(self, node: Any) -> Any:
@@ -704,7 +703,7 @@ def a_name_is_any_name(case: Case) -> None:
     if actual.program is None or expected.program is None:
         return
     require_equal(canonical(actual.program), renaming.applied(canonical(expected.program)))
-    with case.environment(api.compile(path)) as environment, reference():
+    with case.environment(case.compile(path)) as environment, reference():
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
 
@@ -713,7 +712,7 @@ def a_name_is_any_name(case: Case) -> None:
 def a_reserved_name_is_one_mistake(case: Case) -> None:
     """A name that is refused is refused where it is defined; what uses it has no finding of its own."""
     data = case.drawn.data
-    names = [*data["robots"], *data["action"]]
+    names = [*data["robots"], *data.get("action", {})]
     for section in ("parameters", "objects", "signals", "augment"):
         names += data.get(section, {})
     words = [*("g", "m", "min", "h", "rad", "if", "is", "any", "auto", "urdf", "lambda")]
