@@ -108,6 +108,11 @@ class Ranges:
         if self.analysis.is_noisy(node.name):
             # Gaussian noise has no bounds.
             return EVERYTHING
+        route = self.analysis.imperfect_routes.get(node.name)
+        sent = self.analysis.definition_without_noise(node) if route is not None else None
+        if route is not None and sent is not None:
+            zeros = (ZERO,) if route.on_loss == "zero" else ()
+            return hull((self.of(sent), self._so_far.of(sent), *zeros))
         foreign = self.analysis.expression_named(node.name)
         leaf_type = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
         return leaf_type.interval_of(node.component) if leaf_type else EVERYTHING
