@@ -36,7 +36,6 @@ truncation: {{max_steps: 50}}
         ("1 / cart.gain", "hold", "DB802"),
         ("low_pass(step, -1 s)", "hold", "DB406"),
         ("delta(sqrt(step), step)", "hold", ""),
-        ("delta(step / 100)", "hold", "DB804"),
     ],
 )
 def test_a_value_is_judged_with_what_memories_and_messages_keep(
