@@ -318,7 +318,9 @@ class StartRanges(Ranges):
             yield place, {key: self._coordinate(place, key) for key in (*_PLANE_AXES, "z", *_ROTATION_KEYS)}
 
     def _coordinate(self, place: Placement, key: str) -> Interval:
-        if key == "z" and isinstance(place.spot, Top):
+        # z counts from the top of an object, or from the terrain below.
+        is_raised = isinstance(place.spot, Top) or self.analysis.program.world.terrain is not None
+        if key == "z" and is_raised:
             return EVERYTHING
         if key in _PLANE_AXES and place.spot is not None:
             axis = _PLANE_AXES.index(key)
