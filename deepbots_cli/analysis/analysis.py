@@ -29,7 +29,7 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.expressions.types import children as typed_parts
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
-from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.robots import Route, Sensor
 from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
@@ -63,8 +63,8 @@ class _CachedLowering(Lowering):
 class Analysis:
     """The analysis of one program, whose results are computed once for all rules.
 
-    A sensor is replaced by the fact that it measures only if its readings are exact, and a value with noise
-    is not followed. The `ideal` analysis ignores faults and noise.
+    A sensor is replaced by the fact that it measures only if its readings are exact. A value with noise, or
+    in a message that may be late or lost, is not followed. The `ideal` analysis ignores faults and noise.
     """
 
     def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
@@ -93,6 +93,15 @@ class Analysis:
         self._defined |= {
             f"{link.receiver}.{value.name}": (value, "") for link in program.links for value in link.values
         }
+        routes = [(robot.name, robot.from_route, robot.emit) for robot in program.robots]
+        routes += [(link.receiver, link.route, link.values) for link in program.links]
+        self.imperfect_routes: Mapping[str, Route] = {
+            f"{owner}.{value.name}": route
+            for owner, route, values in routes
+            for value in values
+            if not self._is_ideal and not (route.perfect and program.timing == "immediate")
+        }
+        """The route of each value in a message that may be late or lost; none in the ideal analysis."""
         if program.agent.goal is not None:
             self._defined |= {
                 "achieved": (program.agent.goal.achieved, ""),
@@ -185,7 +194,8 @@ class Analysis:
 
     def definition(self, node: Name) -> Scalar | None:
         """Return the definition of a name, which may be another name; None for a leaf."""
-        return None if self.is_noisy(node.name) else self.definition_without_noise(node)
+        is_exact = not self.is_noisy(node.name) and node.name not in self.imperfect_routes
+        return self.definition_without_noise(node) if is_exact else None
 
     def definition_without_noise(self, node: Name) -> Scalar | None:
         """Return the definition of a name regardless of noise: the exact value."""

@@ -108,6 +108,11 @@ class Ranges:
         if self.analysis.is_noisy(node.name):
             # Gaussian noise has no bounds.
             return EVERYTHING
+        route = self.analysis.imperfect_routes.get(node.name)
+        sent = self.analysis.definition_without_noise(node) if route is not None else None
+        if route is not None and sent is not None:
+            zeros = (ZERO,) if route.on_loss == "zero" else ()
+            return hull((self.of(sent), self._so_far.of(sent), *zeros))
         foreign = self.analysis.expression_named(node.name)
         leaf_type = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
         return leaf_type.interval_of(node.component) if leaf_type else EVERYTHING
@@ -313,7 +318,9 @@ class StartRanges(Ranges):
             yield place, {key: self._coordinate(place, key) for key in (*_PLANE_AXES, "z", *_ROTATION_KEYS)}
 
     def _coordinate(self, place: Placement, key: str) -> Interval:
-        if key == "z" and isinstance(place.spot, Top):
+        # z counts from the top of an object, or from the terrain below.
+        is_raised = isinstance(place.spot, Top) or self.analysis.program.world.terrain is not None
+        if key == "z" and is_raised:
             return EVERYTHING
         if key in _PLANE_AXES and place.spot is not None:
             axis = _PLANE_AXES.index(key)

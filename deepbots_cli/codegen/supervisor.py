@@ -207,7 +207,7 @@ def _ends(scenario: Program) -> list[str]:
         if scenario.endings
         else []
     )
-    limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
+    limits = scenario.truncation.limits
     return [*ends, f"a limit cut the episode short ({sentence_list(limits, 'or')})"]
 
 

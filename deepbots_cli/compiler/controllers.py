@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 from deepbots_cli.compiler.actuators import Actuators, ResolvedActuator
 from deepbots_cli.compiler.namespace import Namespace, Origin, RobotScope, SupervisorScope
@@ -17,7 +18,7 @@ from deepbots_cli.compiler.sensing import SensorsCompiler
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.expressions.intervals import single
+from deepbots_cli.expressions.intervals import ZERO, hull, single
 from deepbots_cli.expressions.types import (
     Context,
     Invocation,
@@ -30,6 +31,7 @@ from deepbots_cli.expressions.types import (
 )
 from deepbots_cli.program.robots import (
     Command,
+    Direction,
     Link,
     MessageField,
     Robot,
@@ -179,7 +181,16 @@ class RobotBuilder:
         self.heard[name] = Expression(
             name, self.values.span(path), source, typed, f"{self.robot.name}.hear.{name}"
         )
-        return Symbol(full, symbol.type._replace(known=Known.STEP))
+        return Symbol(full, self._received_type(symbol.type, "between_robots"))
+
+    def _received_type(self, sent: ValueType, direction: Direction | Literal["between_robots"]) -> ValueType:
+        """Return the type of a sent value where it arrives: 0 may replace it in a lost message."""
+        received = sent._replace(known=Known.STEP)
+        if getattr(self.namespace.scenario.messages, direction).on_loss != "zero":
+            return received
+        return received.with_intervals(
+            hull((interval, ZERO)) for interval in received.intervals or (received.interval,)
+        )
 
     def links(self, route: Route) -> Iterator[Link]:
         """Yield the paths of messages from other robots to this one."""
@@ -211,7 +222,7 @@ class RobotBuilder:
         self.fields[name] = Expression(
             name, self.values.key_span(path), name, typed, f"{self.robot.name}.emit.{name}"
         )
-        return Symbol(full, sensor.type._replace(known=Known.STEP))
+        return Symbol(full, self._received_type(sensor.type, "from_robot"))
 
     def _field(self, name: str, path: NodePath) -> Symbol:
         full = f"{self.robot.name}.{name}"
@@ -229,17 +240,18 @@ class RobotBuilder:
         if typed is None:
             return Symbol(full, None)
         self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
-        return Symbol(full, typed.type._replace(known=Known.STEP))
+        return Symbol(full, self._received_type(typed.type, "from_robot"))
 
     # Received values and commands
 
     def _receive(self) -> dict[str, Symbol]:
         """Return the action variables, and the fields of `receive`."""
         spec = self.robot.spec
-        symbols = {
-            name: self.namespace.resolve(name) or Symbol(name, None)
-            for name in self.namespace.names_of(Origin.ACTION)
-        }
+        symbols = {}
+        for name in self.namespace.names_of(Origin.ACTION):
+            symbol = self.namespace.resolve(name) or Symbol(name, None)
+            received = symbol.type and self._received_type(symbol.type, "to_robot")
+            symbols[name] = symbol._replace(type=received)
         for name, value in (spec.receive or {}).items():
             path = (*self.path, "receive", name)
             text = self.values.text(path, value)
@@ -249,7 +261,7 @@ class RobotBuilder:
                 self.received[name] = Expression(
                     name, text.span, text.text, typed, f"{self.robot.name}.receive.{name}"
                 )
-                symbols[name] = Symbol(name, typed.type._replace(known=Known.STEP))
+                symbols[name] = Symbol(name, self._received_type(typed.type, "to_robot"))
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:

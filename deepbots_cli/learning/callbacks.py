@@ -72,8 +72,12 @@ class Scalars:
             log.record("curriculum/threshold", curriculum.criterion.threshold)
         for name, mean in statistics.term_means().items():
             log.record(f"reward/{name}", mean)
-        for name, share in statistics.ended_by().items():
-            log.record(f"ended_by/{name}", share)
+        shares = statistics.ended_by()
+        # A share that is 0 now may wait in the log with its last value.
+        program = self._active.run.program
+        ends = (*(ending.name for ending in program.endings), *program.truncation.limits) if shares else ()
+        for name in dict.fromkeys((*ends, *shares)):
+            log.record(f"ended_by/{name}", shares.get(name, 0.0))
 
     def record_policy(self) -> None:
         """Record scalars about the policy in the last rollout, or in the last steps of the replay buffer.

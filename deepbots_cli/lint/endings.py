@@ -569,9 +569,8 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
 def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:
     """Return whether an expectation is met in any case (True) or in none (False)."""
     if expected.endings:
-        limits = analysis.program.truncation
         endings = {ending.name for ending in analysis.program.endings}
-        endings |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
+        endings |= {*analysis.program.truncation.limits}
         return True if endings <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
         return (

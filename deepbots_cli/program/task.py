@@ -315,6 +315,11 @@ class Truncation:
     max_steps: int | None = None
     max_time: float | None = None
 
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """The names of the limits that there are."""
+        return tuple(name for name in ("max_steps", "max_time") if getattr(self, name) is not None)
+
     def max_episode_steps(self, period: float) -> int:
         """Return the steps of the agent, of `period` s each, after which an episode is cut short at the
         latest."""
