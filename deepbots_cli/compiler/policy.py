@@ -386,8 +386,6 @@ class Observations(NamespaceReader):
             )
             return None
         name = tree.parts[0]
-        if self._values.is_invalid(name):
-            return None
         if (
             section == "observation"
             and self._namespace.origin(name) in HIDDEN_ORIGINS

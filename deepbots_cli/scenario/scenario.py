@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Self
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from deepbots_cli.document.nodes import MappingNode, NodePath, node_at
 from deepbots_cli.scenario.agent import (
@@ -250,7 +250,16 @@ class Scenario(Section):
                 for step in place[:-1]:
                     holder = holder[step]
                 holder[place[-1]] = str(file.resolve())
-        return cls.model_validate(data)
+        try:
+            return cls.model_validate(data)
+        except ValidationError as invalid:
+            # `validate` leaves the content of texts to the compiler.
+            for problem in invalid.errors():
+                span = descend(root, problem["loc"])[0].span
+                document.findings.add(
+                    problem["type"], span, problem["ctx"]["headline"], problem["ctx"]["help"]
+                )
+            raise ScenarioError(list(document.findings)) from None
 
     def to_yaml(self) -> str:
         """Return the scenario as YAML text, without the values that were not set."""
