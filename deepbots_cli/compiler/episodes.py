@@ -117,8 +117,8 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
 
 
 def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
-    """Return a setting of a route, if the file has it. The expression of a setting that may be new in every
-    step may contain how often its draws are repeated."""
+    """Return a setting of a route, if the file has it and it is not zero. The expression of a setting that
+    may be new in every step may contain how often its draws are repeated."""
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
     values = namespace.values
@@ -132,7 +132,8 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
         redraw = None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
-    if typed.type.known is Known.FIXED and values.fixed(typed, text, label) is None:
+    # A latency and a loss of zero are none; a range is positive.
+    if typed.type.known is Known.FIXED and not any(values.fixed(typed, text, label) or ()):
         return None
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 

@@ -87,7 +87,7 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     name = spec.agent.each
     values = namespace.values
     for robot, robot_spec in spec.robots.items():
-        if "count" in robot_spec.model_fields_set and robot != name and not values.is_invalid("each"):
+        if robot_spec.count is not None and robot != name and not values.is_invalid("each"):
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.add_at_key(
                 "DB108",
@@ -102,7 +102,7 @@ def copies(namespace: Namespace) -> RobotCopies | None:
         return None
     _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
-    count = namespace.fields.fixed(robot_spec, "count")
+    count = 1 if robot_spec.count is None else namespace.fields.fixed(robot_spec, "count")
     if robot_spec.spacing is None and not values.is_invalid("spacing"):
         help = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
@@ -127,7 +127,7 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
     paths += [
         (("objects", group), f"the group `{group}`")
         for group, thing_spec in namespace.scenario.objects.items()
-        if "count" in thing_spec.model_fields_set
+        if thing_spec.count is not None
     ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, subject in paths:

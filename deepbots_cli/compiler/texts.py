@@ -97,6 +97,12 @@ class TextFindings:
         self._root = root
         self._findings = findings
 
+    def mentions_reserved_name(self, text: SourceText) -> bool:
+        """Return whether a text, or its path, has a reserved name that a definition has too (DB202): it means
+        something else there."""
+        words = RESERVED.intersection((*_BARE_WORD.findall(text.text), *map(str, text.path)))
+        return any(finding.code == "DB202" and finding.span.text in words for finding in self._findings)
+
     def reporter(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
 
@@ -116,9 +122,6 @@ class TextFindings:
                 finding.code == "DB106" and finding.span == span for finding in self._findings
             ):
                 return  # the help for too few numbers shows the unit
-            words = RESERVED.intersection((*_BARE_WORD.findall(text.text), *map(str, text.path)))
-            if any(finding.code == "DB202" and finding.span.text in words for finding in self._findings):
-                return  # a definition has a reserved name, which means something else here
             is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"

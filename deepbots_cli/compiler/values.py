@@ -585,6 +585,8 @@ class ValueReader:
         return self._text_findings.reporter(text)
 
     def parsed(self, text: SourceText) -> syntax.Node | None:
+        if self._text_findings.mentions_reserved_name(text):
+            return None
         return parser.parse(text.text, self.reporter(text))
 
     def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> TypedNode | None:

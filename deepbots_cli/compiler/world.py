@@ -91,7 +91,7 @@ def define_bodies(namespace: Namespace) -> None:
         namespace.define(name, Origin.ROBOT, ("robots", name))
     for name, body in spec.objects.items():
         namespace.define(name, Origin.OBJECT, ("objects", name))
-        if "count" in body.model_fields_set:
+        if body.count is not None:
             group = _group(name, body, namespace)
             namespace.groups |= {name: group} if group else {}
             if group is None:

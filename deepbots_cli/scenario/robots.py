@@ -107,8 +107,9 @@ class Robot(Section):
     """Whether links of the robot touch each other. Links that a joint joins never do."""
     pose: Pose = Field(default_factory=Pose)
     """Start pose of the robot, unless `reset` places it."""
-    count: RandomizableCount = 1
-    """Number of copies. With more than one, the name refers to the group of all copies."""
+    count: RandomizableCount | None = None
+    """Number of copies. The name then refers to the group of all copies, also of one. Default: the robot alone,
+    without a group."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
     """Offset from each copy to the next along x, y and z. The row is centered on the position of the
     robot."""

@@ -457,8 +457,9 @@ class PlacedBody(Section):
 
     pose: Pose = Field(default_factory=Pose)
     """Start pose of the object, unless `reset` places it."""
-    count: RandomizableCount = 1
-    """Number of copies. With more than one, the name refers to the group of all copies."""
+    count: RandomizableCount | None = None
+    """Number of copies. The name then refers to the group of all copies, also of one. Default: the object alone,
+    without a group."""
 
 
 class BoxObject(PlacedBody, Box):

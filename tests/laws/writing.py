@@ -15,6 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import chdir
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -34,12 +35,13 @@ from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.syntax import NUMBER, Number
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program, identity
-from deepbots_cli.scenario.base import MappingOf
+from deepbots_cli.scenario.base import MappingOf, Section
 from deepbots_cli.scenario.fields.names import RESERVED, Name
 from deepbots_cli.scenario.fields.quantities import Parsed
 from deepbots_cli.scenario.walk import shape_at
 from tests.laws.expressions import Draw, chance, pick, units_of
 from tests.laws.law import Case, as_text, law, reference
+from tests.laws.scenarios import LEFT_OUT
 
 Data = dict[str, Any]
 Path = tuple[str | int, ...]
@@ -60,6 +62,10 @@ class Meaning(NamedTuple):
 
     findings: Counter[tuple[str, str]]
     program: Program | None
+
+    @property
+    def has_errors(self) -> bool:
+        return any(RULES[code].severity == "error" for code, _ in self.findings)
 
     @classmethod
     def of(cls, source: Any, overrides: Sequence[str] = ()) -> Meaning:
@@ -333,7 +339,8 @@ def keys_may_stand_in_any_order(case: Case) -> None:
 
 
 _OF_BASES = ("DB205",)
-"""Findings of the scenario's own file: what it does not use of a base, other scenarios may use."""
+"""Findings of what the scenario's own file defines: what it does not use of a base or of an option, another
+scenario may use."""
 _KINDS = ("type", "shape", "algorithm")
 
 
@@ -474,7 +481,7 @@ def a_value_set_by_an_option_is_that_of_the_file(case: Case) -> None:
     data = spoiled(case, data_of(case))
     expected = Meaning.of(case.write(data))
     text, overrides = case.draw(assignments(data))
-    Meaning.of(case.write(text), overrides).require(expected)
+    Meaning.of(case.write(text), overrides).require(expected, may_lack=_OF_BASES)
 
 
 # Python
@@ -491,7 +498,7 @@ def a_scenario_built_in_python_is_that_of_the_file(case: Case) -> None:
         scenario = Scenario(**data)
     except ValidationError as error:
         messages = {message["msg"] for message in error.errors()}
-        assert any(RULES[code].severity == "error" for code, _ in expected.findings), messages
+        assert expected.has_errors, messages
         with pytest.raises(ScenarioError):
             Scenario.from_yaml(path)
         return
@@ -700,7 +707,7 @@ def a_name_is_any_name(case: Case) -> None:
     findings = Counter((code, renaming.applied(headline)) for code, headline in expected.findings.elements())
     Meaning(actual.findings, None).require(Meaning(findings, None))
     assert (actual.program is None) == (expected.program is None)
-    if actual.program is None or expected.program is None:
+    if actual.program is None or expected.program is None or expected.has_errors:
         return
     require_equal(canonical(actual.program), renaming.applied(canonical(expected.program)))
     with case.environment(case.compile(path)) as environment, reference():
@@ -726,3 +733,79 @@ def a_reserved_name_is_one_mistake(case: Case) -> None:
     errors = Counter({entry: n for entry, n in findings.items() if RULES[entry[0]].severity == "error"})
     assert {code for code, _ in errors} == {"DB202"}, errors
     assert len(errors) == len(renaming), errors
+
+
+# Defaults
+
+
+@st.composite
+def with_defaults(draw: Draw, data: Data) -> Shown:
+    """Draw a text in which some keys that are absent have their default."""
+    whole = copy.deepcopy(data)
+    for path, value in [((), data), *walk(data)]:
+        model = shape_at(Scenario, data, path)
+        if not isinstance(value, dict) or not isinstance(model, type):
+            continue
+        for key, info in model.model_fields.items():
+            default = info.default if isinstance(info.default, bool | int | float | str) else ""
+            if key not in value and default != "" and chance(draw, 40) and _may_be_added(model, value, key):
+                data_at(whole, path)[key] = default
+    return Shown(as_text(whole))
+
+
+_NO_DEFAULT: dict[str, tuple[str, ...]] = {}
+"""Keys of models that are refused in some places, though they have a default."""
+
+
+def _may_be_added(model: type[Section], data: Data, key: str) -> bool:
+    refused = (*LEFT_OUT.get(model.__name__, ()), *_NO_DEFAULT.get(model.__name__, ()))
+    full = any(
+        key in rule.names and len(data.keys() & set(rule.names)) >= rule.max for rule in model.key_rules
+    )
+    return key not in refused and not full
+
+
+@law(cost=80)
+def a_default_may_be_written(case: Case) -> None:
+    """The default of a key is what its absence means, so writing it changes nothing."""
+    data = data_of(case)
+    expected = Meaning.of(case.write(data))
+    Meaning.of(case.write(case.draw(with_defaults(data)))).require(expected)
+
+
+# Cases
+
+_SET = ("parameters", "world", "objects", "robots", "messages", "signals", "augment", "reward", "termination")
+"""Sections that a case may change."""
+
+
+@st.composite
+def settings(draw: Draw, data: Data) -> Data:
+    """Draw some values of the scenario, as the settings of a case that changes nothing."""
+    values = {
+        ".".join(map(str, path)): value
+        for path, value in walk(data)
+        if path[0] in _SET and len(path) > 1 and not isinstance(value, dict | list)
+    }
+    return {
+        path: values[path] for path in draw(st.lists(st.sampled_from(list(values)), max_size=3, unique=True))
+    }
+
+
+@law(cost=120)
+def a_case_that_sets_what_is_set_is_the_scenario(case: Case) -> None:
+    """A case or a stage is the scenario with its settings: if these are those of the scenario, so is the task,
+    and no rule has more to say."""
+    data = data_of(case)
+    if "agents" in data:
+        reject()
+    for section in ("evaluation", "curriculum", "tests", "tune"):
+        data.pop(section, None)
+    expected = Meaning.of(case.write(data))
+    data["evaluation"] = {"cases": {"same": {"set": case.draw(settings(data))}}}
+    actual = Meaning.of(case.write(data))
+    # A text that a rule judges by itself is judged once more where the case repeats it.
+    assert set(actual.findings) == set(expected.findings)
+    if actual.program is not None and expected.program is not None:
+        (variant,) = actual.program.cases
+        require_equal(canonical(replace(variant.program, cases=())), canonical(expected.program))

@@ -162,6 +162,13 @@ def test_a_file_with_mistakes_is_not_read(tmp_path: Path) -> None:
         Scenario.from_yaml(file)
 
 
+def test_a_file_with_a_mistake_in_an_expression_is_not_read(tmp_path: Path) -> None:
+    file = tmp_path / "broken.yaml"
+    file.write_text("deepbots: 1\nextends: cartpole\nparameters: {reach: 1 m kg}\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"broken.yaml:3:\d+: DB401 an operator is missing"):
+        Scenario.from_yaml(file)
+
+
 def test_the_json_schema_of_the_model_is_the_one_for_editors() -> None:
     assert Scenario.model_json_schema()["title"] == "deepbots scenario"
 
