@@ -5,9 +5,11 @@ fields.py       strategies for single values, one for each class of `scenario/fi
 scenarios.py    strategies for whole scenarios, from the models of the language
 law.py          what a law is, and how it is tried
 episodes.py     laws of episodes
+readings.py     a world that shows all that sensors and functions read
+frames.py       laws of turned and mirrored worlds
 """
 
-from tests.laws import episodes
+from tests.laws import episodes, frames
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "episodes"]
+__all__ = ["LAWS", "episodes", "frames"]
