@@ -7,9 +7,12 @@ law.py          what a law is, and how it is tried
 episodes.py     laws of episodes
 readings.py     a world that shows all that sensors and functions read
 frames.py       laws of turned and mirrored worlds
+two_engines.py  laws of one world in two engines
+shapes.py       rays and points against shapes, in closed form
+sensors.py      laws of sensors and functions against a second implementation
 """
 
-from tests.laws import episodes, frames
+from tests.laws import episodes, frames, sensors, two_engines
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "episodes", "frames"]
+__all__ = ["LAWS", "episodes", "frames", "sensors", "two_engines"]

@@ -30,7 +30,6 @@ from deepbots_cli.program.world import (
     WorldModel,
 )
 from deepbots_cli.robots.model import Geometry, Inertial, Joint, Link, Pose, RobotModel
-from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law
 from tests.laws.readings import (
@@ -41,6 +40,7 @@ from tests.laws.readings import (
     Source,
     Start,
     beginning,
+    contact_reader,
     lively,
     opened,
     prepared,
@@ -345,13 +345,6 @@ def disturbed(start: Start, sign: float) -> Start:
         for key, (position, speed) in start.joints.items()
     }
     return Start(bodies, joints)
-
-
-def contact_reader(environment: Supervisor) -> Callable[[], bool]:
-    """Return a reader of whether anything touched anything in the last step, bound before it."""
-    engine, world = environment.engine, environment.scenario.world
-    touching = [engine.contact((body.name, None)) for body in (*world.robots, *world.objects)]
-    return lambda: any(touched() for touched in touching)
 
 
 def compare(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -193,6 +193,13 @@ def readings(environment: Supervisor, sources: Mapping[str, Source]) -> Readings
     return {
         name: np.atleast_1d(np.asarray(getattr(environment, generated.last(name)), float)) for name in sources
     }
+
+
+def contact_reader(environment: Supervisor) -> Callable[[], bool]:
+    """Return a reader of whether anything touched anything in the last step, bound before it."""
+    engine, world = environment.engine, environment.scenario.world
+    touching = [engine.contact((body.name, None)) for body in (*world.robots, *world.objects)]
+    return lambda: any(touched() for touched in touching)
 
 
 @dataclass(frozen=True)
