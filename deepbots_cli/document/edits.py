@@ -33,7 +33,16 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     other text.
     """
     holder, _, steps = descend(root, path[:-1])
-    if steps < len(path) - 1 or not isinstance(holder, MappingNode) or len(holder.entries) < 2:
+    if steps < len(path) - 1 or not isinstance(holder, MappingNode):
+        return None
+    # The signals of an agent have those of all agents before them, which are written elsewhere.
+    source, start, end = holder.span
+    written = [
+        entry
+        for entry in holder.entries.values()
+        if entry.key.span.source is source and start <= entry.key.span.start < end
+    ]
+    if len(written) < 2:
         return None
     entry = holder.entries.get(str(path[-1]))
     if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:

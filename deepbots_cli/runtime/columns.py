@@ -119,11 +119,16 @@ _KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
     formulas.RunningMax: lambda before, _, x: larger(before, x),
     formulas.RunningMin: lambda before, _, x: smaller(before, x),
     formulas.Hold: lambda before, _, x, condition: np.where(condition, x, before),
-    formulas.Accumulate: lambda before, _, more, low, high, start: clamp(before + more, low, high),
     formulas.Duration: lambda before, step, condition: np.where(condition, before + step, 0.0),
 }
 """The memories whose code branches on a number, rewritten for columns. All other memories work with columns
 unchanged."""
+
+
+class _Accumulate(formulas.Accumulate):
+    @staticmethod
+    def limit(value: Any, low: Any, high: Any) -> Any:
+        return clamp(value, low, high)
 
 
 class BatchMemory:
@@ -147,7 +152,7 @@ class BatchMemory:
         else:
             kind = type(first)
             count = 1
-        self._law = kind(first.timestep)
+        self._law = _Accumulate(first.timestep) if kind is formulas.Accumulate else kind(first.timestep)
         self._choose = _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None

@@ -313,12 +313,16 @@ class Integral(Memory):
 class Accumulate(Memory):
     """The running sum of increments, limited to the range."""
 
+    @staticmethod
+    def limit(value: Any, low: Any, high: Any) -> Any:
+        return clamp(value, low, high)
+
     def begin(self, increment: float, low: float, high: float, start: float) -> Any:
-        self.kept = min(max(start, low), high)
+        self.kept = self.limit(start, low, high)
         return self.kept
 
     def advance(self, increment: float, low: float, high: float, start: float) -> Any:
-        self.kept = min(max(self.kept + increment, low), high)
+        self.kept = self.limit(self.kept + increment, low, high)
         return self.kept
 
 

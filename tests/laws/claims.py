@@ -23,7 +23,7 @@ from deepbots_cli.analysis.speeds import SpeedRanges, highest_return, rate_of
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.errors import EndsAtResetError, EvaluationError
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, multiply
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, children, is_drawn, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, TypedNode, ValueType
 from deepbots_cli.expressions.types import children as typed_children
@@ -302,7 +302,9 @@ def every_reward_is_within_its_bounds(case: Case) -> None:
                     where = (term.name, moment, paid)
                     assert paid == 0.0 or term.name not in always_zero, where
                     for ranges in ranges_at(analysis, moment):
-                        assert within(paid, ranges.of(tree)), (*where, ranges.of(tree))
+                        paid_in_timestep = ranges.of(tree)
+                        paid_in_step = multiply(paid_in_timestep, Interval(1.0, program.action_repeat))
+                        assert within(paid, paid_in_step), (*where, paid_in_step)
             if episode[-1].is_last:
                 totals.append(sum(sum(moment.terms.values()) for moment in episode))
     for total in totals:

@@ -39,6 +39,7 @@ from tests.laws.readings import (
     prepared,
     readings,
 )
+from tests.laws.scenarios import Profile
 
 H = 1e-6
 """The time, in s, of numerical derivatives."""
@@ -409,7 +410,7 @@ def second_value(truth: Truth, source: Source) -> Array:
     return np.atleast_1d(np.asarray(COMPUTED[source.function](truth, source), float))
 
 
-@law(cost=200)
+@law(cost=200, profile=Profile(agents=1))
 def sensors_agree_with_a_second_implementation(case: Case) -> None:
     """A start has numbers, from which kinematics and geometry give each reading.
 

@@ -19,7 +19,7 @@ ENGINES = ("pybullet", "mujoco")
 STEPS = 10
 
 
-@law(cost=300, profile=Profile(engines=("pybullet",)))
+@law(cost=300, profile=Profile(engines=("pybullet",), agents=1))
 def two_engines_begin_alike(case: Case) -> None:
     """A scenario states the start of a world, and readings of a start are geometry."""
     program, sources, start = prepared(case)
