@@ -130,8 +130,9 @@ def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
 def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
     """Return the text between two tokens of different lines: a comment behind the first, blank lines,
     comments, the indentation."""
-    lines = gap.replace("\t", " ").split("\n")
-    head, inner, indentation = lines[0], [line.rstrip() for line in lines[1:-1]], lines[-1]
+    head, *rest = gap.replace("\t", " ").split("\n")
+    # A file may end behind a comment, without a line break.
+    inner, indentation = [line.rstrip() for line in rest[:-1]], rest[-1] if rest else ""
     if head.strip() and not first:
         blanks = len(head) - len(head.lstrip())
         head = " " * max(blanks - moved, min(blanks, 2)) + head.lstrip()

@@ -1030,6 +1030,10 @@ def test_a_shipped_scenario_is_in_the_canonical_layout(name):
     assert canonical_text(text_of(name)) == text_of(name)
 
 
+def test_a_file_that_ends_behind_a_comment_is_formatted() -> None:
+    assert canonical_text("name: CartPole # short") == "name: CartPole # short\n"
+
+
 def test_comments_by_the_ten_thousand_and_brackets_over_thousands_of_lines_end():
     # Whatever is quadratic in the lines takes minutes here.
     comments = "a: 1\n" + "# a word\n" * 40_000

@@ -753,8 +753,9 @@ def with_defaults(draw: Draw, data: Data) -> Shown:
     return Shown(as_text(whole))
 
 
-_NO_DEFAULT: dict[str, tuple[str, ...]] = {}
-"""Keys of models that are refused in some places, though they have a default."""
+_NO_DEFAULT = {"Observed": ("noise",), "Measured": ("noise",)}
+"""Keys that are refused in some places, though they have a default: a truth value and a picture have no
+noise."""
 
 
 def _may_be_added(model: type[Section], data: Data, key: str) -> bool:
