@@ -6,9 +6,10 @@ scenarios.py    strategies for whole scenarios, from the models of the language
 law.py          what a law is, and how it is tried
 episodes.py     laws of episodes
 claims.py       laws of what the analysis and lint state
+records.py      laws of trainings and their records
 """
 
-from tests.laws import claims, episodes
+from tests.laws import claims, episodes, records
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "claims", "episodes"]
+__all__ = ["LAWS", "claims", "episodes", "records"]
