@@ -9,18 +9,27 @@ import io
 import json
 import math
 from contextlib import chdir, closing, redirect_stdout
+from itertools import islice
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
+import numpy as np
+from hypothesis import reject
 from hypothesis import strategies as st
+from stable_baselines3 import PPO
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.export.parity import Comparison
+from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.learning import load_policy, resume, train
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start
+from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_cli.runtime import Supervisor
+from tests.bundle.untrained import untrained_bundle
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference, same
 from tests.laws.scenarios import Profile
@@ -306,3 +315,42 @@ def an_interrupted_training_is_an_uninterrupted_one(case: Case) -> None:
             state["scalars"] = dict(sorted(state["scalars"].items()))
         for part in ("result", "monitor", "scalars", "evaluations", "models"):
             same(continued[part], expected[part], part)
+
+
+@law(cost=1000, profile=SMALL)
+def a_bundle_commands_what_the_simulation_applies(case: Case) -> None:
+    """The graph of an exported policy has the arithmetic of supervisor, network and robots, so its commands are
+    those of the simulation, to 1e-5 of their range: the network computes in float32."""
+    compiled = with_training(case)
+    try:
+        step, learner, bundle = untrained_bundle.__wrapped__(str(compiled.source))
+    except UsageError:
+        reject()  # what no bundle can have
+    comparison = Comparison(bundle)
+    with closing(recorded_steps(step, lambda world: PolicyDriver(learner, world))) as recorded:
+        with reference(*OF_TRAININGS):
+            steps = list(islice(recorded, 30))
+        for one in steps:
+            comparison.add(one)
+    assert comparison.worst <= 1e-5, comparison
+
+
+@law(cost=1200, profile=SMALL)
+def a_model_acts_by_itself_as_in_its_run(case: Case) -> None:
+    """The model of a run is a model of Stable-Baselines3, whose own `predict` gives the actions of the policy."""
+    compiled = with_training(case)
+    with chdir(case.folder):
+        with reference(*OF_TRAININGS):
+            train(compiled, run="run", seed=3)
+        policy = load_policy("run")
+        model = PPO.load("run/models/agent/best.zip", device="cpu")
+        with closing(api.make(compiled)) as world, reference(*OF_TRAININGS):
+            observation, _ = world.reset(seed=5)
+            for _ in range(12):
+                expected = policy(observation)
+                action, _ = model.predict(observation, deterministic=True)
+                difference = np.abs(np.asarray(action, float) - np.asarray(expected, float))
+                assert np.all(difference <= 1e-6), (action, expected)
+                observation, _, terminated, truncated, _ = world.step(expected)
+                if terminated or truncated:
+                    break
