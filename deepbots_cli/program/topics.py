@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.scalar import EngineRead, walk
-from deepbots_cli.expressions.types import QUATERNION, SPACE
+from deepbots_cli.expressions.types import Components
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Robot, Sensor
 from deepbots_robot.topics import Field, Topic, first_mapping
 
-VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
+
+def components_of(function: str) -> Components:
+    """Return the components of a reading of the world; none for a single value."""
+    return (FUNCTIONS[function].components if function in FUNCTIONS else None) or ()
 
 
 def sensor_fields(program: Program) -> list[Field]:
@@ -51,7 +54,7 @@ def reading_fields(program: Program) -> list[Field]:
                 shared = LENGTH
             else:
                 shared = ANGLE
-            components = VECTORS.get(leaf.function, ())
+            components = components_of(leaf.function)
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))
             fields.setdefault(

@@ -10,6 +10,7 @@ found.yaml      scenarios that once broke a law
 episodes.py     laws of episodes
 writing.py      laws of writing
 claims.py       laws of what the analysis and lint state
+records.py      laws of what trainings and evaluations record, and of what is exported
 readings.py     a world that shows all that sensors and functions read
 frames.py       laws of turned and mirrored worlds
 two_engines.py  laws of one world in two engines
@@ -17,7 +18,7 @@ shapes.py       rays and points against shapes, in closed form
 sensors.py      laws of sensors and functions against a second implementation
 """
 
-from tests.laws import claims, episodes, frames, sensors, two_engines, writing
+from tests.laws import claims, episodes, frames, records, sensors, two_engines, writing
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "claims", "episodes", "frames", "sensors", "two_engines", "writing"]
+__all__ = ["LAWS", "claims", "episodes", "frames", "records", "sensors", "two_engines", "writing"]

@@ -249,14 +249,15 @@ def every_value_is_within_its_interval(case: Case) -> None:
 
 
 def is_direction_of_zero(analysis: Analysis, tree: Scalar) -> bool:
-    """Return whether a value depends on the direction of a vector that may be 0 with both components: that
-    depends on the signs of the zeros, which no interval has."""
+    """Return whether a value depends on the direction of a vector that may be 0, or point straight back: that
+    depends on the sign of a zero, which no interval has."""
     return any(
         isinstance(part, Op)
         and part.op == "atan2"
-        and all(0.0 in analysis.ranges.of(arg) for arg in part.args)
+        and 0.0 in (ranges.of(part.args[0]).low, ranges.of(part.args[1]).low)
         and not is_size(part.args[1])
         for part in analysis.walk_definitions(tree)
+        for ranges in (analysis.ranges, analysis.start)
     )
 
 

@@ -16,7 +16,7 @@ from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import SPACE
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Link, MessageField, NoiseModel, Robot, Sensor
-from deepbots_cli.program.topics import VECTORS
+from deepbots_cli.program.topics import components_of
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.scenario.sensors import SENSORS, JointSensor
@@ -57,7 +57,7 @@ class Readings:
         kind, faults = SENSORS[sensor.kind], sensor.faults or NoiseModel()
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
-        world = kind.world_function in VECTORS
+        world = kind.world_function is not None and bool(components_of(kind.world_function))
         number_type = "bool" if sensor.boolean else "float64"
         own_frame = sensor.subjects[0] if sensor.components == SPACE and not of_joints else None
         info = self._input(
@@ -96,7 +96,7 @@ class Readings:
 
     def of_world(self, read: EngineRead) -> tuple[Reading, int]:
         """Describe a reading of the world by the supervisor, with the index of the number in it."""
-        components = VECTORS.get(read.function, ())
+        components = components_of(read.function)
         function = FUNCTIONS.get(read.function)
         joint = self.deployment.joints.get(read.subjects[0])
         if joint is None:

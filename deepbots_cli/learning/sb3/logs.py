@@ -135,6 +135,8 @@ def encoded(value: Any) -> Any:
 
 def number_of(value: Any) -> Any:
     """Return the number that `encoded` returned."""
+    if value is None:
+        return math.nan
     return value.number() if isinstance(value, NumpyScalar) else value
 
 
