@@ -466,6 +466,15 @@ def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(engine_nam
     assert read() == pytest.approx([*ball, *(2.5 / cos(yaw) for yaw in yaws)], abs=1e-6)
 
 
+def test_a_body_that_stays_where_it_is_has_no_velocity(engine_name, build):
+    post = ObjectBody("post", Box((1, 1, 1)), fixed=True)
+    mark = ObjectBody("mark", Box((1, 1, 1)), mass=1.0, solid=False)
+    engine = build(engine_name, world(post, mark))
+    for body in ("post", "mark", "scout"):
+        engine.place(body, (9.0, 0.0, 1.0), frames.IDENTITY_ROTATION, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+        assert engine.velocity(body)() == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
 def test_slanting_rays_meet_the_end_of_a_cylinder_near_its_rim(engine_name, build):
     engine = build(engine_name, world(ObjectBody("drum", Cylinder(0.4, 0.4), Pose((0, 0, -0.2)), fixed=True)))
     rays = []
