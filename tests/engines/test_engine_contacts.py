@@ -466,6 +466,32 @@ def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(engine_nam
     assert read() == pytest.approx([*ball, *(2.5 / cos(yaw) for yaw in yaws)], abs=1e-6)
 
 
+def test_a_body_that_stays_where_it_is_has_no_velocity(engine_name, build):
+    post = ObjectBody("post", Box((1, 1, 1)), fixed=True)
+    mark = ObjectBody("mark", Box((1, 1, 1)), mass=1.0, solid=False)
+    engine = build(engine_name, world(post, mark))
+    for body in ("post", "mark", "scout"):
+        engine.place(body, (9.0, 0.0, 1.0), frames.IDENTITY_ROTATION, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+        assert engine.velocity(body)() == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_slanting_rays_meet_the_end_of_a_cylinder_near_its_rim(engine_name, build):
+    engine = build(engine_name, world(ObjectBody("drum", Cylinder(0.4, 0.4), Pose((0, 0, -0.2)), fixed=True)))
+    rays = []
+    for yaw in range(40):
+        direction = frames.rotate(quaternion(0.0, pi / 2 - 0.3, yaw), (1.0, 0.0, 0.0))
+        start = frames.subtract((0.399, 0.0, -1.0), direction)  # in the frame of the scout, at z = 1
+        rays.append(towards(yaw, pi / 2 - 0.3, start))
+    assert engine.rays(("scout", None), rays, 10.0)() == pytest.approx([1.0] * 40, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ROUND)
+def test_a_ray_that_begins_within_a_round_body_has_no_negative_length(engine_name, kind, build):
+    engine = build(engine_name, world(ObjectBody("thing", ROUND[kind][0], Pose((0, 0, 1)), fixed=True)))
+    starts = [towards(yaw, 0.0, (-0.48, 0.0, 0.0)) for yaw in (0.0, pi / 2, pi)]
+    assert min(engine.rays(("scout", None), starts, 10.0)()) >= 0.0
+
+
 def test_a_ray_into_a_turned_box_is_met_at_its_face(engine_name, build):
     sides = []
     for axis, sign in product(range(3), (-1, 1)):

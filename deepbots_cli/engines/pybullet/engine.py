@@ -255,6 +255,8 @@ class PyBulletEngine:
         form = self._pool(body).activate()
         pose = form.center_pose(position, frames.normalized(orientation))
         p.resetBasePositionAndOrientation(form.number, *pose, self._client)
+        if form.fixed:  # PyBullet would keep a velocity with which nothing moves
+            velocity = angular_velocity = ZERO_VECTOR
         # PyBullet has the velocity of the center of mass; a reset of the pose before sets it to 0.
         of_center = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
         p.resetBaseVelocity(form.number, of_center, angular_velocity, self._client)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
@@ -347,8 +347,8 @@ class RoundSurface:
     origin: Frame
 
     def hit_distance(self, start: Triple, direction: Triple, expected: float) -> float:
-        """Return the distance (m) along a unit direction at which the surface is met, if that is close to the
-        answer `expected`."""
+        """Return the distance (m) along a unit direction at which the surface is met from outside, if that is
+        close to the answer `expected`."""
         center, rotation = frames.compose(self.pose(), self.origin)
         back = frames.inverse(rotation)
         s, d = frames.rotate(back, frames.subtract(start, center)), frames.rotate(back, direction)
@@ -361,10 +361,17 @@ class RoundSurface:
                 d[0] * d[0] + d[1] * d[1], s[0] * d[0] + s[1] * d[1], s[0] * s[0] + s[1] * s[1] - r * r
             )
             if abs(s[2] + met * d[2]) > half:
-                if isinstance(self.shape, Cylinder):
-                    return expected  # its ends are flat
-                met = min(_ball(s, d, half, r), _ball(s, d, -half, r))
-        return met if abs(met - expected) < MAX_CORRECTION_M else expected
+                is_flat = isinstance(self.shape, Cylinder)
+                met = _disc(s, d, half, r) if is_flat else min(_ball(s, d, half, r), _ball(s, d, -half, r))
+        return met if met >= 0.0 and abs(met - expected) < MAX_CORRECTION_M else expected
+
+
+def _disc(s: Triple, d: Triple, half: float, radius: float) -> float:
+    """Return the distance to the end of a cylinder that a ray comes to, and infinity beside it."""
+    if d[2] == 0.0:
+        return inf
+    met = (-half if d[2] > 0.0 else half) / d[2] - s[2] / d[2]
+    return met if hypot(s[0] + met * d[0], s[1] + met * d[1]) <= radius else inf
 
 
 def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:
