@@ -54,12 +54,10 @@ def reading_fields(program: Program) -> list[Field]:
                 shared = LENGTH
             else:
                 shared = ANGLE
-            components = components_of(leaf.function)
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))
-            fields.setdefault(
-                name, Field(name, "", leaf.function, unit, (len(components) or 1,), components=components)
-            )
+            parts = function.components or ()
+            fields.setdefault(name, Field(name, "", leaf.function, unit, (len(parts) or 1,), components=parts))
     return list(fields.values())
 
 
