@@ -293,7 +293,7 @@ def another_layout_is_the_same_scenario(case: Case) -> None:
     Meaning.of(case.write(text)).require(expected)
 
 
-@law(cost=90)
+@law(cost=100)
 def fmt_changes_white_space_only(case: Case) -> None:
     """`deepbots fmt` is for readers: a second time it finds nothing to do, and it keeps values and comments."""
     data = spoiled(case, data_of(case))
@@ -329,7 +329,7 @@ def orders(draw: Draw, data: Data) -> Shown:
     return Shown(as_text(ordered(data, ())))
 
 
-@law(cost=80)
+@law(cost=75)
 def keys_may_stand_in_any_order(case: Case) -> None:
     """The keys of a section are a set, as in Python's keyword arguments; names of the author have an order,
     since the observation has one."""
@@ -439,7 +439,7 @@ def parts(draw: Draw, data: Data) -> Files:
     return files
 
 
-@law(cost=80)
+@law(cost=75)
 def a_scenario_of_included_parts_is_the_whole(case: Case) -> None:
     """A mapping may begin in a file; what stands beside `include` is laid upon it, key by key."""
     data = spoiled(case, data_of(case))
@@ -487,7 +487,7 @@ def a_value_set_by_an_option_is_that_of_the_file(case: Case) -> None:
 # Python
 
 
-@law(cost=100)
+@law(cost=120)
 def a_scenario_built_in_python_is_that_of_the_file(case: Case) -> None:
     """The models are the language, so keyword arguments, sections as models, JSON and YAML written from them
     are ways to write a scenario. What they refuse is an error in the file, too."""
@@ -519,7 +519,7 @@ _OF_FILES = ("DB003", "DB004")
 # Copies
 
 
-@law(cost=120)
+@law(cost=250)
 def a_copy_of_its_files_is_the_same_scenario(case: Case) -> None:
     """A run keeps the merged scenario and all its files, and compiles them: wherever the folder is, and
     whatever the working folder is."""
@@ -613,7 +613,7 @@ _OF_UNITS = {
 """Findings about the unit that is written, and why."""
 
 
-@law(cost=80)
+@law(cost=85)
 def a_quantity_has_any_of_its_units(case: Case) -> None:
     """A quantity is a number of SI units; only the texts that show it again have the unit of the author.
 
@@ -696,7 +696,7 @@ def renamings(draw: Draw, names: Sequence[str], words: Sequence[str]) -> Renamin
     return renaming
 
 
-@law(cost=120)
+@law(cost=125)
 def a_name_is_any_name(case: Case) -> None:
     """A name has no meaning beside what it names, whatever it means in Python or elsewhere in the language."""
     data = with_plain_names(case.drawn.data)
@@ -767,7 +767,7 @@ def _may_be_added(model: type[Section], data: Data, key: str) -> bool:
     return key not in refused and not full
 
 
-@law(cost=80)
+@law(cost=70)
 def a_default_may_be_written(case: Case) -> None:
     """The default of a key is what its absence means, so writing it changes nothing."""
     data = data_of(case)
@@ -794,7 +794,7 @@ def settings(draw: Draw, data: Data) -> Data:
     }
 
 
-@law(cost=120)
+@law(cost=95)
 def a_case_that_sets_what_is_set_is_the_scenario(case: Case) -> None:
     """A case or a stage is the scenario with its settings: if these are those of the scenario, so is the task,
     and no rule has more to say."""
