@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import chdir
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -365,10 +366,10 @@ class Cutter:
                 base[key] = value
             elif (path, key) == ((), "tests") or (not chance(self.draw, 50) if free else number >= last):
                 own[key] = value
-            elif chance(self.draw, 60):
-                base[key] = value
-            elif isinstance(value, dict) and value:
+            elif isinstance(value, dict) and value and chance(self.draw, 60):
                 base[key], own[key] = self.cut(value, (*path, key))
+            elif chance(self.draw, 60) or (isinstance(value, dict) and value):
+                base[key] = value
             else:
                 # A mapping would be merged.
                 others = (0, "nonsense", [1], *(() if isinstance(value, dict) else ({"bad": "sense"},)))
@@ -560,18 +561,36 @@ def _unit(text: str) -> Unit | None:
     return tree.unit if isinstance(tree, Number) else None
 
 
-def in_unit(numbers: str, old: Unit, new: Unit) -> str | None:
+_DECIMAL = {"m": 0, "cm": -2, "mm": -3, "km": 3, "s": 0, "ms": -3, "us": -6, "kg": 0, "g": -3, "rad": 0}
+_DECIMAL |= {"N": 0, "mN": -3, "kN": 3}
+"""Units by the power of ten of their values in SI: the law has its own table, as a second implementation."""
+
+
+def scale_of(unit: str) -> tuple[int, int] | None:
+    """Return numerator and denominator of the scale of a unit; None if it is no decimal one."""
+    numerator = denominator = 1
+    for sign, name, exponent in re.findall(r"([*/]?)([A-Za-z]+)(?:\^(-?\d))?", unit):
+        if name not in _DECIMAL:
+            return None
+        power = _DECIMAL[name] * int(exponent or 1) * (-1 if sign == "/" else 1)
+        numerator, denominator = numerator * 10 ** max(power, 0), denominator * 10 ** max(-power, 0)
+    return numerator, denominator
+
+
+def in_unit(numbers: str, old: str, new: str) -> str | None:
     """Return numbers in another unit; None if they are not exactly the same there."""
+    before, after = scale_of(old), scale_of(new)
+    if before is None or after is None:
+        return None
     exact = True
 
     def converted(match: re.Match[str]) -> str:
         nonlocal exact
-        value = old.to_si(float(match[0]))
-        nearest = new.from_si(value)
-        texts = [f"{nearest:.15g}", repr(nearest)]
-        text = next((text for text in texts if new.to_si(float(text)) == value), None)
-        exact = exact and text is not None
-        return text or ""
+        value = Fraction(match[0].replace("_", "")) * Fraction(*before) / Fraction(*after)
+        text = repr(float(value))
+        old_value, new_value = float(match[0]) * before[0] / before[1], float(text) * after[0] / after[1]
+        exact = exact and Fraction(text) == value and old_value == new_value
+        return text
 
     text = re.sub(_SIGNED, converted, numbers)
     return text if exact else None
@@ -587,7 +606,7 @@ def units(draw: Draw, data: Data) -> Shown:
             return match[0]
         same = [unit for unit in UNITS.values() if unit.dimension == old.dimension]
         new = pick(draw, [*units_of(old.dimension), *same])
-        numbers = in_unit(match[1], old, new) if new.text and "%" not in new.text else None
+        numbers = in_unit(match[1], match[2], new.text) if new.text else None
         return match[0] if numbers is None else f"{numbers} {new.text}"
 
     def changed(node: Any) -> Any:
