@@ -360,11 +360,11 @@ class Cutter:
         base: Data = {}
         own: Data = {}
         free = is_section(self.data, path)
-        last = self.draw(st.integers(0, len(node)))
+        last = self.draw(st.integers(0, len(node))) if chance(self.draw, 40) else len(node)
         for number, (key, value) in enumerate(node.items()):
             if key == "include":
                 base[key] = value
-            elif (path, key) == ((), "tests") or (not chance(self.draw, 50) if free else number >= last):
+            elif (path, key) == ((), "tests") or (not chance(self.draw, 70) if free else number >= last):
                 own[key] = value
             elif isinstance(value, dict) and value and chance(self.draw, 60):
                 base[key], own[key] = self.cut(value, (*path, key))
