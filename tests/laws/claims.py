@@ -245,7 +245,7 @@ def with_every_value(program: Program) -> Iterator[None]:
 # Intervals
 
 
-@law(cost=120)
+@law(cost=170)
 def every_value_is_within_its_interval(case: Case) -> None:
     """An interval contains every value that it is stated for: in any step, right after a reset, in a known
     step, and within limits of speed. Rounding is excepted: the analysis folds in another order."""
@@ -308,7 +308,7 @@ def in_step(analysis: Analysis, fast: Ranges, step: int) -> list[Ranges]:
 # Rewards and observations
 
 
-@law(cost=80)
+@law(cost=200)
 def every_reward_is_within_its_bounds(case: Case) -> None:
     """The analysis states what each term pays in a step that ends nothing, at each ending and at the time
     limit, and what a whole episode pays. A rule says what is always zero, and what no episode changes."""
@@ -361,7 +361,7 @@ def ranges_at(analysis: Analysis, moment: Moment) -> list[Ranges]:
     return [every]
 
 
-@law(cost=60)
+@law(cost=150)
 def every_observation_is_as_stated(case: Case) -> None:
     """A number of the observation without noise is its value, mapped from its range and clipped: so it lies
     within what the interval of its value is mapped to (DB602: at an end of its range). float32 rounds."""
@@ -478,7 +478,7 @@ def with_bold_endings(case: Case) -> dict[str, Any]:
     return data
 
 
-@law(cost=150)
+@law(cost=230)
 def what_is_unused_changes_nothing(case: Case) -> None:
     """Without a definition that nothing uses (DB205), each episode is the same, and the fix removes it."""
     compiled = case.compile()
