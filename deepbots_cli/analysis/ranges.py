@@ -293,7 +293,10 @@ class StartRanges(Ranges):
         swings = any(
             start.robot == subject.partition(".")[0] and start.velocity is not None for start in starts
         )
-        if not is_moved and (body is not None or not swings):
+        is_fixed = any(
+            robot.name == body and robot.fixed_base for robot in self.analysis.program.world.robots
+        )
+        if is_fixed or (not is_moved and (body is not None or not swings)):
             return ZERO
         if body is None or (
             function == "velocity" and any(place.angular_velocity is not None for place in places)

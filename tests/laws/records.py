@@ -153,7 +153,7 @@ OF_TRAININGS = (
 )
 
 
-@law(cost=1500, profile=SMALL)
+@law(cost=1000, profile=SMALL)
 def a_run_has_the_numbers_of_its_episodes(case: Case) -> None:
     """The log, the record, TensorBoard and `runs` have the numbers of the same steps."""
     compiled = with_training(case)
@@ -242,7 +242,7 @@ def ended_shares(scalars: dict[str, dict[int, float]]) -> dict[int, list[float]]
     return shares
 
 
-@law(cost=1500, profile=SMALL)
+@law(cost=1800, profile=SMALL)
 def an_evaluation_has_the_numbers_of_its_episodes(case: Case) -> None:
     """`eval` and `compare` play the episodes of their seed with the policy, and print what these add up to."""
     compiled = with_training(case)
@@ -317,7 +317,7 @@ def an_interrupted_training_is_an_uninterrupted_one(case: Case) -> None:
             same(continued[part], expected[part], part)
 
 
-@law(cost=1000, profile=SMALL)
+@law(cost=350, profile=SMALL)
 def a_bundle_commands_what_the_simulation_applies(case: Case) -> None:
     """The graph of an exported policy has the arithmetic of supervisor, network and robots, so its commands are
     those of the simulation, to 1e-5 of their range: the network computes in float32."""
@@ -335,7 +335,7 @@ def a_bundle_commands_what_the_simulation_applies(case: Case) -> None:
     assert comparison.worst <= 1e-5, comparison
 
 
-@law(cost=1200, profile=SMALL)
+@law(cost=900, profile=SMALL)
 def a_model_acts_by_itself_as_in_its_run(case: Case) -> None:
     """The model of a run is a model of Stable-Baselines3, whose own `predict` gives the actions of the policy."""
     compiled = with_training(case)
