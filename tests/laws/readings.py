@@ -229,10 +229,10 @@ def start_of(environment: Supervisor) -> Start:
     return Start(bodies, joints)
 
 
-def lively(case: Case, program: Program, start: Start) -> Start:
+def lively(case: Case, program: Program, start: Start, percent: int = 50) -> Start:
     """Draw a start in which all moves: bodies fly, 3 m higher, and turn; joints are anywhere within their
-    ranges. Half of the starts stay as they are."""
-    if not chance(case.draw, 50):
+    ranges. Other starts, by default half of them, stay as they are."""
+    if not chance(case.draw, percent):
         return start
     random = np.random.default_rng(case.draw(st.integers(0, 99)))
     world = program.world

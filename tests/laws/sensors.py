@@ -277,6 +277,7 @@ def line_distance(line: Line, point: Array) -> tuple[float, float]:
     return best, side
 
 
+RAYS = ("infrared", "sonar", "laser", "lidar", "height_scan")
 SENSED: Mapping[str, Second] = {
     "joint_position": _joints(0),
     "joint_velocity": _joints(1),
@@ -291,7 +292,7 @@ SENSED: Mapping[str, Second] = {
     "compass": _compass,
     "reflectance": _reflectance,
     **dict.fromkeys(("reaction_force", "reaction_torque", "touch", "force"), _zeros),
-    **dict.fromkeys(("infrared", "sonar", "laser", "lidar", "height_scan"), _ranges),
+    **dict.fromkeys(RAYS, _ranges),
 }
 """The reading of each kind of sensor at the start: of forces and contacts there are none yet."""
 
