@@ -439,7 +439,7 @@ def _require_same(case: Case, mirrored: bool) -> None:
     compare(program, lively(case, program, start), changed_program(program, change), change, sources)
 
 
-@law(cost=300)
+@law(cost=240)
 def a_turned_world_is_the_same(case: Case) -> None:
     """The laws of mechanics have no direction of the compass and no place: in a world that is turned about z
     and shifted, bodies see in their own frames what they saw before, scalars are the same, and vectors of the
@@ -452,7 +452,7 @@ def a_turned_world_is_the_same(case: Case) -> None:
     _require_same(case, mirrored=False)
 
 
-@law(cost=300)
+@law(cost=220)
 def a_mirrored_world_is_the_mirror_image(case: Case) -> None:
     """The laws of mechanics know no left and right: a mirrored robot in a mirrored world moves as the mirror
     image, so velocities change their y, and angles and angular velocities the sense of rotation.

@@ -109,7 +109,9 @@ def _sensors(robot: Mapping[str, Any], left_out: Sequence[str]) -> dict[str, Any
     for name, sensor in robot.get("sensors", {}).items():
         faults = FAULTS if issubclass(SENSORS[sensor["type"]], RayScan) else (*FAULTS, "range")
         if sensor["type"] not in left_out:
-            sensors[name] = {key: value for key, value in sensor.items() if key not in faults}
+            kept = sensors[name] = {key: value for key, value in sensor.items() if key not in faults}
+            if "lookup" in kept:
+                kept["lookup"] = {key: kept["lookup"][key] for key in ("distance", "value")}
     return sensors
 
 

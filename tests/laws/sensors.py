@@ -412,7 +412,7 @@ def second_value(truth: Truth, source: Source) -> Array:
     return np.atleast_1d(np.asarray(COMPUTED[source.function](truth, source), float))
 
 
-@law(cost=200)
+@law(cost=190)
 def sensors_agree_with_a_second_implementation(case: Case) -> None:
     """A start has numbers, from which kinematics and geometry give each reading.
 

@@ -53,7 +53,7 @@ def differences(
         yield name, difference(source, other[name][parts], one[name][parts]), scale_of(name, source, one)
 
 
-@law(cost=250, profile=Profile(engines=("pybullet",)))
+@law(cost=330, profile=Profile(engines=("pybullet",)))
 def two_engines_begin_alike(case: Case) -> None:
     """A scenario states the start of a world, and what is read at a start is geometry: it does not depend on
     how an engine moves bodies.
@@ -141,7 +141,7 @@ def with_steps(program: Program, longest: float, factor: int = 1) -> Program:
     return replace(program, world=replace(program.world, substeps=factor * substeps))
 
 
-@law(cost=200, profile=Profile(engines=("pybullet",)))
+@law(cost=330, profile=Profile(engines=("pybullet",)))
 def free_motion_is_the_same_in_two_engines(case: Case) -> None:
     """Bodies that touch nothing move by the same equations.
 
