@@ -30,8 +30,8 @@ from tests.laws.sensors import RAYS, Truth, second_value
 STEPS = 10
 
 
-CLEARANCE = 1e-3
-"""m: PyBullet rounds the corners of boxes, by up to 0.4 mm each (docs/engines.md)."""
+CLEARANCE = 2e-3
+"""m: PyBullet rounds the corners of boxes (docs/engines.md); between a box and a wall, 1.3 mm were met."""
 TERRAIN = 1e-2
 """m: the engines divide the cells of a terrain along different diagonals."""
 LEFT_OUT = {
@@ -171,7 +171,7 @@ def free_motion_is_the_same_in_two_engines(case: Case) -> None:
                 source = sources[name]
                 halved = ((one, half_one), (other, half_other))
                 spread = sum(difference(source, half[name], whole[name]) for whole, half in halved)
-                allowed = 1e-3 * scale + 3 * spread
+                allowed = 1e-3 * scale + 3 * spread + (TERRAIN if program.world.terrain else 0.0)
                 assert error <= allowed, (
                     step,
                     name,
