@@ -46,7 +46,7 @@ from tests.laws.readings import (
     prepared,
     readings,
 )
-from tests.laws.scenarios import Profile
+from tests.laws.scenarios import PLAIN
 
 MIRROR = np.diag((1.0, -1.0, 1.0))
 """Left and right exchanged, in the frame of a body."""
@@ -440,7 +440,7 @@ def _require_same(case: Case, mirrored: bool) -> None:
     compare(program, lively(case, program, start), changed_program(program, change), change, sources)
 
 
-@law(cost=300, profile=Profile(agents=1))
+@law(cost=240, profile=PLAIN)
 def a_turned_world_is_the_same(case: Case) -> None:
     """The laws of mechanics have no direction of the compass and no place: in a world that is turned about z
     and shifted, bodies see in their own frames what they saw before, scalars are the same, and vectors of the
@@ -453,7 +453,7 @@ def a_turned_world_is_the_same(case: Case) -> None:
     _require_same(case, mirrored=False)
 
 
-@law(cost=300, profile=Profile(agents=1))
+@law(cost=220, profile=PLAIN)
 def a_mirrored_world_is_the_mirror_image(case: Case) -> None:
     """The laws of mechanics know no left and right: a mirrored robot in a mirrored world moves as the mirror
     image, so velocities change their y, and angles and angular velocities the sense of rotation.

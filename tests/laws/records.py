@@ -9,6 +9,7 @@ import io
 import json
 import math
 from contextlib import chdir, closing, redirect_stdout
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from statistics import fmean
@@ -32,10 +33,10 @@ from deepbots_cli.runtime import Supervisor
 from tests.bundle.untrained import untrained_bundle
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference, same
-from tests.laws.scenarios import Profile
+from tests.laws.scenarios import PLAIN
 from tests.learning.interruption import At, outcome
 
-SMALL = Profile(bodies=Profile().bodies[:3])
+SMALL = replace(PLAIN, bodies=PLAIN.bodies[:3])
 WINDOW = 100
 """The number of recent episodes in the means of a training without `solved`."""
 

@@ -567,8 +567,11 @@ class Author(Values):
             self._agents(acting, like=like)
         else:
             self._agent(acting[""])
-        self.data["truncation"] = tasks.truncation(self)
-        self._around(agents if len(agents) > 1 else ())
+        if self.profile.is_plain:
+            self.data["truncation"] = {"max_steps": self.draw(st.integers(5, 30))}
+        else:
+            self.data["truncation"] = tasks.truncation(self)
+            self._around(agents if len(agents) > 1 else ())
         return Drawn(self.data)
 
     def _act(self, agents: tuple[str, ...], *, like: bool) -> dict[str, dict[str, Any]]:
@@ -611,9 +614,11 @@ class Author(Values):
         augmented = {name: self.supervised[name] for name in data.get("augment", {})}
         self.seen = self.sent | augmented
         data["observation"] = tasks.observed(self, self.seen, 60) or {"previous_action": "auto"}
-        tasks.forbid(self, data["action"])
+        is_plain = self.profile.is_plain
+        if not is_plain:
+            tasks.forbid(self, data["action"])
         words = ("success", "failure")
-        if chance(self.draw, 15):
+        if not is_plain and chance(self.draw, 15):
             critic = tasks.observed(self, self.seen | self.supervised, 20)
             data["critic"] = {
                 name: entry for name, entry in critic.items() if name not in data["observation"]
@@ -622,16 +627,16 @@ class Author(Values):
         if drawn:
             data["termination"] = {name.rstrip("0"): {name: text} for name, text in drawn.items()}
         self.endings = list(drawn)
-        if chance(self.draw, 15):
+        if not is_plain and chance(self.draw, 15):
             data["goal"], reward = tasks.goal(self)
             data["reward"] = {"term0": reward}
         else:
             reward = section_fields(Scenario)["reward"].value
             terms = range(self.draw(st.integers(1, 3)))
             data["reward"] = {f"term{number}": self.value(reward, Place()) for number in terms}
-        if chance(self.draw, 40):
+        if not is_plain and chance(self.draw, 40):
             data["scripts"] = {"written": tasks.script(self, data["action"])}
-        if chance(self.draw, 20):
+        if not is_plain and chance(self.draw, 20):
             # Hindsight cannot recompute the reward of several timesteps.
             repeat = 1 if "goal" in data else self.draw(st.integers(1, 3))
             data["agent"] = {
@@ -867,14 +872,17 @@ class Profile:
         engines: The engines that the scenario may name.
         bodies: The robots.
         agents: The largest number of agents.
+        is_plain: There is only what an episode needs: no goal, cases, trainings, and the like.
     """
 
     engines: tuple[str, ...] = ("pybullet", "mujoco")
     bodies: tuple[Body, ...] = BODIES
     agents: int = 3
+    is_plain: bool = False
 
 
 EVERY = Profile()
+PLAIN = Profile(agents=1, is_plain=True)
 
 
 @st.composite
