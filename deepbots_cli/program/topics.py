@@ -48,16 +48,15 @@ def reading_fields(program: Program) -> list[Field]:
             if not isinstance(leaf, EngineRead) or function is None:
                 continue
             joint = joints.get(leaf.subjects[0])
-            if joint is None:
-                shared = NUMBER
-            elif joint.type == "prismatic":
+            shared = NUMBER if joint is None else ANGLE
+            if joint is not None and joint.type == "prismatic":
                 shared = LENGTH
-            else:
-                shared = ANGLE
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))
-            parts = function.components or ()
-            fields.setdefault(name, Field(name, "", leaf.function, unit, (len(parts) or 1,), components=parts))
+            shape = (len(function.components or ()) or 1,)
+            fields.setdefault(
+                name, Field(name, "", leaf.function, unit, shape, components=function.components or ())
+            )
     return list(fields.values())
 
 

@@ -729,6 +729,8 @@ def a_name_is_any_name(case: Case) -> None:
     if actual.program is None or expected.program is None or expected.has_errors:
         return
     require_equal(canonical(actual.program), renaming.applied(canonical(expected.program)))
+    if "agents" in data:
+        return  # an environment needs the role of an agent, by its name
     with case.environment(case.compile(path)) as environment, reference():
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
