@@ -43,8 +43,8 @@ class UnusableMesh:
     """The reason why a file is not read, as a headline and the sentence that helps.
 
     `tried` has the places where the file was looked for; `allow` is a folder that has it and that the user
-    has to allow first. `lacks_package` says that no folder is the package of the file, `is_missing` that the file
-    is nowhere.
+    has to allow first. `lacks_package` says that no folder is the package of the file, `is_missing` that the
+    file is nowhere.
     """
 
     headline: str

@@ -108,8 +108,8 @@ class Robot(Section):
     pose: Pose = Field(default_factory=Pose)
     """Start pose of the robot, unless `reset` places it."""
     count: RandomizableCount | None = None
-    """Number of copies. The name then refers to the group of all copies, also of one. Default: the robot alone,
-    without a group."""
+    """Number of copies. The name then refers to the group of all copies, also of one. Default: the robot
+    alone, without a group."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
     """Offset from each copy to the next along x, y and z. The row is centered on the position of the
     robot."""

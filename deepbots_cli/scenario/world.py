@@ -380,8 +380,8 @@ class Material(Section):
     """Friction against spinning on the spot, in m, written as a plain number. Times the normal force, and the
     `friction` of the other body, it is the largest torque."""
     rolling_friction: RandomizableFactor | None = None
-    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction` of
-    the other body, it is the largest torque."""
+    """Friction against rolling, in m, written as a plain number. Times the normal force, and the `friction`
+    of the other body, it is the largest torque."""
     restitution: RandomizableShare | None = None
     """Fraction of the speed that remains after a bounce, 0 to 1."""
     fixed: Bool | None = None
@@ -458,8 +458,8 @@ class PlacedBody(Section):
     pose: Pose = Field(default_factory=Pose)
     """Start pose of the object, unless `reset` places it."""
     count: RandomizableCount | None = None
-    """Number of copies. The name then refers to the group of all copies, also of one. Default: the object alone,
-    without a group."""
+    """Number of copies. The name then refers to the group of all copies, also of one. Default: the object
+    alone, without a group."""
 
 
 class BoxObject(PlacedBody, Box):

@@ -52,8 +52,8 @@ def within(value: float, interval: Interval) -> bool:
 
 
 UNTRUE = {
-    "joint_position": "its interval is that of the limits, which a joint exceeds: `left_hip_roll` of the biped,"
-    " limited to 0.5 rad, reaches 0.64 rad in PyBullet when the robot falls",
+    "joint_position": "its interval is that of the limits, which a joint exceeds: `left_hip_roll` of the"
+    " biped, limited to 0.5 rad, reaches 0.64 rad in PyBullet when the robot falls",
     "joint_velocity": "the limit of a motor does not limit what a load does: `left_knee` of the biped, driven"
     " at 0.56 rad/s, reaches 0.81 rad/s, and a wheel of the e-puck turns faster while the robot settles",
 }
@@ -79,7 +79,8 @@ def is_untrue(analysis: Analysis, tree: Scalar) -> bool:
 
 @dataclass(eq=False)
 class Probe:
-    """A part of an expression whose value the supervisor stores, and the intervals that types state for it."""
+    """A part of an expression whose value the supervisor stores, and the intervals that types state for
+    it."""
 
     name: str
     text: str
@@ -396,8 +397,8 @@ def every_observation_is_as_stated(case: Case) -> None:
 
 @law(cost=150, profile=Profile(agents=1))
 def an_ending_comes_as_lint_says(case: Case) -> None:
-    """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when an
-    episode begins, lets no episode begin; one that comes before another always does."""
+    """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when
+    an episode begins, lets no episode begin; one that comes before another always does."""
     source = case.write(with_bold_endings(case), "bold.yaml")
     checked = api.load(source)
     findings = all_findings(checked, preview=True)

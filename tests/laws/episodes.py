@@ -74,8 +74,8 @@ def a_reset_world_is_a_fresh_one(case: Case) -> None:
 def one_world_is_one_of_many(case: Case) -> None:
     """A batch is a faster way to step single worlds, so each world has the episode of its seed, to the bit.
 
-    docs/engines.md names the readings that are equal but for the last digits, and the number of contacts whose
-    forces a batch can read.
+    docs/engines.md names the readings that are equal but for the last digits, and the number of contacts
+    whose forces a batch can read.
     """
     compiled = case.compile()
     if batch_obstacles(compiled.program) or any(name in case.drawn.text for name in ROUNDED):

@@ -1,7 +1,7 @@
 """Laws of frames: the laws of mechanics know no place, no direction of the compass, and no left and right.
 
-A world is turned about z, shifted, and mirrored as a compiled program: each pose, axis and tensor of it by the
-matrices of a `Change`. `SENSED` and `COMPUTED` say how the readings of each kind change with it.
+A world is turned about z, shifted, and mirrored as a compiled program: each pose, axis and tensor of it by
+the matrices of a `Change`. `SENSED` and `COMPUTED` say how the readings of each kind change with it.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ MIRROR = np.diag((1.0, -1.0, 1.0))
 class Change:
     """How a world changes: it is mirrored or not, turned about z by `angle` rad, and shifted in the plane.
 
-    A position p becomes Mp + t, a velocity Mv, and an angular velocity det(M) Mw, because a mirror image turns
-    the other way round. Frames of bodies are mirrored in themselves, so that they stay right-handed.
+    A position p becomes Mp + t, a velocity Mv, and an angular velocity det(M) Mw, because a mirror image
+    turns the other way round. Frames of bodies are mirrored in themselves, so that they stay right-handed.
     """
 
     mirrored: bool
@@ -363,6 +363,7 @@ def compare(
                 (program, disturbed(start, -1.0)),
             )
         ]
+        worlds[0].action_space.seed(0)
         tolerance = TOLERANCES[worlds[0].engine.name]
         touched = [contact_reader(world) for world in worlds]
         for world in worlds:

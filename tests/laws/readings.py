@@ -48,7 +48,8 @@ LEVER = "_lever"
 """The end of the name of a signal that is the distance at which a bearing is measured: at 0, it may be any
 angle."""
 MAX_SPEED = 100.0
-"""rad/s or m/s; a joint that is faster at the start was thrown out of another link, while the world settled."""
+"""rad/s or m/s; a joint that is faster at the start was thrown out of another link, while the world
+settled."""
 _COMMAND = re.compile(r"clamp\(.*, (\S+) \.\. (\S+?)( [^ ]+)?\)")
 _GROUPS = (Kind.OBJECTS, Kind.LINKS, Kind.JOINTS)
 _VECTOR = "velocity({})"
@@ -104,7 +105,8 @@ def shown_world(case: Case, left_out: Sequence[str] = ()) -> tuple[dict[str, Any
 
 
 def _sensors(robot: Mapping[str, Any], left_out: Sequence[str]) -> dict[str, Any]:
-    """Return the sensors of a robot, without faults; the ranges of those that do not need one clip readings."""
+    """Return the sensors of a robot, without faults; the ranges of those that do not need one clip
+    readings."""
     sensors = {}
     for name, sensor in robot.get("sensors", {}).items():
         faults = FAULTS if issubclass(SENSORS[sensor["type"]], RayScan) else (*FAULTS, "range")

@@ -245,7 +245,8 @@ def ended_shares(scalars: dict[str, dict[int, float]]) -> dict[int, list[float]]
 
 @law(cost=1800, profile=SMALL)
 def an_evaluation_has_the_numbers_of_its_episodes(case: Case) -> None:
-    """`eval` and `compare` play the episodes of their seed with the policy, and print what these add up to."""
+    """`eval` and `compare` play the episodes of their seed with the policy, and print what these add up
+    to."""
     compiled = with_training(case)
     with chdir(case.folder):
         with reference(*OF_TRAININGS):
@@ -320,8 +321,8 @@ def an_interrupted_training_is_an_uninterrupted_one(case: Case) -> None:
 
 @law(cost=350, profile=SMALL)
 def a_bundle_commands_what_the_simulation_applies(case: Case) -> None:
-    """The graph of an exported policy has the arithmetic of supervisor, network and robots, so its commands are
-    those of the simulation, to 1e-5 of their range: the network computes in float32."""
+    """The graph of an exported policy has the arithmetic of supervisor, network and robots, so its commands
+    are those of the simulation, to 1e-5 of their range: the network computes in float32."""
     compiled = with_training(case)
     try:
         step, learner, bundle = untrained_bundle.__wrapped__(str(compiled.source))
@@ -338,7 +339,8 @@ def a_bundle_commands_what_the_simulation_applies(case: Case) -> None:
 
 @law(cost=900, profile=SMALL)
 def a_model_acts_by_itself_as_in_its_run(case: Case) -> None:
-    """The model of a run is a model of Stable-Baselines3, whose own `predict` gives the actions of the policy."""
+    """The model of a run is a model of Stable-Baselines3, whose own `predict` gives the actions of the
+    policy."""
     compiled = with_training(case)
     with chdir(case.folder):
         with reference(*OF_TRAININGS):

@@ -1,4 +1,5 @@
-"""Rays against shapes, and points within them, in closed form: the second implementation of what engines cast.
+"""Rays against shapes, and points within them, in closed form: the second implementation of what engines
+cast.
 
 All points and directions are in the frame of the shape, in m; directions have the length 1.
 """

@@ -1,4 +1,5 @@
-"""Strategies for what a scenario says about its task: who acts, goals, limits, cases, stages, training, tests.
+"""Strategies for what a scenario says about its task: who acts, goals, limits, cases, stages, training,
+tests.
 
 `Author` draws the world, the robots and their messages first, since all of this uses their names.
 """

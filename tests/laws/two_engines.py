@@ -146,8 +146,8 @@ def free_motion_is_the_same_in_two_engines(case: Case) -> None:
     """Bodies that touch nothing move by the same equations.
 
     Both engines take steps, here of at most 2 ms, so they differ by as much as each differs from itself with
-    steps of half the size, three times over; and by a thousandth. Friction in joints, limits and servos are those of the engine
-    (docs/engines.md).
+    steps of half the size, three times over; and by a thousandth. Friction in joints, limits and servos are
+    those of the engine (docs/engines.md).
     """
     program, sources, start = prepared(case, (*LEFT_OUT, *UNEQUAL_IN_MOTION), _driven_by_forces)
     program = without_friction(beginning(program, lively(case, program, start, percent=100)))
@@ -160,6 +160,7 @@ def free_motion_is_the_same_in_two_engines(case: Case) -> None:
         touched = [contact_reader(world) for world in worlds]
         for world in worlds:
             world.reset(seed=0)
+        worlds[0].action_space.seed(0)
         for step in range(STEPS):
             action = worlds[0].action_space.sample()
             for world in worlds:

@@ -1,8 +1,8 @@
 """Laws of writing: a scenario that is written in another way is the same scenario.
 
-The scenarios are those that chance draws, and the shipped ones, which have cases, stages, tests, trainings and
-several agents. Where a law says so, one place of the scenario is spoiled first: the findings of a mistake must
-not depend on the way of writing either.
+The scenarios are those that chance draws, and the shipped ones, which have cases, stages, tests, trainings
+and several agents. Where a law says so, one place of the scenario is spoiled first: the findings of a mistake
+must not depend on the way of writing either.
 """
 
 from __future__ import annotations
@@ -296,7 +296,8 @@ def another_layout_is_the_same_scenario(case: Case) -> None:
 
 @law(cost=100)
 def fmt_changes_white_space_only(case: Case) -> None:
-    """`deepbots fmt` is for readers: a second time it finds nothing to do, and it keeps values and comments."""
+    """`deepbots fmt` is for readers: a second time it finds nothing to do, and it keeps values and
+    comments."""
     data = spoiled(case, data_of(case))
     text = case.draw(layouts(data))
     expected = Meaning.of(case.write(text))
@@ -716,7 +717,8 @@ def renamings(draw: Draw, names: Sequence[str], words: Sequence[str]) -> Renamin
 
 @law(cost=125)
 def a_name_is_any_name(case: Case) -> None:
-    """A name has no meaning beside what it names, whatever it means in Python or elsewhere in the language."""
+    """A name has no meaning beside what it names, whatever it means in Python or elsewhere in the
+    language."""
     data = with_plain_names(case.drawn.data)
     expected = Meaning.of(case.write(data))
     words = [word for word in _WORDS if word not in RESERVED]
@@ -733,6 +735,7 @@ def a_name_is_any_name(case: Case) -> None:
         return  # an environment needs the role of an agent, by its name
     with case.environment(case.compile(path)) as environment, reference():
         environment.reset(seed=0)
+        environment.action_space.seed(0)
         environment.step(environment.action_space.sample())
 
 
@@ -816,8 +819,8 @@ def settings(draw: Draw, data: Data) -> Data:
 
 @law(cost=95)
 def a_case_that_sets_what_is_set_is_the_scenario(case: Case) -> None:
-    """A case or a stage is the scenario with its settings: if these are those of the scenario, so is the task,
-    and no rule has more to say."""
+    """A case or a stage is the scenario with its settings: if these are those of the scenario, so is the
+    task, and no rule has more to say."""
     data = data_of(case)
     if "agents" in data:
         reject()
