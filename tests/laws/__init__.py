@@ -6,6 +6,7 @@ scenarios.py    strategies for whole scenarios, from the models of the language
 tasks.py        strategies for what a scenario says about its task
 pairs.py        the pairs of keys, functions and options that scenarios combine
 law.py          what a law is, and how it is tried
+reduce.py       makes the scenario of a failure smaller
 found.yaml      scenarios that once broke a law
 episodes.py     laws of episodes
 writing.py      laws of writing

@@ -6,6 +6,7 @@ shrinks the scenario of a failure, and the message ends with the command that sh
 
 from __future__ import annotations
 
+import copy
 import tempfile
 import time
 import traceback
@@ -28,6 +29,7 @@ from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import Draw
 from tests.laws.pairs import Pair, pairs_of
+from tests.laws.reduce import reduced
 from tests.laws.scenarios import EVERY, Drawn, Profile, scenarios
 
 # A scenario has 200 draws: by default, Hypothesis shrinks a failure for five minutes. There is no setting.
@@ -113,6 +115,8 @@ class Law:
         """
 
         met: set[Pair] = set()
+        failing: list[Drawn] = []
+        draws: list[Any] = []
 
         @hypothesis.seed(seed)
         @hypothesis.settings(
@@ -128,15 +132,39 @@ class Law:
         def try_all(data: st.DataObject) -> None:
             scenario = drawn or data.draw(scenarios(self.profile), label=self.name)
             with tempfile.TemporaryDirectory() as folder:
-                self.check(Case(scenario, data.draw, Path(folder)))
+                draws.clear()
+                failing[:] = [scenario]
+                self.check(Case(scenario, recording(data.draw, draws), Path(folder)))
+                failing.clear()
             met.update(pairs_of(scenario.data))
 
         try:
             try_all()
         except Exception as error:
+            if failing and (smallest := self._smallest(failing[0], draws)):
+                error.add_note(f"the smallest scenario, with the draws {draws}:\n\n{smallest}")
             error.add_note(f"show it: {SHOW.format(name=self.name, seed=seed)} --examples {examples}")
             raise
         return met
+
+    def _smallest(self, drawn: Drawn, draws: list[Any]) -> str | None:
+        """Return the text of the smallest scenario that fails as this one does, with the same draws."""
+
+        def check(data: dict[str, Any], folder: Path) -> None:
+            again = iter(copy.deepcopy(draws))
+            self.check(Case(Drawn(data), lambda *_, **__: next(again), folder))
+
+        return reduced(drawn.data, check)
+
+
+def recording(draw: Draw, draws: list[Any]) -> Draw:
+    """Return a function that draws, and keeps what it drew."""
+
+    def drawn(strategy: Any) -> Any:
+        draws.append(draw(strategy))
+        return draws[-1]
+
+    return drawn
 
 
 OF_THE_WORLD = ("no start was found", "is not stable", "infinite or NaN", "no value for")
