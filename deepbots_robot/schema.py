@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 
@@ -16,7 +17,11 @@ _URL = "https://json-schema.org/draft/2020-12/schema"
 def json_schema() -> str:
     """Return the schema of the records in `model.py`."""
     about = {"$schema": _URL, "title": f"Bundle of an exported policy (bundle.json), format {FORMAT}"}
-    return json.dumps(about | msgspec.json.schema(BundleInfo), indent=1) + "\n"
+    schema = msgspec.json.schema(BundleInfo)
+    for record in schema["$defs"].values():  # before 0.23, msgspec leaves docstrings indented
+        if "description" in record:
+            record["description"] = inspect.cleandoc(record["description"])
+    return json.dumps(about | schema, indent=1) + "\n"
 
 
 if __name__ == "__main__":

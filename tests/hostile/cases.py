@@ -252,10 +252,10 @@ def _of_numbers() -> Iterator[Hostile]:
     for what, text in (
         (
             "rays",
-            "sensors: {s: {type: lidar, link: cart, angle_range: 180 .. -180 deg, rays: 1000000000, range: 0"
+            "sensors: {eye: {type: lidar, link: cart, angle_range: 180 .. -180 deg, rays: 1000000000, range: 0"
             " .. 1 m}}",
         ),
-        ("pixels", "sensors: {s: {type: camera, link: cart, resolution: 100000 100000}}"),
+        ("pixels", "sensors: {eye: {type: camera, link: cart, resolution: 100000 100000}}"),
         ("robots", "count: 1000000000\n    spacing: 0 1 0 m"),
     ):
         yield Hostile(
