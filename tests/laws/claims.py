@@ -303,8 +303,8 @@ def in_step(analysis: Analysis, fast: Ranges, step: int) -> list[Ranges]:
     """Return the ranges that hold in one step; those of most steps are not tried, as they take long."""
     if step == 0:
         return [analysis.start]
-    known = [analysis.ranges_in(step, step)] if step in (1, 2, analysis.last_step) else []
-    return [fast, *known]
+    in_it = [analysis.ranges_in(step, step)] if step in (1, 2, analysis.last_step) else []
+    return [fast, *in_it]
 
 
 # Rewards and observations

@@ -48,8 +48,7 @@ LEVER = "_lever"
 """The end of the name of a signal that is the distance at which a bearing is measured: at 0, it may be any
 angle."""
 MAX_SPEED = 100.0
-"""rad/s or m/s; a joint that is faster at the start was thrown out of another link, while the world
-settled."""
+"""rad/s or m/s. Only a joint that another link threw out before the start is faster."""
 _COMMAND = re.compile(r"clamp\(.*, (\S+) \.\. (\S+?)( [^ ]+)?\)")
 _GROUPS = (Kind.OBJECTS, Kind.LINKS, Kind.JOINTS)
 _VECTOR = "velocity({})"

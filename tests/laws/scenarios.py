@@ -739,9 +739,9 @@ class Author(Values):
             robot["pose"]["z"] = body.z
         self.data.setdefault("robots", {})[name] = robot
         messages = ("receive", "hear", "emit", "apply")
-        given = (*robot, "xacro", "count", "spacing", "groups", "poses", *messages)
+        written_elsewhere = (*robot, "xacro", "count", "spacing", "groups", "poses", *messages)
         for key, shape in section_fields(Robot).items():
-            if key in given:
+            if key in written_elsewhere:
                 continue
             if key == "sensors":
                 robot[key] = {}

@@ -428,9 +428,9 @@ def sensors_agree_with_a_second_implementation(case: Case) -> None:
         values = readings(world, sources)
         for name, source in sources.items():
             expected = second_value(truth, source)
-            known = ~np.isnan(expected)
+            has_value = ~np.isnan(expected)
             allowed = TOLERANCES[world.engine.name] * _scale(name, source, values)
-            error = difference(source, values[name][known], expected[known])
+            error = difference(source, values[name][has_value], expected[has_value])
             assert error <= allowed, (name, source, values[name], expected, allowed)
 
 

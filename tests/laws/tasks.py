@@ -225,7 +225,8 @@ def training(author: Author, data: Mapping[str, Any]) -> dict[str, Any]:
     has_forbid = any("forbid" in action for action in data["action"].values() if isinstance(action, dict))
 
     def fits(model: type[Training]) -> bool:
-        wanted = "ranges" if not is_choice else "choice" if len(data["action"]) == 1 else "choices"
+        choice = "choice" if len(data["action"]) == 1 else "choices"
+        wanted = choice if is_choice else "ranges"
         return (
             wanted in model.acts_by
             and (model.uses_masks or not has_forbid)

@@ -130,7 +130,9 @@ def data_of(case: Case) -> Data:
 
 def walk(data: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
     """Yield all values below `data` with their paths."""
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    items: Any = data.items() if isinstance(data, dict) else ()
+    if isinstance(data, list):
+        items = enumerate(data)
     for step, value in items:
         yield (*path, step), value
         yield from walk(value, (*path, step))
