@@ -35,7 +35,7 @@ from deepbots_cli.runtime import Supervisor
 from tests.laws.episodes import actions, played
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference, same
-from tests.laws.scenarios import Profile
+from tests.laws.scenarios import ALONE
 
 STEPS = 40
 SEEDS = (1, 2)
@@ -247,7 +247,7 @@ def with_every_value(program: Program) -> Iterator[None]:
 # Intervals
 
 
-@law(cost=170)
+@law(cost=170, profile=ALONE)
 def every_value_is_within_its_interval(case: Case) -> None:
     """An interval contains every value that it is stated for: in any step, right after a reset, in a known
     step, and within limits of speed. Rounding is excepted: the analysis folds in another order."""
@@ -310,7 +310,7 @@ def in_step(analysis: Analysis, fast: Ranges, step: int) -> list[Ranges]:
 # Rewards and observations
 
 
-@law(cost=200)
+@law(cost=200, profile=ALONE)
 def every_reward_is_within_its_bounds(case: Case) -> None:
     """The analysis states what each term pays in a step that ends nothing, at each ending and at the time
     limit, and what a whole episode pays. A rule says what is always zero, and what no episode changes."""
@@ -365,7 +365,7 @@ def ranges_at(analysis: Analysis, moment: Moment) -> list[Ranges]:
     return [every]
 
 
-@law(cost=150)
+@law(cost=150, profile=ALONE)
 def every_observation_is_as_stated(case: Case) -> None:
     """A number of the observation without noise is its value, mapped from its range and clipped: so it lies
     within what the interval of its value is mapped to (DB602: at an end of its range). float32 rounds."""
@@ -395,7 +395,7 @@ def every_observation_is_as_stated(case: Case) -> None:
 # Findings
 
 
-@law(cost=150, profile=Profile(agents=1))
+@law(cost=150, profile=replace(ALONE, agents=1))
 def an_ending_comes_as_lint_says(case: Case) -> None:
     """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when
     an episode begins, lets no episode begin; one that comes before another always does."""
@@ -482,7 +482,7 @@ def with_bold_endings(case: Case) -> dict[str, Any]:
     return data
 
 
-@law(cost=230)
+@law(cost=230, profile=ALONE)
 def what_is_unused_changes_nothing(case: Case) -> None:
     """Without a definition that nothing uses (DB205), each episode is the same, and the fix removes it."""
     compiled = case.compile()

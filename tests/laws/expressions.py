@@ -364,11 +364,15 @@ class Expressions:
     def _joint_calls(self, function: Function, kind: ValueType) -> list[Callable[[int], str]]:
         if kind.components is not None:
             return []
-        return [
-            lambda _, name=name: f"{function.name}({name})"
-            for name, dimension in self.names.joints.items()
-            if function.result(dimension) == kind.dimension
-        ]
+        ways: list[Callable[[int], str]] = []
+        for name, dimension in self.names.joints.items():
+            text = f"{function.name}({name})"
+            if function.result(dimension) != kind.dimension:
+                continue
+            if self._is_group(name):
+                text = f"{pick(self.draw, ('min', 'max', 'mean'))}({text})"
+            ways.append(lambda _, text=text: text)
+        return ways
 
     def _written(self, function: Function, arguments: ValueType, depth: int) -> str:
         texts: list[str] = []

@@ -147,6 +147,8 @@ def plain(value: Any) -> Any:
 def _whole(values: Values, kind: WholeNumber, _place: Place) -> int:
     low = int(kind.minimum if kind.minimum is not None else 0)
     high = int(kind.maximum if kind.maximum is not None else 10)
+    if low < 0:  # -1 is another word for all
+        return pick(values.draw, (-1, 1, 2))
     return values.draw(st.integers(low, min(high, low + 6)))
 
 

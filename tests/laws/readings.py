@@ -92,7 +92,7 @@ def shown_world(case: Case, left_out: Sequence[str] = ()) -> tuple[dict[str, Any
         sensors = _sensors(robot, ("camera", *left_out))
         sources |= {f"{key}_of_{name}": Reader(name, key, sensor["type"]) for key, sensor in sensors.items()}
         commands = robot.get("apply", {}).items()
-        action = next(iter(data["action"]))
+        action = _number_of_action(data["action"])
         changed = {"sensors": sensors, "emit": list(sensors)} if sensors else {}
         changed["apply"] = {actuator: _command(command, action) for actuator, command in commands}
         data["robots"][name] = {key: robot[key] for key in robot if key not in LEFT_OUT} | changed
@@ -138,6 +138,7 @@ def names_of(case: Case, data: Mapping[str, Any]) -> Names:
         name: next(body for body in BODIES if body.urdf == robot["urdf"])
         for name, robot in data["robots"].items()
     }
+    author.groups = {name: {} for name in author.bodies}
     names = author.names(Context.SIGNAL)
     walls = data["world"].get("walls", {})
     several = [name for name in walls if walls[name].get("closed") or len(walls[name]["points"]) > 2]
@@ -147,6 +148,15 @@ def names_of(case: Case, data: Mapping[str, Any]) -> Names:
         Kind.WALL: [name for name in walls if name not in several],
     }
     return replace(names, subjects=subjects)
+
+
+def _number_of_action(actions: Mapping[str, Any]) -> str:
+    """Return an expression of the number that the policy chooses first."""
+    name, action = next(iter(actions.items()))
+    if "each" in action:
+        return f"max({name})"
+    option = action["choices"]["left"] if "choices" in action else None
+    return next(iter(option)) if isinstance(option, dict) else name
 
 
 def _command(text: Any, action: str) -> Any:

@@ -89,12 +89,6 @@ def with_training(case: Case) -> api.Compiled:
     case.compile()  # rejects a scenario with errors
     data = copy.deepcopy(case.drawn.data)
     data["truncation"] = {"max_steps": min(data["truncation"]["max_steps"], 12)}
-    # PPO acts by one kind of action.
-    first = next(iter(data["action"].values()))
-    if isinstance(first, str):
-        data["action"] = dict.fromkeys(data["action"], "-1 .. 1")
-    else:
-        data["action"] = {name: copy.deepcopy(first) for name in data["action"]}
     data["train"] = {
         "algorithm": "PPO",
         "total_timesteps": case.draw(st.integers(3, 8)) * 32,

@@ -116,6 +116,10 @@ def _points(author: Author, _data: Mapping[str, Any], _place: Place) -> list[str
     return list(corners[: author.draw(st.integers(2, 4))])
 
 
+def _is_movable(data: Mapping[str, Any]) -> bool:
+    return bool(data.get("solid", True)) and not data.get("fixed")
+
+
 GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] = {
     ("World", "timestep"): lambda author, *_: f"{author.timestep} ms",
     ("World", "substeps"): lambda author, *_: author.substeps,
@@ -132,14 +136,14 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("ReactionSensor", "link"): lambda author, _data, place: author.carried_link(place.robot),
     ("VariedObject", "mass"): lambda *_: "0.5 kg",
     ("ShapedBody", "mass"): lambda author, data, _: pick(
-        author.draw, ("0.5 kg", "800 g", *(("uniform(0.3 .. 0.6 kg)",) if data.get("solid", True) else ()))
+        author.draw, ("0.5 kg", "800 g", *(("uniform(0.3 .. 0.6 kg)",) if _is_movable(data) else ()))
     ),
     ("Material", "color"): lambda author, *_: pick(author.draw, ("red", "#ffa500", "choice(red | green)")),
     ("Observed", "range"): lambda author, _data, place: author.wide_range(place),
     ("PlacedBody", "count"): lambda author, *_: pick(author.draw, (2, 3)),
     ("RaySensor", "range"): lambda author, data, _: author.ray_range(data),
     ("CalibrationTable", "value"): lambda *_: "300 200 100",
-    ("LinkOverride", "com"): lambda author, *_: author.center_of_mass(),
+    ("LinkOverride", "com"): lambda author, _data, place: author.center_of_mass(place),
     ("LinkOverride", "density"): lambda author, _data, place: author.density(place),
     ("LinkOverride", "inertia"): lambda author, _data, place: author.inertia(place),
     ("LinkOverride", "scale"): lambda author, *_: pick(author.draw, ("1.2 1.2 1.2", "0.9 0.9 0.9")),
@@ -159,6 +163,11 @@ GIVEN: dict[tuple[str, str], Callable[[Author, Mapping[str, Any], Place], Any]] 
     ("Gripper", "open"): lambda *_: "4 cm",
     ("Gripper", "closed"): lambda *_: "0 mm",
     ("Gripper", "max_torque"): lambda author, *_: pick(author.draw, ("20 N", "uniform(10 .. 30 N)")),
+    ("MeshObject", "file"): lambda *_: "package://pybullet_data/cube.obj",
+    ("MeshObject", "mass"): lambda *_: "0.5 kg",
+    ("MeshObject", "scale"): lambda author, *_: pick(author.draw, ("0.1 0.1 0.1", "0.2 0.1 0.1")),
+    ("MeshTerrain", "file"): lambda *_: "package://pybullet_data/plane.obj",
+    ("MeshTerrain", "scale"): lambda *_: "0.3 0.3 1",
     ("Thrust", "spin"): lambda author, *_: pick(author.draw, (1, -1, 0.5)),
     ("RayScan", "angle_range"): lambda author, data, _: author.fan(data),
     ("Disturbance", "body"): lambda author, *_: tasks.pushed(author),
@@ -187,6 +196,8 @@ EXCLUSIVE: dict[str, tuple[tuple[str, ...], ...]] = {
 """Keys that the compiler does not combine."""
 TOGETHER: dict[str, tuple[tuple[str, ...], ...]] = {
     "SpeedLimitedMotor": (("stall_torque", "no_load_speed"),),
+    "MeshObject": (("scale",), ("mass",)),
+    "MeshTerrain": (("scale",),),
     "PositionMotor": (("stiffness", "damping"), ("stall_torque", "no_load_speed", "stiffness", "damping")),
     "Route": (("burst", "loss"),),
     "RayScan": (("angle_range", "rays"),),
@@ -228,15 +239,22 @@ class Author(Values):
         self.seen: dict[str, ValueType] = {}
         """Values that the policy observes, by name."""
         self.sent: dict[str, ValueType] = {}
-        """What robots send, as `cart.angle`."""
+        """What robots send or hear, as `cart.angle`: a policy may observe it."""
+        self.said: dict[str, ValueType] = {}
+        """What robots send, which others may hear."""
         self.on_board: dict[str, dict[str, ValueType]] = {}
         """Sensors and received values of each robot."""
+        self.groups: dict[str, dict[str, tuple[str, ...]]] = {}
+        """The groups of joints of each robot."""
         self.endings: list[str] = []
         self.drawn: list[tuple[dict[str, Any], str, Callable[[], Any]]] = []
         """The numbers of sections: the section, the key, and a function that draws another value."""
         self.layouts: tuple[str, ...] = ()
         self.tables: tuple[str, ...] = ()
         self.count = 0
+        self.has_several_agents = False
+        self.has_copies = False
+        """Whether one policy drives several copies of the robot."""
 
     # Names
 
@@ -262,12 +280,23 @@ class Author(Values):
                 values |= {name: CONDITION._replace(known=step) for name in self.endings}
         return Names(context, values, self._subjects(), self._joints())
 
+    def members(self, robot: str, parts: Any) -> tuple[str, ...]:
+        """Return the joints or links that a name, a group, or a list of them stand for."""
+        names = parts if isinstance(parts, list) else [parts]
+        groups = self.groups.get(robot, {})
+        return tuple(member for name in names for member in groups.get(name, (name,)))
+
     def _subjects(self) -> dict[Kind, list[str]]:
         subjects: dict[Kind, list[str]] = {Kind.GROUND: ["ground"], Kind.ROBOT: list(self.bodies)}
         for robot, body in self.bodies.items():
             model = model_of(body.urdf)
+            subjects.setdefault(Kind.JOINTS, []).extend(f"{robot}.{name}" for name in self.groups[robot])
+            names = self.data["robots"][robot].get("groups", {}).keys() - self.groups[robot].keys()
+            subjects.setdefault(Kind.LINKS, []).extend(f"{robot}.{name}" for name in sorted(names))
             subjects.setdefault(Kind.LINK, []).extend(f"{robot}.{link.name}" for link in model.links)
             for name, sensor in self.sensors(robot).items():
+                if self.has_several_agents and f"{robot}.{name}" not in self.sent:
+                    continue
                 kind = Kind.CAMERA if sensor["type"] == "camera" else Kind.SENSOR
                 subjects.setdefault(kind, []).append(f"{robot}.{name}")
         for name, entry in self.data.get("objects", {}).items():
@@ -278,10 +307,11 @@ class Author(Values):
         return subjects
 
     def _joints(self) -> dict[str, Dimension]:
+        """Return the dimension of the position of each joint, and of each group of joints."""
         return {
-            f"{robot}.{joint.name}": joint_dimension(model_of(body.urdf), joint.name)
+            f"{robot}.{name}": joint_dimension(model_of(body.urdf), self.members(robot, name)[0])
             for robot, body in self.bodies.items()
-            for joint in model_of(body.urdf).moving_joints
+            for name in (*[joint.name for joint in model_of(body.urdf).moving_joints], *self.groups[robot])
         }
 
     def sensors(self, robot: str) -> Mapping[str, Any]:
@@ -292,8 +322,7 @@ class Author(Values):
         world, objects = self.data.get("world", {}), self.data.get("objects", {})
         bodies = [*self.bodies, *objects]
         names: dict[str, list[str]] = {
-            "joint": list(self._joints()),
-            "link": [],
+            "joints": list(self._joints()),
             # A table stays where it is, level.
             "body": [name for name in bodies if name not in self.tables],
             "body or link": [*bodies, *self._subjects().get(Kind.LINK, ())],
@@ -309,8 +338,9 @@ class Author(Values):
         if robot:
             model = model_of(self.bodies[robot].urdf)
             names["joint"] = [joint.name for joint in model.moving_joints]
-            names["link"] = [link.name for link in model.links]
-        return names.get({"joints": "joint", "links": "link"}.get(kind, kind), [])
+            names["joints"] = [*names["joint"], *self.groups[robot]]
+            names["link"] = names["links"] = [link.name for link in model.links]
+        return names.get(kind, [])
 
     # Shapes
 
@@ -462,9 +492,8 @@ class Author(Values):
             return place
         robot = model_of(self.bodies[place.robot].urdf)
         joint = data.get("joint", data.get("joints"))
-        joint = joint[0] if isinstance(joint, list) else joint
         if joint is not None and hasattr(model, "dimension_of"):
-            joint = robot.joint(joint)
+            joint = robot.joint(self.members(place.robot, joint)[0])
             kind = ValueType(model.dimension_of(joint))
             return replace(place, kind=kind, second=joint.type == "prismatic")
         return replace(place, kind=ValueType(NUMBER if "lookup" in data else model.dimension))
@@ -505,8 +534,10 @@ class Author(Values):
             raise UnavailableError
         return literal(self.draw, MASS / LENGTH**3, low=300.0, high=2000.0)
 
-    def center_of_mass(self) -> str:
-        """Draw the offset of a center of mass, which PyBullet cannot vary."""
+    def center_of_mass(self, place: Place) -> str:
+        """Draw the offset of the center of a mass, which PyBullet cannot vary."""
+        if model_of(self.bodies[place.robot].urdf).link(place.body).inertial is None:
+            raise UnavailableError
         drawn = ("uniform(0 0 -1 .. 1 1 1 cm)",) if self.data["world"].get("engine") == "mujoco" else ()
         return pick(self.draw, ("1 0 0 cm", "0 5 -5 mm", *drawn))
 
@@ -543,21 +574,29 @@ class Author(Values):
         self.timestep = pick(self.draw, (20, 10, 32))
         self.substeps = pick(self.draw, (4, 8))
         self.data["world"] = self.section(World, Place())
+        agents = ("one", "two", "three")[: min(pick(self.draw, (1, 1, 1, 2, 3)), self.profile.agents)]
+        self.has_several_agents = len(agents) > 1
+        self.has_copies = len(agents) == 1 and self.profile.has_copies and chance(self.draw, 10)
+        if self.has_copies:
+            self.data["world"].pop("terrain", None)
         if self.profile.engines[0] != "pybullet":
             self.data["world"].setdefault("engine", self.profile.engines[0])
         self.define(self.data, "parameters", self._parameter, 3)
         self._objects()
-        agents = ("one", "two", "three")[: min(pick(self.draw, (1, 1, 1, 2, 3)), self.profile.agents)]
-        robots = agents if len(agents) > 1 else ("one", "two")[: 1 + chance(self.draw, 20)]
+        several = len(agents) == 1 and not self.has_copies and chance(self.draw, 20)
+        robots = ("one", "two") if several else agents
         like = len(agents) > 1 and chance(self.draw, 30)
         for name in robots:
             self._robot(name, like="one" if like and name != "one" else "")
+        if self.has_copies:
+            self.data["robots"]["one"] |= {"count": pick(self.draw, (2, 3)), "spacing": "0 1.5 0 m"}
         if chance(self.draw, 60):
             self.data["messages"] = self.section(Messages, Place())
             if self.data["messages"].get("format") == "none":
                 self.data["messages"] = {"format": "none"}
         acting = self._act(agents, like=like)
-        self._reset()
+        if not self.has_copies:
+            self._reset()
         sent = self.sent
         if len(agents) > 1:
             self.sent = {}  # values of one agent are no values of all
@@ -586,7 +625,7 @@ class Author(Values):
             acts = [
                 f"{name}act{number}" if several and not like else f"act{number}" for number in range(count)
             ]
-            acting[name] = {"action": tasks.actions(self, acts)}
+            acting[name] = {"action": tasks.actions(self, acts, own)}
             for robot in own:
                 with tasks.seen_by(self, robot) if several else nullcontext():
                     fields = self._messages_of(robot)
@@ -627,7 +666,7 @@ class Author(Values):
         if drawn:
             data["termination"] = {name.rstrip("0"): {name: text} for name, text in drawn.items()}
         self.endings = list(drawn)
-        if not is_plain and chance(self.draw, 15):
+        if not (is_plain or self.has_copies) and chance(self.draw, 15):
             data["goal"], reward = tasks.goal(self)
             data["reward"] = {"term0": reward}
         else:
@@ -643,6 +682,8 @@ class Author(Values):
                 "action_repeat": repeat,
                 "frame_stack": self.draw(st.integers(1, 2)),
             }
+        if self.has_copies:
+            data["agent"] = data.get("agent", {}) | {"each": "one"}
 
     def _agents(self, acting: dict[str, dict[str, Any]], *, like: bool) -> None:
         """Draw what each agent sees and wants."""
@@ -677,8 +718,13 @@ class Author(Values):
         first = data if not agents else data["agents"][agents[0]]
         if not agents and chance(self.draw, 30):
             data["train"] = tasks.training(self, first)
+        elif agents and "like" in data["agents"][agents[-1]] and chance(self.draw, 40):
+            data["train"] = tasks.self_play(self, first)
             if chance(self.draw, 25):
                 data["tune"] = tasks.search(self)
+        if not agents and chance(self.draw, 15):
+            robot = pick(self.draw, tuple(self.bodies))
+            data["deploy"] = {"supplied_by": {f"position({robot})": "motion capture"}}
         if chance(self.draw, 15):
             data["tests"] = {"test0": tasks.check(self, first, self.endings, agents[0] if agents else "")}
 
@@ -713,6 +759,8 @@ class Author(Values):
         objects = {}
         for number in range(self.draw(st.integers(0, 2))):
             body = self.value(section_fields(Scenario)["objects"].value, Place())
+            if self.has_copies:
+                body.pop("count", None)
             objects[f"thing{number}"] = body
             self.data["objects"] = objects
         if objects and chance(self.draw, 30):
@@ -723,6 +771,7 @@ class Author(Values):
         x = {"one": "0 m", "two": "1 m", "three": "2 m"}[name]
         if like:
             self.bodies[name] = self.bodies[like]
+            self.groups[name] = self.groups[like]
             self.on_board[name] = tasks.mirrored(self.on_board[like], like, name)
             robot = tasks.mirrored(self.data["robots"][like], like, name)
             self.data["robots"][name] = robot | {"pose": robot["pose"] | {"x": x}}
@@ -731,6 +780,7 @@ class Author(Values):
         self.bodies[name] = body
         self.on_board[name] = {}
         self.driven[name] = set()
+        self.groups[name] = {}
         place = Place(robot=name)
         robot: dict[str, Any] = {"urdf": body.urdf, "pose": {"x": x}}
         if body.base == "fixed":
@@ -738,24 +788,47 @@ class Author(Values):
         if body.z:
             robot["pose"]["z"] = body.z
         self.data.setdefault("robots", {})[name] = robot
+        if chance(self.draw, 30):
+            self._groups(name)
         messages = ("receive", "hear", "emit", "apply")
         written_elsewhere = (*robot, "xacro", "count", "spacing", "groups", "poses", *messages)
         for key, shape in section_fields(Robot).items():
             if key in written_elsewhere:
                 continue
-            if key == "sensors":
-                robot[key] = {}
-                for number in range(self.draw(st.integers(1, 3))):
-                    self._sensor(name, f"sense{number}", place)
-            elif key == "actuators":
-                robot[key] = {}
-                for number in range(self.draw(st.integers(1, 2))):
-                    self._actuator(name, f"move{number}", place)
-                if not robot[key]:
-                    del robot[key]
+            if key in ("sensors", "actuators"):
+                self._devices(name, key, place)
             elif chance(self.draw, 15):
                 with suppress(UnavailableError):
                     robot[key] = self.value(shape, place)
+
+    def _devices(self, robot: str, key: str, place: Place) -> None:
+        """Draw the sensors or the actuators of a robot."""
+        data = self.data["robots"][robot]
+        data[key] = {}
+        if key == "sensors":
+            for number in range(self.draw(st.integers(1, 3))):
+                self._sensor(robot, f"sense{number}", place)
+            return
+        for number in range(self.draw(st.integers(1, 2))):
+            self._actuator(robot, f"move{number}", place)
+        if not data[key]:
+            del data[key]
+
+    def _groups(self, robot: str) -> None:
+        """Name some joints, some links, and positions of the joints."""
+        data, model = self.data["robots"][robot], model_of(self.bodies[robot].urdf)
+        links = [link.name for link in model.links]
+        data["groups"] = {"parts": links[: self.draw(st.integers(1, 3))]}
+        names = [joint.name for joint in model.moving_joints if joint.name not in model.followers]
+        if not names:
+            return
+        first = joint_dimension(model, pick(self.draw, names))
+        alike = [name for name in names if joint_dimension(model, name) == first]
+        members = alike[: self.draw(st.integers(1, 3))]
+        data["groups"]["some"] = members
+        data["poses"] = {"ready": dict.fromkeys(members, "0.01 m" if first == LENGTH else "5 deg")}
+        self.groups[robot] = {"some": tuple(members)}
+        self.on_board[robot]["ready"] = ValueType(first, tuple(members), known=Known.FIXED)
 
     def _sensor(self, robot: str, name: str, place: Place) -> None:
         word = pick(self.draw, tuple(SENSORS.built_in))
@@ -777,8 +850,7 @@ class Author(Values):
                 components = tuple(rays)
         picture = (1, 1, 1) if word == "camera" else None
         if "joints" in data or "links" in data:
-            parts = data.get("joints", data.get("links"))
-            components = tuple(parts) if isinstance(parts, list) else (parts,)
+            components = self.members(robot, data.get("joints", data.get("links")))
         kind = ValueType(kind.dimension, components, model.boolean, known=Known.STEP, picture=picture)
         self.on_board[robot][name] = kind
 
@@ -789,7 +861,7 @@ class Author(Values):
         except UnavailableError:
             return
         joints = data.get("joint", data.get("joints", data.get("link", data.get("links"))))
-        parts = set(joints) if isinstance(joints, list) else {joints}
+        parts = set(self.members(robot, joints))
         if parts & self.driven[robot]:
             return
         self.driven[robot] |= parts
@@ -800,6 +872,12 @@ class Author(Values):
         sent: dict[str, ValueType] = {}
         data = self.data["robots"][robot]
         place = Place(robot=robot)
+        others = [name for name in self.said if not name.startswith(f"{robot}.")]
+        has_messages = self.data.get("messages", {}).get("format") != "none"
+        if others and has_messages and chance(self.draw, 30):
+            name = f"{robot}_heard"
+            data["hear"] = {name: pick(self.draw, others)}
+            self.on_board[robot][name] = self.said[data["hear"][name]]
         if chance(self.draw, 30):
             data["receive"] = {}
             for number in range(self.draw(st.integers(1, 2))):
@@ -816,13 +894,15 @@ class Author(Values):
             data["emit"] = {}
             for number in range(self.draw(st.integers(1, 2))):
                 dimension = pick(self.draw, SCALARS)
-                received = {name: self.on_board[robot].pop(name) for name in data.get("receive", {})}
+                heard = (*data.get("receive", {}), *data.get("hear", {}))
+                received = {name: self.on_board[robot].pop(name) for name in heard}
                 data["emit"][f"says{number}"] = self.expression(Context.EMIT, ValueType(dimension), robot)
                 self.on_board[robot] |= received
                 sent[f"{robot}.says{number}"] = ValueType(dimension, known=Known.STEP)
         if data.get("actuators"):
             data["apply"] = {name: self._command(robot, name, place) for name in data["actuators"]}
-        return sent
+        self.said |= {name: kind for name, kind in sent.items() if not kind.picture}
+        return sent | {f"{robot}.{name}": self.on_board[robot][name] for name in data.get("hear", {})}
 
     def _command(self, robot: str, name: str, place: Place) -> str:
         actuator = self.data["robots"][robot]["actuators"][name]
@@ -873,16 +953,19 @@ class Profile:
         bodies: The robots.
         agents: The largest number of agents.
         is_plain: There is only what an episode needs: no goal, cases, trainings, and the like.
+        has_copies: One policy may drive several copies of a robot.
     """
 
     engines: tuple[str, ...] = ("pybullet", "mujoco")
     bodies: tuple[Body, ...] = BODIES
     agents: int = 3
     is_plain: bool = False
+    has_copies: bool = True
 
 
 EVERY = Profile()
-PLAIN = Profile(agents=1, is_plain=True)
+ALONE = Profile(has_copies=False)
+PLAIN = Profile(agents=1, is_plain=True, has_copies=False)
 
 
 @st.composite

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from deepbots_cli.engines.mechanics import arena_walls
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import RayConfig, Sensor
-from deepbots_cli.program.world import Line
-from deepbots_cli.robots.model import Pose, RobotModel, Shape, to_urdf
+from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, to_urdf
 from tests.laws import shapes
 from tests.laws.frames import ANGLES, SMALL_LEVER, difference, name_of
 from tests.laws.law import Case, law
@@ -93,9 +92,6 @@ class Truth:
         self.robots = {robot.name: robot for robot in self.world.robots}
         self._mechanisms = {name: Mechanism(robot.model) for name, robot in self.robots.items()}
 
-    def height(self, _x: float, _y: float) -> float:
-        return 0.0
-
     # Frames
 
     def _at(self, time: float) -> dict[str, Array]:
@@ -145,8 +141,8 @@ class Truth:
         """All shapes that stop a ray, but for the ground."""
         solids = []
         for body in self.world.objects:
-            if body.variants:
-                reject()  # the drawn one is not known here
+            if body.variants or isinstance(body.shape, Mesh):
+                reject()  # the drawn one is not known here, and a mesh has no closed form
             if body.solid:
                 solids.append(Solid(body.name, body.shape, self.frames[body.name]))
         for wall in arena_walls(self.world.arena) if self.world.arena else ():
@@ -253,7 +249,7 @@ def _reflectance(truth: Truth, reader: Reader, sensor: Sensor) -> Array:
             readings.append(0.0 if down[2] > 1e-3 else np.nan)
             continue
         point = frame[:2, 3] - frame[2, 3] / down[2] * down[:2]
-        beyond = [line_distance(line, point)[0] - line.width / 2 for line in truth.world.lines]
+        beyond = [shapes.line_distance(line, point)[0] - line.width / 2 for line in truth.world.lines]
         painted = [line for line, apart in zip(truth.world.lines, beyond, strict=True) if apart < spot]
         if not painted:
             readings.append(1.0)
@@ -262,22 +258,6 @@ def _reflectance(truth: Truth, reader: Reader, sensor: Sensor) -> Array:
         else:
             readings.append(np.nan)
     return np.array(readings)
-
-
-def line_distance(line: Line, point: Array) -> tuple[float, float]:
-    """Return the distance of a point from a line, and the sign of the side: 0 where it is not clear."""
-    best, side = np.inf, 0.0
-    for a, b in ((np.array(a), np.array(b)) for a, b in line.pieces):
-        along = float(np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
-        apart = point - (a + along * (b - a))
-        cross = (b - a)[0] * (point - a)[1] - (b - a)[1] * (point - a)[0]
-        sign = float(np.sign(cross)) if abs(cross) > 1e-6 else 0.0
-        length = float(np.linalg.norm(apart))
-        if abs(length - best) < 1e-9 and sign != side:
-            side = 0.0
-        elif length < best - 1e-9:
-            best, side = length, sign
-    return best, side
 
 
 RAYS = ("infrared", "sonar", "laser", "lidar", "height_scan")
@@ -330,7 +310,7 @@ def _to_body_frame(truth: Truth, call: Call) -> Array:
 
 def _cross_track_error(truth: Truth, call: Call) -> float:
     body, line = call.subjects
-    distance, side = line_distance(truth.world.line(line), truth.frames[body][:2, 3])
+    distance, side = shapes.line_distance(truth.world.line(line), truth.frames[body][:2, 3])
     return side * distance if side else np.nan
 
 

@@ -1,5 +1,5 @@
-"""Rays against shapes, and points within them, in closed form: the second implementation of what engines
-cast.
+"""Rays against shapes, points within them, and points beside lines, in closed form: the second
+implementation of what engines and programs compute.
 
 All points and directions are in the frame of the shape, in m; directions have the length 1.
 """
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.program.world import Line
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Shape, Sphere
 
 Array = np.ndarray[Any, Any]
@@ -77,3 +78,19 @@ def _within(intervals: Any) -> float:
 def _first(interval: tuple[float, float]) -> float:
     start, end = interval
     return float(start) if 0.0 <= start <= end else np.inf
+
+
+def line_distance(line: Line, point: Array) -> tuple[float, float]:
+    """Return the distance of a point from a line, and the sign of the side: 0 where it is not clear."""
+    best, side = np.inf, 0.0
+    for a, b in ((np.array(a), np.array(b)) for a, b in line.pieces):
+        along = float(np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
+        apart = point - (a + along * (b - a))
+        cross = (b - a)[0] * (point - a)[1] - (b - a)[1] * (point - a)[0]
+        sign = float(np.sign(cross)) if abs(cross) > 1e-6 else 0.0
+        length = float(np.linalg.norm(apart))
+        if abs(length - best) < 1e-9 and sign != side:
+            side = 0.0
+        elif length < best - 1e-9:
+            best, side = length, sign
+    return best, side

@@ -22,7 +22,7 @@ from deepbots_cli.scenario.episode import Disturbance
 from deepbots_cli.scenario.evaluation import Expectation
 from deepbots_cli.scenario.fields.quantities import Number, Quantity
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.training import ALGORITHMS, Training
+from deepbots_cli.scenario.training import ALGORITHMS, SelfPlay, Training
 from tests.laws.expressions import (
     CONDITION,
     SCALARS,
@@ -41,31 +41,51 @@ if TYPE_CHECKING:
 
 _UNTIL = ("success_rate >= 0.7 over 40 episodes", "50_000 steps", "mean_return >= 10 in evaluation")
 _SOLVED = ("mean_return >= 100 over 20 episodes", "mean_return >= 10 over 100 episodes")
-_SIMPLE = ("learning_rate", "gamma", "gae_lambda", "ent_coef", "normalize", "patience", "network", "tau")
-"""Keys of a training that combine with all others."""
+_BY_ITSELF = (
+    "algorithm",
+    "total_timesteps",
+    "teacher",
+    "self_play",
+    "symmetry",
+    "turns",
+    "shards",
+    "staleness",
+)
+"""Keys of a training that depend on what else the scenario has."""
 _VARIED = ("world", "objects", "robots", "reset", "disturbances", "messages")
 """Sections that cases and stages change."""
 
 
-def actions(author: Author, names: list[str]) -> dict[str, Any]:
-    """Draw actions: all ranges or all choices, since no algorithm learns both."""
+def actions(author: Author, names: list[str], robots: Sequence[str]) -> dict[str, Any]:
+    """Draw actions for robots: all ranges or all choices, since no algorithm learns both."""
     author.actions = {}
     is_choice = chance(author.draw, 50)
     drawn: dict[str, Any] = {}
     for name in names:
-        author.actions[name] = ValueType(known=Known.STEP)
+        kind = ValueType(known=Known.STEP)
         if is_choice:
-            options: Mapping[str, Any] = {"left": -1, "rest": 0, "right": 1}
-            drawn[name] = {"choices": dict(options)}
-        else:
-            drawn[name] = pick(author.draw, ("-1 .. 1", "0 .. 1"))
+            variables = [name] if chance(author.draw, 70) else [f"{name}_u", f"{name}_v"]
+            options = {option: dict.fromkeys(variables, value) for option, value in _OPTIONS.items()}
+            drawn[name] = {"choices": options if len(variables) > 1 else dict(_OPTIONS)}
+            author.actions |= dict.fromkeys(variables, kind)
+            continue
+        drawn[name] = pick(author.draw, ("-1 .. 1", "0 .. 1"))
+        groups = [(robot, group) for robot in robots for group in author.groups.get(robot, {})]
+        if groups and chance(author.draw, 30):
+            robot, group = pick(author.draw, groups)
+            drawn[name] = {"range": drawn[name], "each": f"{robot}.{group}"}
+            kind = kind._replace(components=author.groups[robot][group])
+        author.actions[name] = kind
     return drawn
+
+
+_OPTIONS: Mapping[str, Any] = {"left": -1, "rest": 0, "right": 1}
 
 
 def forbid(author: Author, actions: Mapping[str, Any]) -> None:
     """Draw conditions under which an option must not be chosen; another one stays."""
     for action in actions.values():
-        if isinstance(action, dict) and chance(author.draw, 20):
+        if "choices" in action and chance(author.draw, 20):
             with suppress(UnavailableError):
                 action["forbid"] = {"left": author.condition(Context.FORBID)}
 
@@ -74,7 +94,7 @@ def script(author: Author, actions: Mapping[str, Any]) -> dict[str, Any]:
     """Draw a decision for each action."""
     decisions: dict[str, Any] = {}
     for name, action in actions.items():
-        if isinstance(action, str):
+        if "choices" not in action:
             decisions[name] = author.expression(Context.SCRIPT, ValueType())
         elif chance(author.draw, 50):
             decisions[name] = pick(author.draw, tuple(action["choices"]))
@@ -134,7 +154,11 @@ def truncation(author: Author) -> dict[str, Any]:
 def pushed(author: Author) -> str:
     """Draw a body that is not fixed, or a link of it."""
     objects = author.data.get("objects", {})
-    free = [name for name, entry in objects.items() if not entry.get("fixed") and entry.get("solid", True)]
+    free = [
+        name
+        for name, entry in objects.items()
+        if not entry.get("fixed") and entry.get("solid", True) and "count" not in entry
+    ]
     free += [name for name, robot in author.data["robots"].items() if robot.get("base") != "fixed"]
     return pick(author.draw, free)
 
@@ -165,7 +189,15 @@ def curriculum(author: Author) -> Any:
     if ranges and chance(author.draw, 30):
         name = pick(author.draw, ranges)
         span = re.sub(r"uniform\((.*)\).*", r"\1", author.data["parameters"][name])
-        return {"set": {name: span}, "levels": author.draw(st.integers(2, 5)), "up": "truncation"}
+        drawn: dict[str, Any] = {"set": {name: span}, "levels": author.draw(st.integers(2, 5))}
+        drawn["up"] = pick(author.draw, ("truncation", [*author.data["truncation"]]))
+        if author.data.get("termination", {}).get("failure"):
+            drawn["down"] = "failure"
+        if chance(author.draw, 50):
+            drawn["at_top"] = "random"
+        if chance(author.draw, 50):
+            drawn["start"] = pick(author.draw, (1, "0 .. 1"))
+        return drawn
     untils = _UNTIL if has_success(author.data) else _UNTIL[1:]
     stages = [
         {"name": f"stage{number}", "set": settings(author), "until": pick(author.draw, untils)}
@@ -178,6 +210,8 @@ def evaluation(author: Author) -> dict[str, Any]:
     drawn: dict[str, Any] = {"episodes": author.draw(st.integers(1, 20))}
     if chance(author.draw, 60):
         drawn["cases"] = {"other": {"set": settings(author)}}
+        if chance(author.draw, 30):
+            drawn["cases"]["other"]["episodes"] = author.draw(st.integers(1, 5))
     return drawn
 
 
@@ -185,10 +219,13 @@ def check(author: Author, data: Mapping[str, Any], names: Sequence[str], agent: 
     """Draw a test: who acts, and what comes of it. `data` has the actions and scripts, `names` the
     endings."""
     drawn: dict[str, Any] = {"agent": agent} if agent else {}
+    names = [
+        name for name in names if author.data.get("endings", {}).get(name, {}).get("ends", agent) == agent
+    ]
     drivers = ("random", "zero", *data.get("scripts", {}))
     if not agent and chance(author.draw, 30):
         step = {
-            name: pick(author.draw, (0, 0.5, 1)) if isinstance(action, str) else "left"
+            name: "left" if "choices" in action else pick(author.draw, (0, 0.5, 1))
             for name, action in data["action"].items()
         }
         drawn["actions"] = [step, {**step}]
@@ -197,10 +234,25 @@ def check(author: Author, data: Mapping[str, Any], names: Sequence[str], agent: 
     for key, most in (("episodes", 3), ("seed", 9), ("max_steps", 9)):
         if chance(author.draw, 40):
             drawn[key] = author.draw(st.integers(1, most))
+    if chance(author.draw, 20):
+        drawn["max_time"] = pick(author.draw, ("100 ms", "0.2 s"))
     cases = author.data.get("evaluation", {}).get("cases", {})
+    stages = author.data.get("curriculum", [])
     if cases and chance(author.draw, 30):
         drawn["case"] = pick(author.draw, tuple(cases))
+    elif isinstance(stages, list) and stages and chance(author.draw, 50):
+        drawn["stage"] = stages[0]["name"]
+    drawn["expect"] = expectation(author, names, agent)
+    return drawn
+
+
+def expectation(author: Author, names: Sequence[str], agent: str) -> dict[str, Any]:
+    """Draw what comes of the episodes of a test."""
     expected: dict[str, Any] = {}
+    rates = {
+        "success_rate": names and has_success(author.data),
+        "failure_rate": author.data.get("termination", {}).get("failure"),
+    }
     for key in section_fields(Expectation):
         if not chance(author.draw, 30):
             continue
@@ -208,12 +260,11 @@ def check(author: Author, data: Mapping[str, Any], names: Sequence[str], agent: 
             expected[key] = author.condition(Context.TEST)
         elif key == "ends_by" and (names or author.data["truncation"]):
             expected[key] = list(names) or list(author.data["truncation"])
-        elif key == "success_rate" and names and not agent and has_success(author.data):
+        elif rates.get(key) and not agent:
             expected[key] = pick(author.draw, ("0 .. 100 %", 0))
         elif key == "mean_return":
             expected[key] = "-1000000 .. 1000000"
-    drawn["expect"] = expected or {"mean_return": "-1000000 .. 1000000"}
-    return drawn
+    return expected or {"mean_return": "-1000000 .. 1000000"}
 
 
 # Training
@@ -221,8 +272,8 @@ def check(author: Author, data: Mapping[str, Any], names: Sequence[str], agent: 
 
 def training(author: Author, data: Mapping[str, Any]) -> dict[str, Any]:
     """Draw a training that can act as `data` says: an algorithm, and some of its keys."""
-    is_choice = any(isinstance(action, dict) for action in data["action"].values())
-    has_forbid = any("forbid" in action for action in data["action"].values() if isinstance(action, dict))
+    is_choice = any("choices" in action for action in data["action"].values())
+    has_forbid = any("forbid" in action for action in data["action"].values())
 
     def fits(model: type[Training]) -> bool:
         choice = "choice" if len(data["action"]) == 1 else "choices"
@@ -238,15 +289,30 @@ def training(author: Author, data: Mapping[str, Any]) -> dict[str, Any]:
     model = ALGORITHMS[word]
     drawn: dict[str, Any] = {"algorithm": word, "total_timesteps": pick(author.draw, (1000, 50000))}
     fields = section_fields(model)
-    for key in _SIMPLE:
-        if key not in fields or not chance(author.draw, 25):
-            continue
-        with suppress(UnavailableError):
-            drawn[key] = author.value(fields[key], Place())
+    for key in fields:
+        if key not in _BY_ITSELF and chance(author.draw, 15):
+            with suppress(UnavailableError):
+                drawn[key] = author.value(fields[key], Place())
+    if drawn.get("replay", "uniform") != "uniform" and not author.data.get("goal"):
+        del drawn["replay"]
     if not model.on_policy and "learning_starts" in fields:
         drawn["learning_starts"] = 200
     if model.imitates and data.get("scripts") and chance(author.draw, 20):
         drawn["teacher"] = next(iter(data["scripts"]))
+    return drawn
+
+
+def self_play(author: Author, first: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw a training of two equal agents, one of which is `first`."""
+    drawn: dict[str, Any] = {"algorithm": "PPO", "total_timesteps": 50000}
+    if len(author.data["agents"]) == 2:
+        drawn["environments"] = 4
+        drawn["self_play"] = author.section(SelfPlay, Place())
+    else:
+        drawn["turns"] = 1000
+    ranges = [name for name, action in first["action"].items() if "choices" not in action]
+    if ranges and chance(author.draw, 50):
+        drawn["symmetry"] = {"flip": ranges[:1]}
     return drawn
 
 
@@ -256,7 +322,12 @@ def search(author: Author) -> dict[str, Any]:
     for name, kind in author.parameters.items():
         if kind.known is Known.FIXED and kind.dimension == NUMBER:
             space[name] = literal_range(author.draw, NUMBER, 0.5, 2.0)
-    return {"search": space, "trials": 2, "seeds": 1, "timesteps": 1000}
+    drawn: dict[str, Any] = {"search": space, "trials": 2, "seeds": 1, "timesteps": 1000}
+    if chance(author.draw, 50):
+        drawn["objective"] = "success_rate" if has_success(author.data) else "mean_return"
+    if chance(author.draw, 50):
+        drawn["prune"] = author.draw(st.booleans())
+    return drawn
 
 
 # Several agents
@@ -290,6 +361,10 @@ def agent(author: Author, robot: str, drawn: dict[str, Any]) -> None:
         if chance(author.draw, 40):
             drawn["scripts"] = {"written": script(author, drawn["action"])}
         drawn["frame_stack"] = author.draw(st.integers(1, 2))
+        if chance(author.draw, 20):
+            drawn["train"] = training(author, drawn)
+        if chance(author.draw, 20):
+            drawn["solved"] = pick(author.draw, _SOLVED)
 
 
 def mirrored(data: Any, robot: str, other: str) -> Any:

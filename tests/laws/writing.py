@@ -512,7 +512,8 @@ def a_scenario_built_in_python_is_that_of_the_file(case: Case) -> None:
     assert Scenario(**{key: getattr(scenario, key) for key in scenario.model_fields_set}) == scenario
     assert Scenario.model_validate_json(scenario.model_dump_json(exclude_unset=True)) == scenario
     read = Scenario.from_yaml(path)
-    assert read == scenario
+    if not (scenario.agents and scenario.train):  # a file gives the keys of a common `train` to each agent
+        assert read == scenario
     Meaning.of(case.write(read.to_yaml())).require(expected)
 
 
