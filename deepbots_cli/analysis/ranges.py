@@ -27,6 +27,10 @@ _MAX_CONDITIONS = 64
 """The number of conditions of a conjunction that are compared with each other."""
 _NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
+_BEYOND_LIMIT = (0.25, 0.05)
+"""How far a joint passes each of its limits at most, in rad or m. A limit is a spring in engines: a hip of the
+biped, which is limited to 0.5 rad, was at 0.64 rad in PyBullet when the robot fell."""
+_CONTACTS = ("contact", "collided", "contact_force", "contact_force_vector")
 _PLANE_AXES = ("x", "y")
 _ROTATION_KEYS = ("roll", "pitch", "yaw")
 
@@ -115,26 +119,25 @@ class Ranges:
             return hull((self.of(sent), self._so_far.of(sent), *zeros))
         foreign = self.analysis.expression_named(node.name)
         leaf_type = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
-        return leaf_type.interval_of(node.component) if leaf_type else EVERYTHING
+        interval = leaf_type.interval_of(node.component) if leaf_type else EVERYTHING
+        robot, sensor = self.analysis.sensor(node) or ("", None)
+        if sensor is not None and sensor.kind == "joint_position":
+            interval = self._positions(robot, node.component or sensor.subjects[0], interval)
+        return interval
+
+    def _positions(self, robot: str, name: str, limits: Interval | None = None) -> Interval:
+        """Return the positions of a joint, which passes its limits a little."""
+        joint = self.analysis.body(robot).model.joint(name)
+        low, high = limits or joint.ends(INF)
+        margin = _BEYOND_LIMIT[joint.type == "prismatic"]
+        return Interval(low - margin, high + margin)
 
     def _world(self, node: EngineRead) -> Interval:
         if node.function == "joint_position":
             robot, _, name = node.subjects[0].partition(".")
-            limit = self.analysis.body(robot).model.joint(name).limit
-            return (
-                EVERYTHING
-                if limit.lower is None or limit.upper is None
-                else Interval(limit.lower, limit.upper)
-            )
-        if node.function in ("contact", "collided") and not self.analysis.intangible.isdisjoint(
-            node.subjects
-        ):
-            return NEVER
-        if node.function in (
-            "contact_force",
-            "contact_force_vector",
-        ) and not self.analysis.intangible.isdisjoint(node.subjects):
-            return iv.single(0.0)
+            return self._positions(robot, name)
+        if node.function in _CONTACTS and not self.analysis.intangible.isdisjoint(node.subjects):
+            return ZERO  # which is NEVER
         function = FUNCTIONS.get(node.function)
         return TRUTH if function is None or function.boolean else function.interval()
 
