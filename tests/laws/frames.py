@@ -402,8 +402,11 @@ def has_side(world: Supervisor, source: Source) -> bool:
     assert isinstance(source, Call)
     name, line = source.subjects
     body, _, link = name.partition(".")
+    model = world.scenario.world
+    if f"{name} 1" in {thing.name for thing in model.objects}:
+        body = f"{name} 1"  # the only piece of a wall
     position, _ = world.engine.pose(body, link or None)()
-    return line_distance(world.scenario.world.line(line), np.array(position[:2]))[1] != 0.0
+    return line_distance(model.line(line), np.array(position[:2]))[1] != 0.0
 
 
 def name_of(source: Source) -> str:
