@@ -295,14 +295,14 @@ class Expressions:
         return [way for function in self.names.functions for way in self._calls_of(function, kind)]
 
     def _calls_of(self, function: Function, kind: ValueType) -> list[Callable[[int], str]]:
+        if function.name in ("joint_position", "joint_velocity", "joint_torque"):
+            return self._joint_calls(function, kind)
         if any(self._subjects(param) == [] for param in function.params if param.form is Form.SUBJECT):
             return []
         ways: list[Callable[[int], str]] = []
         is_truth = kind.boolean and (function.boolean or function.accepts_truths)
         if kind.boolean != (function.boolean or is_truth):
             return []
-        if function.name in ("joint_position", "joint_velocity", "joint_torque"):
-            return self._joint_calls(function, kind)
         for shared in dict.fromkeys((kind.dimension, *_SHARED)):
             if function.result(shared) != kind.dimension:
                 continue
@@ -362,9 +362,9 @@ class Expressions:
         return f"vector({', '.join(self.text(item, depth) for _ in range(count))})"
 
     def _joint_calls(self, function: Function, kind: ValueType) -> list[Callable[[int], str]]:
-        if kind.components is not None:
-            return []
         ways: list[Callable[[int], str]] = []
+        if kind.components is not None or kind.boolean:
+            return ways
         for name, dimension in self.names.joints.items():
             text = f"{function.name}({name})"
             if function.result(dimension) != kind.dimension:

@@ -186,7 +186,7 @@ def curriculum(author: Author) -> Any:
         for name, text in author.data.get("parameters", {}).items()
         if str(text).startswith("uniform(") and not author.parameters[name].components
     ]
-    if ranges and chance(author.draw, 30):
+    if ranges and chance(author.draw, 60):
         name = pick(author.draw, ranges)
         span = re.sub(r"uniform\((.*)\).*", r"\1", author.data["parameters"][name])
         drawn: dict[str, Any] = {"set": {name: span}, "levels": author.draw(st.integers(2, 5))}
