@@ -65,9 +65,10 @@ class _Square(NamedTuple):
     random: np.random.Generator
 
     @property
-    def inside(self) -> Column:
-        """1 within the margin, and down to 0 at the edge."""
-        return np.clip((self.half - self.distance) / TILE_MARGIN_M, 0.0, 1.0)
+    def relief(self) -> Column:
+        """1 between the margins of the edge and of the platform, and down to 0 at both."""
+        margin = np.minimum(self.half - self.distance, self.distance - self.platform)
+        return np.clip(margin / TILE_MARGIN_M, 0.0, 1.0)
 
     @property
     def off_platform(self) -> NDArray[np.bool_]:
@@ -90,7 +91,7 @@ def _stairs(square: _Square, height: float, tread: float, inverted: float) -> Co
 def _waves(square: _Square, height: float, length: float) -> Column:
     # The sum of both cosines goes from -2 to 2, the height from 0 to `height`.
     along = np.cos(2.0 * np.pi * square.x / length) + np.cos(2.0 * np.pi * square.y / length)
-    return height * (along + 2.0) / 4.0 * square.inside
+    return height * (along + 2.0) / 4.0 * square.relief
 
 
 def _rough(square: _Square, height: float, grain: float) -> Column:
@@ -103,7 +104,7 @@ def _rough(square: _Square, height: float, grain: float) -> Column:
     part = at - first
     along = values[:, first] * (1 - part) + values[:, first + 1] * part
     whole = along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None]
-    rough: Column = height * whole * square.inside
+    rough: Column = height * whole * square.relief
     return rough
 
 
@@ -196,8 +197,9 @@ _LUMPS = 20
 _MAX_HEIGHT_M = 1e4
 """Higher ground is a mistake, and engines lose their digits."""
 _MIN_AREA_M2 = 1e-12
-_MIN_VOLUME_M3 = 1e-15
 """Twice the area, seen from above, of the smallest triangle that is not vertical."""
+_MIN_VOLUME_M3 = 1e-15
+"""A mesh with less volume has none, but for rounding."""
 _EDGE_TOLERANCE = 1e-9
 """By how much barycentric coordinates of a point in a triangle may miss 0 .. 1, so that no point between two
 triangles is in neither."""
