@@ -8,6 +8,7 @@ import shutil
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -22,12 +23,34 @@ _REMEDIES = {
 }
 
 
+_READS: ContextVar[set[Path] | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def recorded_reads() -> Iterator[set[Path]]:
+    """Collect the files that `read_at_most` reads or tries to read within the context."""
+    paths: set[Path] = set()
+    token = _READS.set(paths)
+    try:
+        yield paths
+    finally:
+        _READS.reset(token)
+        note_reads(paths)
+
+
+def note_reads(paths: Iterable[Path]) -> None:
+    """Add files to those of the innermost `recorded_reads`."""
+    if (reads := _READS.get()) is not None:
+        reads.update(paths)
+
+
 def read_at_most(path: Path, limit: int) -> bytes:
-    """Return the first `limit` bytes of a file.
+    """Return the first `limit` bytes of a file. `recorded_reads` collects its path.
 
     Raises:
         OSError: The file cannot be read.
     """
+    note_reads([path])
     with path.open("rb") as file:
         # A buffer of `limit` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
         # reads.
