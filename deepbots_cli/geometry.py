@@ -71,8 +71,9 @@ class _Square(NamedTuple):
         return np.clip(margin / TILE_MARGIN_M, 0.0, 1.0)
 
     @property
-    def off_platform(self) -> NDArray[np.bool_]:
-        return self.distance > self.platform
+    def is_ring(self) -> NDArray[np.bool_]:
+        """Whether a point is between the platform and the margin of the edge."""
+        return (self.distance > self.platform) & (self.half - self.distance >= TILE_MARGIN_M)
 
 
 def _slope(square: _Square, angle: float, inverted: float) -> Column:
@@ -115,8 +116,7 @@ def _blocks(square: _Square, height: float, side: float) -> Column:
     # 1e-9 absorbs rounding at the edge of a box: 0.3 / 0.1 is 2.9999999999999996.
     column = np.minimum(((square.x + square.half) / side + 1e-9).astype(int), count - 1)
     row = np.minimum(((square.y + square.half) / side + 1e-9).astype(int), count - 1)
-    is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
-    return np.where(is_inside, height * values[row, column], 0.0)
+    return np.where(square.is_ring, height * values[row, column], 0.0)
 
 
 def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> Column:
@@ -126,16 +126,15 @@ def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> 
     for place in (square.x, square.y):
         # 1e-9: the edge of a stone is part of it, in spite of rounding.
         on_stone &= np.abs((place + pitch / 2) % pitch - pitch / 2) <= side / 2 + 1e-9
-    is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
-    return np.where(is_inside & ~on_stone, -depth, 0.0)
+    return np.where(square.is_ring & ~on_stone, -depth, 0.0)
 
 
 def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Column:
     """Trenches around the platform, one after the other."""
     out = square.distance - square.platform
     # 1e-9: the near edge of a trench is ground, the far edge is part of the trench.
-    in_gap = ((out - 1e-9) % (spacing + width) >= spacing) & square.off_platform
-    return np.where(in_gap & (square.half - square.distance >= TILE_MARGIN_M), -depth, 0.0)
+    in_gap = (out - 1e-9) % (spacing + width) >= spacing
+    return np.where(square.is_ring & in_gap, -depth, 0.0)
 
 
 _SHAPES: Mapping[str, Callable[..., Column]] = {

@@ -1,4 +1,5 @@
-"""The files that `lint --watch` and `view --watch` watch, against those that the interpreter opens."""
+"""The files that `lint --watch`, `view --watch` and the studio watch, against those that the interpreter
+opens."""
 
 from __future__ import annotations
 
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from deepbots_cli.cli.commands.lint import LintOptions
 from deepbots_cli.files import recorded_reads
 from deepbots_cli.lint.settings import settings as project_settings
+from deepbots_cli.lsp.workspace import Document, analyze, uri_of
 from deepbots_cli.view.episodes import Showing
 from tests.worlds import CART
 
@@ -119,7 +121,7 @@ def written(folder: Path, kinds: dict[str, object]) -> tuple[Path, Path]:
     {"robot": "urdf", "mesh": "none", "terrain": "none", "included": False, "extended": False}, "bot.urdf"
 )
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_every_file_that_lint_or_view_opens_is_watched_also_with_an_error_in_one(
+def test_every_file_that_lint_view_or_the_studio_opens_is_watched_also_with_an_error_in_one(
     kinds: dict[str, object], faulty: str
 ) -> None:
     with TemporaryDirectory() as name:
@@ -138,6 +140,10 @@ def test_every_file_that_lint_or_view_opens_is_watched_also_with_an_error_in_one
         with opened_below(folder) as opened:
             state = Showing(str(scenario)).open()
         assert opened <= {path.resolve() for path in state.files}
+        document = Document(uri_of(scenario), 1, scenario.read_text(), scenario)
+        with opened_below(folder) as opened:
+            analysis = analyze(document, {})
+        assert opened <= {path.resolve() for path in analysis.reads}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

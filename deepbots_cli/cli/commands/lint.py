@@ -36,7 +36,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.files import file_stamps, note_reads, recorded_reads
+from deepbots_cli.files import READS, file_stamps, recorded_reads
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer, LintResult
 from deepbots_cli.lint.settings import settings
@@ -541,8 +541,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
     ):
         size = max(1, len(files) // (4 * jobs))
         results = dict(zip(files, pool.map(partial(_recorded, look_at), files, chunksize=size), strict=True))
-    for _, paths in results.values():
-        note_reads(paths)
+    READS.get(set()).update(*(paths for _, paths in results.values()))
     return [results[name][0] if name in results else look_at(name) for name in names]
 
 
