@@ -24,12 +24,13 @@ _REMEDIES = {
 
 
 READS: ContextVar[set[Path]] = ContextVar("reads")
-"""The files that `read_at_most` has read, or tried to read, within the innermost `recorded_reads`."""
+"""The files that were read or looked for by functions of this module within the innermost
+`recorded_reads`."""
 
 
 @contextmanager
 def recorded_reads() -> Iterator[set[Path]]:
-    """Collect the files that are read within the context."""
+    """Collect the files that are read within the context, and those that are missing."""
     token = READS.set(set())
     try:
         yield READS.get()
@@ -55,7 +56,8 @@ def read_at_most(path: Path, limit: int) -> bytes:
 
 def is_file(path: Path) -> bool:
     """Return whether there is a file; False for a name that no file can have, because it is too long or has a
-    null byte."""
+    null byte. `recorded_reads` collects its path."""
+    READS.get(set()).add(path)
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -178,7 +180,7 @@ def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     was saved."""
     stamps: dict[Path, tuple[int, int] | None] = dict.fromkeys(files)
     for file in stamps:
-        with suppress(OSError):
+        with suppress(OSError, ValueError):  # ValueError: a name with a null byte
             status = file.stat()
             stamps[file] = (status.st_mtime_ns, status.st_size)
     return stamps

@@ -146,6 +146,24 @@ def test_every_file_that_lint_view_or_the_studio_opens_is_watched_also_with_an_e
         assert opened <= {path.resolve() for path in analysis.reads}
 
 
+@pytest.mark.parametrize("missing", ["bot.yaml", "bot.xacro", "parts.xacro", "limits.yaml", "body.stl"])
+def test_watching_lints_again_when_a_missing_file_comes(deepbots, tmp_path, monkeypatch, missing):
+    written(
+        tmp_path, {"robot": "xacro", "mesh": "stl", "terrain": "none", "included": True, "extended": False}
+    )
+    contents = [(tmp_path / missing).read_bytes()]
+    (tmp_path / missing).unlink()
+
+    def save_or_interrupt(_):
+        if not contents:
+            raise KeyboardInterrupt
+        (tmp_path / missing).write_bytes(contents.pop())
+
+    monkeypatch.setattr("time.sleep", save_or_interrupt)
+    ran = deepbots("lint", "mine.yaml", "--watch")
+    assert ran.err.count("Ctrl-C ends it") == 2
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_watching_lints_again_for_each_file_of_a_robot(deepbots, tmp_path, monkeypatch, jobs):
     scenario, _ = written(

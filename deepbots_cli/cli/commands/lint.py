@@ -36,7 +36,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.files import READS, file_stamps, recorded_reads
+from deepbots_cli.files import READS, file_stamps, is_file, recorded_reads
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer, LintResult
 from deepbots_cli.lint.settings import settings
@@ -228,7 +228,8 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -
                 except DeepbotsError as error:
                     terminal.print_error(error.full_message)
             sys.stdout.flush()
-            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {len(files)} files; Ctrl-C ends it")
+            count = sum(map(is_file, files))
+            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {count} files; Ctrl-C ends it")
             last_state = state(files)
             while state(files) == last_state:
                 time.sleep(_WATCH_INTERVAL_S)
