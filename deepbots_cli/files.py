@@ -7,7 +7,8 @@ import os
 import shutil
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -22,12 +23,28 @@ _REMEDIES = {
 }
 
 
+READS: ContextVar[set[Path]] = ContextVar("reads")
+"""The files that were read or looked for by functions of this module within the innermost
+`recorded_reads`."""
+
+
+@contextmanager
+def recorded_reads() -> Iterator[set[Path]]:
+    """Collect the files that are read within the context, and those that are missing."""
+    token = READS.set(set())
+    try:
+        yield READS.get()
+    finally:
+        READS.reset(token)
+
+
 def read_at_most(path: Path, limit: int) -> bytes:
-    """Return the first `limit` bytes of a file.
+    """Return the first `limit` bytes of a file. `recorded_reads` collects its path.
 
     Raises:
         OSError: The file cannot be read.
     """
+    READS.get(set()).add(path)
     with path.open("rb") as file:
         # A buffer of `limit` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
         # reads.
@@ -39,7 +56,8 @@ def read_at_most(path: Path, limit: int) -> bytes:
 
 def is_file(path: Path) -> bool:
     """Return whether there is a file; False for a name that no file can have, because it is too long or has a
-    null byte."""
+    null byte. `recorded_reads` collects its path."""
+    READS.get(set()).add(path)
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -102,33 +120,6 @@ def refuse_overwriting(*present: Path, force: bool) -> None:
         )
 
 
-def check_new_folder(folder: Path, *, force: bool) -> None:
-    """Find out before long work whether a folder is new or empty, unless `force`, and can be written.
-
-    Raises:
-        UsageError: The folder cannot be written into, or is not empty.
-    """
-    check_folder(folder)
-    if not force and folder.is_dir() and any(folder.iterdir()):
-        raise UsageError(
-            f"{folder} is not empty; choose another folder, or replace files of the same name with --force"
-            " (in Python: force=True)"
-        )
-
-
-def refuse_links_within(folder: Path) -> None:
-    """Find out before long work whether files in a folder are links or pipes: writing would follow a link,
-    and wait for a pipe.
-
-    Raises:
-        UsageError: One is.
-    """
-    if folder.is_dir():
-        for path in sorted(folder.rglob("*")):
-            if path.is_symlink() or not (path.is_file() or path.is_dir()):
-                raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
-
-
 def check_folder(folder: Path) -> None:
     """Find out before long work whether files can be written into a folder, which need not be there yet.
 
@@ -187,11 +178,9 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
 def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     """Return the time of change and the size of each file, None for a missing one; they differ after a file
     was saved."""
-    stamps: dict[Path, tuple[int, int] | None] = {}
-    for file in files:
-        try:
+    stamps: dict[Path, tuple[int, int] | None] = dict.fromkeys(files)
+    for file in stamps:
+        with suppress(OSError, ValueError):  # ValueError: a name with a null byte
             status = file.stat()
             stamps[file] = (status.st_mtime_ns, status.st_size)
-        except OSError:
-            stamps[file] = None
     return stamps

@@ -102,12 +102,6 @@ def cross(a: Triple, b: Triple) -> Triple:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def azimuth_and_elevation(v: Triple) -> tuple[float, float]:
-    """Return the angle of `v` from the x axis in the plane, to the left positive, and its angle above the
-    plane (rad)."""
-    return atan2(v[1], v[0]), atan2(v[2], hypot(v[0], v[1]))
-
-
 def dot(a: Triple, b: Triple) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 

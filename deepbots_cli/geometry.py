@@ -65,13 +65,15 @@ class _Square(NamedTuple):
     random: np.random.Generator
 
     @property
-    def inside(self) -> Column:
-        """1 within the margin, and down to 0 at the edge."""
-        return np.clip((self.half - self.distance) / TILE_MARGIN_M, 0.0, 1.0)
+    def relief(self) -> Column:
+        """1 between the margins of the edge and of the platform, and down to 0 at both."""
+        margin = np.minimum(self.half - self.distance, self.distance - self.platform)
+        return np.clip(margin / TILE_MARGIN_M, 0.0, 1.0)
 
     @property
-    def off_platform(self) -> NDArray[np.bool_]:
-        return self.distance > self.platform
+    def is_ring(self) -> NDArray[np.bool_]:
+        """Whether a point is between the platform and the margin of the edge."""
+        return (self.distance > self.platform) & (self.half - self.distance >= TILE_MARGIN_M)
 
 
 def _slope(square: _Square, angle: float, inverted: float) -> Column:
@@ -90,7 +92,7 @@ def _stairs(square: _Square, height: float, tread: float, inverted: float) -> Co
 def _waves(square: _Square, height: float, length: float) -> Column:
     # The sum of both cosines goes from -2 to 2, the height from 0 to `height`.
     along = np.cos(2.0 * np.pi * square.x / length) + np.cos(2.0 * np.pi * square.y / length)
-    return height * (along + 2.0) / 4.0 * square.inside
+    return height * (along + 2.0) / 4.0 * square.relief
 
 
 def _rough(square: _Square, height: float, grain: float) -> Column:
@@ -103,7 +105,7 @@ def _rough(square: _Square, height: float, grain: float) -> Column:
     part = at - first
     along = values[:, first] * (1 - part) + values[:, first + 1] * part
     whole = along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None]
-    rough: Column = height * whole * square.inside
+    rough: Column = height * whole * square.relief
     return rough
 
 
@@ -114,8 +116,7 @@ def _blocks(square: _Square, height: float, side: float) -> Column:
     # 1e-9 absorbs rounding at the edge of a box: 0.3 / 0.1 is 2.9999999999999996.
     column = np.minimum(((square.x + square.half) / side + 1e-9).astype(int), count - 1)
     row = np.minimum(((square.y + square.half) / side + 1e-9).astype(int), count - 1)
-    is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
-    return np.where(is_inside, height * values[row, column], 0.0)
+    return np.where(square.is_ring, height * values[row, column], 0.0)
 
 
 def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> Column:
@@ -125,16 +126,15 @@ def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> 
     for place in (square.x, square.y):
         # 1e-9: the edge of a stone is part of it, in spite of rounding.
         on_stone &= np.abs((place + pitch / 2) % pitch - pitch / 2) <= side / 2 + 1e-9
-    is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
-    return np.where(is_inside & ~on_stone, -depth, 0.0)
+    return np.where(square.is_ring & ~on_stone, -depth, 0.0)
 
 
 def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Column:
     """Trenches around the platform, one after the other."""
     out = square.distance - square.platform
     # 1e-9: the near edge of a trench is ground, the far edge is part of the trench.
-    in_gap = ((out - 1e-9) % (spacing + width) >= spacing) & square.off_platform
-    return np.where(in_gap & (square.half - square.distance >= TILE_MARGIN_M), -depth, 0.0)
+    in_gap = (out - 1e-9) % (spacing + width) >= spacing
+    return np.where(square.is_ring & in_gap, -depth, 0.0)
 
 
 _SHAPES: Mapping[str, Callable[..., Column]] = {
@@ -196,8 +196,9 @@ _LUMPS = 20
 _MAX_HEIGHT_M = 1e4
 """Higher ground is a mistake, and engines lose their digits."""
 _MIN_AREA_M2 = 1e-12
-_MIN_VOLUME_M3 = 1e-15
 """Twice the area, seen from above, of the smallest triangle that is not vertical."""
+_MIN_VOLUME_M3 = 1e-15
+"""A mesh with less volume has none, but for rounding."""
 _EDGE_TOLERANCE = 1e-9
 """By how much barycentric coordinates of a point in a triangle may miss 0 .. 1, so that no point between two
 triangles is in neither."""

@@ -6,10 +6,43 @@ import os
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting, unwritable_message
+from deepbots_cli.files import (
+    atomic_write,
+    check_folder,
+    check_writable,
+    refuse_overwriting,
+    unwritable_message,
+)
 
 Files = dict[PurePosixPath, bytes]
 """The contents of files by path below the folder that they are written to."""
+
+
+def check_new_folder(folder: Path, *, force: bool) -> None:
+    """Find out before long work whether a folder is new or empty, unless `force`, and can be written.
+
+    Raises:
+        UsageError: The folder cannot be written into, or is not empty.
+    """
+    check_folder(folder)
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(
+            f"{folder} is not empty; choose another folder, or replace files of the same name with --force"
+            " (in Python: force=True)"
+        )
+
+
+def refuse_links_within(folder: Path) -> None:
+    """Find out before long work whether files in a folder are links or pipes: writing would follow a link,
+    and wait for a pipe.
+
+    Raises:
+        UsageError: One is.
+    """
+    if folder.is_dir():
+        for path in sorted(folder.rglob("*")):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
 
 
 def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:

@@ -19,7 +19,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import shipped
 from deepbots_cli.document.shipped import Library
-from deepbots_cli.files import read_at_most
+from deepbots_cli.files import is_file, read_at_most
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
@@ -276,7 +276,7 @@ def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | Unus
         if not any(path.is_relative_to(root) for root in roots):
             through_link = any(unresolved.is_relative_to(root) for root in roots)
             return UnusableFile("outside", reference, path, roots, through_link)
-        if path.is_file():
+        if is_file(path):
             return path
         return UnusableFile("irregular" if path.exists() else "missing", reference, path, roots)
     except (OSError, RuntimeError):

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
-from deepbots_cli.expressions.types import Invocation, Operation, Reference, TypedNode
+from deepbots_cli.expressions.types import Invocation, Operation, Reference, TypedNode, walk
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
@@ -30,6 +30,8 @@ _GOAL_BOUND = f"{_GOAL_SIGNAL}_bound"
 SIGN_OF_OPERATOR = {name: sign for sign, name in COMPARISONS.items()}
 _NEGATED = {"less": "greater_equal", "less_equal": "greater", "equal": "not_equal"}
 _NEGATED |= {negated: name for name, negated in _NEGATED.items()}
+_MIRRORED = {"less": "greater", "less_equal": "greater_equal"}
+_MIRRORED |= {mirrored: name for name, mirrored in _MIRRORED.items()}
 _FUNCTIONS = dict(
     zip(
         COMPARISONS,
@@ -41,11 +43,14 @@ _FUNCTIONS = dict(
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison `value operator bound`. Both sides are names of kept values, and texts of the scenario.
+    """A comparison `value operator bound`. Both sides are names of kept values, and `sides` their texts in the
+    scenario. The bound is the side that is known for longer: `x` is the value of `5 cm < x`.
 
-    `reduction` says whether any or all components of a vector must be true. `unit` is the SI unit of both
-    sides. A truth value without a bound, such as a contact, has no `bound` and is compared with 1. `lasting`
-    is the condition whose `duration` is the value.
+    `text` is true where the comparison is: `x <= 1 m` for `not x > 1 m`. `reduction` says whether any or all
+    components of a vector must be true. `unit` is the SI unit of both sides. A truth value without a bound,
+    such as a contact, has no `bound`, is compared with 1, and has the measured value 1 where `text` is true.
+    `lasting` is the condition whose `duration` is the value. `is_bound_named` says whether the text of the
+    bound has names, so that it does not show the number.
     """
 
     text: str
@@ -56,6 +61,7 @@ class Comparison:
     sides: tuple[str, str] = ("", "")
     reduction: Literal["any", "all"] = "any"
     lasting: Condition | None = None
+    is_bound_named: bool = False
 
 
 @dataclass(frozen=True)
@@ -173,12 +179,13 @@ class _ConditionBuilder:
     def goal(self, goal: Goal, *, negated: bool) -> Comparison:
         sides = ("the distance from achieved to desired", "goal.tolerance")
         return Comparison(
-            "goal_reached",
+            "not goal_reached" if negated else "goal_reached",
             "greater" if negated else "less_equal",
             _GOAL_SIGNAL,
             _GOAL_BOUND,
             goal.unit,
             sides,
+            is_bound_named=True,
         )
 
     def _condition(
@@ -198,11 +205,22 @@ class _ConditionBuilder:
                 written in SIGN_OF_OPERATOR and not left.type.boolean
             ):
                 used = _NEGATED[written] if negated else written
-                value, bound = self.probe(left, expression), self.probe(right, expression)
-                sides = (expression.text[left.start : left.end], expression.text[right.start : right.end])
-                text, unit = expression.text[node.start : node.end], str(left.type.dimension)
+                first, second = (expression.text[side.start : side.end] for side in (left, right))
+                text = expression.text[node.start : node.end]
+                if negated:
+                    text = f"{first} {SIGN_OF_OPERATOR[used]} {second}"
+                if left.type.known < right.type.known:
+                    left, right, first, second, used = right, left, second, first, _MIRRORED.get(used, used)
                 return Comparison(
-                    text, used, value, bound, unit, sides, joined, self._lasting(left, expression)
+                    text,
+                    used,
+                    self.probe(left, expression),
+                    self.probe(right, expression),
+                    str(left.type.dimension),
+                    (first, second),
+                    joined,
+                    self._lasting(left, expression),
+                    is_bound_named=any(isinstance(part, Reference | Invocation) for part in walk(right)),
                 )
             case Invocation(function="any" | "all" as function, args=(inner,)) if (
                 not inner.type.has_group_components
@@ -218,11 +236,11 @@ class _ConditionBuilder:
                 definition = self._named[symbol.name]
                 if not any(map(is_drawn, definition.scalars)):
                     return self._condition(definition.typed, definition, negated=negated)
-        return Comparison(
-            expression.text[node.start : node.end],
-            "not_equal" if negated else "equal",
-            self.probe(node, expression),
-        )
+        text = expression.text[node.start : node.end]
+        if negated:
+            is_bare = isinstance(node, Operation) and node.start == min(arg.start for arg in node.args)
+            text = f"not ({text})" if is_bare else f"not {text}"
+        return Comparison(text, "not_equal" if negated else "equal", self.probe(node, expression))
 
     def _lasting(self, node: TypedNode, expression: Expression) -> Condition | None:
         """Return the condition in `duration(...)`, also behind the name of a signal."""
@@ -294,7 +312,7 @@ def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
     value, bound = extreme(pairs, key=lambda pair: _margin(condition.operator, *pair))
     holds = _FUNCTIONS[SIGN_OF_OPERATOR[condition.operator]](value, bound)
     if condition.bound is None:
-        return MeasuredComparison(condition, holds, float(value))
+        return MeasuredComparison(condition, holds, float(holds))
     return MeasuredComparison(
         condition, holds, float(value), float(bound), _margin(condition.operator, value, bound)
     )

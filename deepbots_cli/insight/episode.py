@@ -31,6 +31,7 @@ from deepbots_cli.insight.statements import (
 )
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.learning.runs.episodes import agent_returns
+from deepbots_cli.words import counted
 
 
 def explain(trace: Trace) -> list[Statement]:
@@ -48,6 +49,7 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
         "scenario": trace.program.name,
         "agent": trace.agent or None,
         "outcome": trace.outcome,
+        **({"succeeded": list(trace.succeeded)} if trace.succeeded else {}),
         "ended_by": trace.ended_by,
         "steps": trace.steps,
         "time": trace.time,
@@ -71,46 +73,54 @@ def _seconds(time: float) -> str:
 _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached its time limit"}
 
 
-@statement("ending", "{what} {outcome}: '{ending}' ended it after {steps} steps, at {seconds}.")
+@statement("ending", "{what} {outcome}: '{ending}' ended it after {length}, at {seconds}.")
 def ending(trace: Trace) -> Numbers | None:
     if trace.outcome not in _WORDS:
         return None
     suffix = f" (agent {trace.agent})" if trace.agent else ""
+    outcome = _WORDS[trace.outcome]
+    if trace.succeeded and trace.outcome != "success":
+        outcome = f"was a success of {list_text(trace.succeeded, len(trace.succeeded))}"
     return {
         "what": f"{trace.title[0].upper()}{trace.title[1:]}{suffix}",
-        "outcome": _WORDS[trace.outcome],
+        "outcome": outcome,
         "ending": trace.ended_by or "",
         "steps": trace.steps,
+        "length": counted(trace.steps, "step"),
         "time": trace.time,
         "seconds": _seconds(trace.time),
     }
 
 
-@statement("error", "After {steps} steps, at {seconds}, {what} stopped with an error: {error}.")
+@statement("error", "After {length}, at {seconds}, {what} stopped with an error: {error}.")
 def error(trace: Trace) -> Numbers | None:
-    return (
-        {"what": trace.title, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)}
-        if trace.error
-        else None
-    )
+    return {"error": trace.error, **_length(trace)} if trace.error else None
 
 
 @statement(
     "not_ended",
-    "The actions of {what} end after {steps} steps ({seconds}), but the episode has not ended.",
+    "The actions of {what} end after {length} ({seconds}), but the episode has not ended.",
 )
 def not_ended(trace: Trace) -> Numbers | None:
-    evidence = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
-    return evidence if trace.outcome == "not ended" else None
+    return _length(trace) if trace.outcome == "not ended" else None
 
 
-@statement("margin", "{side} was {shown}: {by} {where} the threshold of {limit}.")
+def _length(trace: Trace) -> dict[str, Any]:
+    return {
+        "what": trace.title,
+        "steps": trace.steps,
+        "length": counted(trace.steps, "step"),
+        "seconds": _seconds(trace.time),
+    }
+
+
+@statement("margin", "At the end, {side} was {shown}: {by} {where} the threshold of {limit}.")
 def margin(trace: Trace) -> Numbers | None:
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
     value, bound = end.condition.sides
-    suffix = f" ({bound})" if not bound[:1].isdigit() else ""
+    suffix = f" ({bound})" if end.condition.is_bound_named else ""
     if end.value > end.bound:
         where = "over"
     elif end.value < end.bound:
@@ -129,13 +139,13 @@ def margin(trace: Trace) -> Numbers | None:
 
 @statement(
     "truth_ending",
-    "`{condition}` became {truth} in step {step}. It is true or false, so there is no margin.",
+    "`{condition}` became true in step {step}. It is true or false, so there is no margin.",
 )
 def truth_ending(trace: Trace) -> Numbers | None:
     end = trace.end
     if end is None or end.bound is not None:
         return None
-    return {**end.as_json(), "step": trace.steps, "truth": "true" if end.value else "false"}
+    return {**end.as_json(), "step": trace.steps}
 
 
 @statement("truncation_limit", "The episode reached {shown} of at most {limit} ({condition}).")
@@ -203,13 +213,11 @@ def nearest(trace: Trace) -> Numbers | None:
     step, moment = nearest_moment(trace, leaf, () if never else beside)
     limit, value = (_value_text(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
     prefix = "" if never or fewest > 1 else "while the other conditions were true, "
-    negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
         needed = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}"
         best = f"{prefix}the nearest value was {value}"
     else:
-        needed = f"`{leaf.text}` {'false' if negated else 'true'}"
-        best = f"{prefix}it was {'true' if negated else 'false'}"
+        needed, best = f"`{leaf.text}` true", f"{prefix}it was false"
     return {
         **moment.as_json(),
         "ending": name,
@@ -304,8 +312,8 @@ def concentrated_rewards(trace: Trace) -> Numbers | None:
 
 @statement(
     "critic",
-    "The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before"
-    " the end.",
+    "The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {distance}"
+    " before the end.",
 )
 def critic(trace: Trace) -> Numbers | None:
     if trace.critic is None or len(trace.critic) < 2 or np.diff(trace.critic).min() >= 0:
@@ -320,6 +328,7 @@ def critic(trace: Trace) -> Numbers | None:
         "after": after,
         "drop": before - after,
         "left": trace.steps - step,
+        "distance": counted(trace.steps - step, "step"),
     }
 
 

@@ -37,7 +37,7 @@ from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, actions
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.view.episodes import ShowingState
-from deepbots_cli.view.frames import value_of_row
+from deepbots_cli.view.frames import successful_agents, value_of_row
 from deepbots_cli.view.recordings import observation_hash
 from deepbots_cli.view.replay import observation_hash_at, version_changes
 
@@ -67,6 +67,8 @@ class Trace:
     time: float
     error: str = ""
     agent: str = ""
+    succeeded: Sequence[str] = ()
+    """Of several agents, those for which the episode is a success."""
     critic: Array | None = None
     notes: Sequence[str] = ()
     units: ShownUnits = field(default_factory=ShownUnits)
@@ -192,6 +194,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
             time=(world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep,
             error=error,
             agent=names[row] if team else "",
+            succeeded=successful_agents(program, world.endings, world.agent_endings),
             notes=notes,
             units=self.units,
         )

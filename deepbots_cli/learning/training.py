@@ -213,7 +213,10 @@ def _task(program: Program, teacher: str | None) -> TaskRecord:
     training = program.agent.training
     script = None if training is None or training.teacher is None else training.teacher.script
     return TaskRecord(
-        defines_success=program.defines_success, solved=program.agent.solved, teacher=teacher or script
+        defines_success=program.defines_success,
+        solved=program.agent.solved,
+        teacher=teacher or script,
+        has_rivals=program.has_rivals,
     )
 
 

@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics.findings import RuleSelectors
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import read_at_most
 
 Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
 FailOn = Literal["error", "warning", "never"]
@@ -73,8 +74,7 @@ def settings(folder: Path | None = None) -> Settings:
 
 def _read(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
+        data = read_at_most(path, _MAX_BYTES + 1)
     except OSError as error:
         raise UsageError(
             f"{files.display_path(path)} cannot be read: {(error.strerror or 'no reason given').lower()}"

@@ -396,7 +396,11 @@ def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
 
 # The server and its request handlers
 
-_WATCHED = ("**/*.{yaml,yml,urdf}", "**/*.{obj,stl,dae,png}", "**/{deepbots,pyproject}.toml")
+_WATCHED = (
+    "**/*.{yaml,yml,urdf,xacro}",
+    "**/*.{obj,stl,dae,glb,gltf,bin,png}",
+    "**/{deepbots,pyproject}.toml",
+)
 _TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]
 
 

@@ -31,6 +31,7 @@ from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import Node, NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import recorded_reads
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
 from deepbots_cli.lsp.cursor import Cursor, cursor_at, value_at
@@ -154,7 +155,7 @@ class DocumentAnalysis:
 
     `drafts` has the open files at that time by path. `checked` is None for an included file and for
     unreadable files. `selection` determines the reported findings of the project; `settings_error` describes
-    a fault in the project's settings.
+    a fault in the project's settings. `reads` are the files that were read from the disk.
     """
 
     document: Document
@@ -163,6 +164,7 @@ class DocumentAnalysis:
     checked: CheckedScenario | None = None
     settings_error: str | None = None
     selection: Selection = field(default_factory=Selection)
+    reads: frozenset[Path] = frozenset()
 
     @property
     def is_complete(self) -> bool:
@@ -215,6 +217,12 @@ def analyze(
 ) -> DocumentAnalysis:
     """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of
     `deepbots lint`."""
+    with recorded_reads() as reads:
+        analysis = _analysis(document, drafts, permissions)
+    return replace(analysis, reads=frozenset(reads))
+
+
+def _analysis(document: Document, drafts: Drafts, permissions: Permissions) -> DocumentAnalysis:
     if not document.is_scenario:
         return DocumentAnalysis(document, drafts)  # scenarios that include the file report its findings
     settings_error = None

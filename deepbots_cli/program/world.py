@@ -41,7 +41,8 @@ WALL_COLOR: Color = (0.55, 0.60, 0.68, 1.0)
 """The color of walls without a color of their own."""
 
 TILE_MARGIN_M = 0.5
-"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
+"""The width (m) over which waves and random heights fade to the height 0 of the edge and the platform of a
+tile."""
 
 
 def whole_timesteps(duration: float, timestep: float) -> int:

@@ -119,9 +119,9 @@ class Language:
         return [file for file in analysis.checked.document.files if file != path]
 
     def inputs_of(self, path: Path) -> list[Path]:
-        """Return the other files that a scenario reads, robot files among them."""
+        """Return the other files that a scenario reads, such as robot files and meshes."""
         analysis = self._analysis(path)
-        return [] if analysis is None else [file for file in analysis.paths.values() if file != path]
+        return [] if analysis is None else [*({*analysis.paths.values(), *analysis.reads} - {path})]
 
     def is_scenario(self, file: OpenFile) -> bool:
         """Return whether a file is a scenario rather than a file that scenarios include."""

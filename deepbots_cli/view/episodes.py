@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
-from deepbots_cli.files import file_stamps
+from deepbots_cli.files import file_stamps, recorded_reads
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
@@ -80,6 +80,11 @@ class Showing:
         source = Source.open(self.reference, self.permissions, *SHOWN_KINDS)
         if source.kind is SourceKind.RECORDING:
             return self._open_recording(source.path, is_log=is_robot_log(source.path))
+        with recorded_reads() as files:
+            state = self._open_scenario(source)
+        return replace(state, files=frozenset(files) if state.run is None else frozenset())
+
+    def _open_scenario(self, source: Source) -> ShowingState:
         run = None
         showing = self
         overrides = self.overrides
@@ -90,14 +95,10 @@ class Showing:
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
-        files = (
-            frozenset({checked.document.path, *checked.document.files}) if run is None else frozenset[Path]()
-        )
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return ShowingState(None, error.findings, files, showing, run)
-        files |= frozenset(checked.inputs.names) if run is None else files
+            return ShowingState(None, error.findings, frozenset(), showing, run)
         parameters = (
             {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         )
@@ -105,7 +106,7 @@ class Showing:
         if run is not None and run.program.members and variant.others is not None:
             run = run.of_agent(variant.others.agent)
         return ShowingState(
-            variant, compiled.findings, files, showing, run, compiled=compiled, parameters=parameters
+            variant, compiled.findings, frozenset(), showing, run, compiled=compiled, parameters=parameters
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
@@ -139,7 +140,8 @@ class Showing:
 class ShowingState:
     """The present state of the shown source.
 
-    `program` is None if `findings` have the level error; `files` are the files that were read.
+    `program` is None if `findings` have the level error; `files` are the files that were read, none for a
+    run, whose copies nobody edits.
     """
 
     program: Program | None

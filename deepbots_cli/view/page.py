@@ -111,7 +111,8 @@ class Page:
         self._controls: Any = None
         self._written: dict[str, str] = {}
         """The parameters as the file has them, from which the sliders begin."""
-        opened = source.open()
+        self._files: frozenset[Path] = frozenset()
+        opened = self._open(source)
         if playing and opened.recording is not None:
             raise UsageError(
                 f"`play` does not accept a recording; use: deepbots view {quote(source.reference)}"
@@ -127,8 +128,7 @@ class Page:
         )
         self._cameras = SceneCameras(self.server, self._tasks.put)
         set_theme(self.server.gui, dark=False)
-        self._file_stamps = file_stamps(opened.files)
-        self._files = opened.files
+        self._file_stamps = file_stamps(self._files)
         try:
             self._show(opened)
         except BaseException:
@@ -205,6 +205,17 @@ class Page:
 
     # What is shown
 
+    def _open(self, source: Showing) -> ShowingState:
+        """Read the files of a source, and of the one beside it, which are watched from then on."""
+        opened = source.open()
+        self._compared = None if self._compare is None else self._compare.open()
+        states = [opened] if self._compared is None else [opened, self._compared]
+        files = frozenset().union(*(state.files for state in states))
+        # A file with an error may hide the files that it includes.
+        has_errors = any(state.program is None for state in states)
+        self._files = files | self._files if has_errors else files
+        return opened
+
     def _show(self, opened: ShowingState, *, again: bool = False) -> None:
         """Show the present state of a source: its world from the beginning of the present episode, or else
         its findings over the world before. `again` if the world before is of the same source."""
@@ -217,19 +228,22 @@ class Page:
             self._stop("the scenario has errors", f"<pre style='{style}'>{findings}</pre>")
             return
         playback = self.playback
-        # A script may go while it acts.
-        driver = playback.driver if self.player is None or playback.driver in opened.drivers else None
-        name = driver or (HAND if playback.by_hand else None)
+        default = HAND if playback.by_hand else None
         rival = (
             next((candidate for candidate in opened.drivers if candidate not in (RANDOM, ZERO, HAND)), None)
             if playback.by_hand
             else None
         )
         # The old players stay open until all new ones have begun, so that an error leaves the world before.
-        players = [open_player(opened, name)]
         try:
-            if self._compare is not None:
-                players.append(open_player(self._compare.open()))
+            players = [open_player(opened, playback.driver or default)]
+        except UsageError:
+            if self.player is None:
+                raise
+            players = [open_player(opened, default)]  # a script may go while it acts
+        try:
+            if self._compared is not None:
+                players.append(open_player(self._compared))
             if rival:
                 players.append(open_player(opened, rival))
             for player in players:
@@ -322,16 +336,15 @@ class Page:
         before = self.player.opened.compiled if self.player is not None else None
         self.changes = ""
         overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
-        opened = dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides)).open()
-        self._files = opened.files | self._files if opened.program is None else opened.files
-        paused = self.playback.paused and not self.playback.stopped
+        opened = self._open(
+            dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides))
+        )
         if not self._embedded or opened.program is not None:
             self.playback.stopped = None
         self._show(opened, again=again and before is not None)
         if opened.compiled is not None:
             if before is not None and self._embedded:
                 self.changes = listed_values(changed_texts(before, opened.compiled))
-            self.playback.paused = paused
             self.panel.update_texts()
 
     def _run_or_stop(self, act: Callable[[], None]) -> None:
@@ -342,7 +355,7 @@ class Page:
             self._stop("stopped", f"<p>{html.escape(str(error))}</p>")
 
     def _stop(self, title: str, text: str) -> None:
-        """Pause, and show an error (`text` is HTML) in place of the state, until an episode begins."""
+        """Show an error (`text` is HTML) in place of the state, until an episode begins."""
         self.playback.stop(title, text)
         if self.player is None:
             self._clear()

@@ -68,7 +68,7 @@ class Playback:
         driven: The recording of the episodes that a person drives.
         seed, episode: The shown episode.
         batch_world: The world of a batch that is shown.
-        paused: Whether time stands still.
+        paused: Whether the user paused.
         waiting: Whether an episode waits for the first key of the person who drives.
         speed: Seconds of the episode per second of real time.
         stopped: The title and the text (HTML) of an error that ended the episode.
@@ -212,8 +212,7 @@ class Playback:
             self._on_change()
 
     def stop(self, title: str, text: str) -> None:
-        """Pause with an error (`text` is HTML), until an episode begins."""
-        self.paused = True
+        """Let time stand still with an error (`text` is HTML), until an episode begins."""
         self.stopped = (title, text)
 
     def step_once(self) -> None:
@@ -247,7 +246,7 @@ class Playback:
             self.manual_input.take_press()
         )  # also a tap that is shorter than the time between two ticks
         self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not is_pressed
-        if self.paused or self.waiting:
+        if self.paused or self.waiting or self.stopped:
             return
         if self.ended_at:
             if continues and time.monotonic() - self.ended_at > _PAUSE_AT_END_S:

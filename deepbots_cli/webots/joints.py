@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.webots.device import Device, ScalarSensor
@@ -82,56 +83,70 @@ class Motor(JointDevice):
         self._range = number(spec.node, "minPosition"), number(spec.node, "maxPosition")
 
     def setPosition(self, position: float) -> None:
-        position = float(position)
-        if math.isnan(position):
-            raise ValueError(f"setPosition() of '{self._spec.name}': NaN is not a position")
+        position, state = float(position), self._state
+        if self._ignores(math.isnan(position), "the position is NaN"):
+            return
         low, high = self._range
         if low != high and not math.isinf(position) and not low <= position <= high:
             self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
             position = min(max(position, low), high)
-        state = self._state
-        # Many controllers repeat their command in each step: the integral of the PID control then goes on.
-        if position != state.target_position or state.torque is not None:
-            state.target_position, state.integral, state.last_error = position, 0.0, 0.0
-            self._leave_torque()
+        state.target_position = position
+        if state.torque is not None:
+            state.torque = None
+            self._simulation.physics.motors.renew()
 
     def setVelocity(self, velocity: float) -> None:
         velocity, state = float(velocity), self._state
-        if math.isnan(velocity):
-            raise ValueError(f"setVelocity() of '{self._spec.name}': NaN is not a velocity")
+        if self._ignores(math.isnan(velocity), "the velocity is NaN"):
+            return
+        is_wrong = velocity < 0 and not math.isinf(state.target_position)
+        if self._ignores(is_wrong, f"the velocity {velocity:g} is negative under position control"):
+            return
         if abs(velocity) > state.max_velocity:
             if math.isfinite(velocity):
                 self._warn(
                     f"velocity {velocity:g} exceeds maxVelocity {state.max_velocity:g}, and is limited"
                 )
             velocity = math.copysign(state.max_velocity, velocity)
-        # Under position control, the sign follows from the error, and the velocity is its limit.
-        state.target_velocity = velocity if math.isinf(state.target_position) else abs(velocity)
-        self._leave_torque()
+        state.target_velocity = velocity
 
-    def _leave_torque(self) -> None:
-        if self._state.torque is not None:
-            self._state.torque = None
-            self._simulation.physics.motors.renew()
+    def _ignores(self, is_wrong: bool, reason: str) -> bool:
+        """Print why a wrong call has no effect. Webots prints an error too, and goes on."""
+        if is_wrong:
+            print(f"Error: {self._spec.name}: {reason}, so the call is ignored", file=sys.stderr)
+        return is_wrong
 
     def setAcceleration(self, acceleration: float) -> None:
+        is_wrong = acceleration != -1 and not acceleration >= 0
+        if self._ignores(is_wrong, f"the acceleration {acceleration:g} is neither -1 nor at least 0"):
+            return
         self._state.acceleration = float(acceleration)
 
     def setTorque(self, torque: float) -> None:
-        limit = self._state.max_torque
-        self._state.torque = min(max(float(torque), -limit), limit)
-        if self._state.torque != torque:
+        torque, limit = float(torque), self._state.available_torque
+        if self._ignores(math.isnan(torque), "the torque or force is NaN"):
+            return
+        if abs(torque) > limit:
             self._warn(f"{torque:g} exceeds the limit {limit:g}, and is limited")
+        self._state.torque = min(max(torque, -limit), limit)
         self._simulation.physics.motors.renew()
 
     def setAvailableTorque(self, torque: float) -> None:
-        self._state.available_torque = min(max(float(torque), 0.0), self._state.max_torque)
+        limit = self._state.max_torque
+        if self._ignores(not torque >= 0, f"the available torque or force {torque:g} is not at least 0"):
+            return
+        if torque > limit:
+            self._warn(f"available torque {torque:g} exceeds the limit {limit:g}, and is limited")
+        self._state.available_torque = min(float(torque), limit)
         self._simulation.physics.motors.renew()
 
     setForce = setTorque
     setAvailableForce = setAvailableTorque
 
     def setControlPID(self, p: float, i: float, d: float) -> None:
+        is_wrong = not (p > 0 and i >= 0 and d >= 0)
+        if self._ignores(is_wrong, f"the gains {p:g}, {i:g}, {d:g} must be positive; i and d may be 0"):
+            return
         self._state.gains = float(p), float(i), float(d)
         self._state.integral = self._state.last_error = 0.0
 

@@ -153,7 +153,8 @@ class MotorState:
             self.integral += error * step
             velocity = p * error + i * self.integral + d * (error - self.last_error) / step
             self.last_error = error
-            velocity = min(max(velocity, -self.target_velocity), self.target_velocity)
+            limit = abs(self.target_velocity)  # it keeps the sign of a velocity control before
+            velocity = min(max(velocity, -limit), limit)
         if self.acceleration >= 0:
             max_change = self.acceleration * step
             velocity = min(max(velocity, self.velocity - max_change), self.velocity + max_change)

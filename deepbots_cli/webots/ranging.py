@@ -246,9 +246,10 @@ class Radar(Sensor):
         near, far = self.getMinRange(), self.getMaxRange()
         if distance == 0 or distance - radius > far or distance + radius < near:
             return None
-        left, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
+        x, y, z = frames.rotate_back(rotation, offset)
+        azimuth, elevation = -math.atan2(y, x), math.atan2(z, math.hypot(x, y))
         # Half the angle under which the ball appears.
-        share, azimuth = math.asin(min(1.0, radius / distance)), -left
+        share = math.asin(min(1.0, radius / distance))
         half = self.getHorizontalFov() / 2
         if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
             return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import atexit
 from functools import cache
-from math import tan
+from math import inf, tan
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 NEAR_M, FAR_M = 0.01, 1000.0
 """The range of distances that are drawn."""
+_FARTHEST_DEPTH_M = 998.0
+"""The largest depth of a body: where nothing is, MuJoCo computes 998.65 m from `FAR_M`, in float32."""
 MAX_PIXELS = 4096
 """The largest width and height of a picture."""
 UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
@@ -94,12 +96,13 @@ class Pictures:
         return self._draw(frame, size, fov, near, has_depth=False)  # type: ignore[no-any-return]
 
     def depths(self, frame: Frame, size: tuple[int, int], fov: float) -> NDArray[np.float32]:
-        """Return the distances along x, m, shape (height, width); `FAR_M` where nothing is.
+        """Return the distances along x, m, shape (height, width); infinite where nothing is.
 
         Raises:
             EngineError: There is no OpenGL.
         """
-        return self._draw(frame, size, fov, NEAR_M, has_depth=True)  # type: ignore[no-any-return]
+        depths: NDArray[np.float32] = self._draw(frame, size, fov, NEAR_M, has_depth=True)
+        return np.where(depths > _FARTHEST_DEPTH_M, np.float32(inf), depths)
 
     def _draw(self, frame: Frame, size: tuple[int, int], fov: float, near: float, *, has_depth: bool) -> Any:
         require_opengl()

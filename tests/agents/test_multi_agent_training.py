@@ -31,6 +31,7 @@ from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.held_out import EvaluationWorlds
+from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.program import Program
@@ -133,6 +134,20 @@ def test_all_agents_learn_in_one_run(trained: Path) -> None:
     assert {name.partition("/")[0] for name in weights} == {"left", "right"}
     layer = "mlp_extractor.policy_net.0.weight"
     assert not np.array_equal(weights[f"left/{layer}"], weights[f"right/{layer}"])
+
+
+def test_agents_that_compete_are_listed_without_a_mean_return_while_they_train(
+    trained: Path, tmp_path: Path
+) -> None:
+    run = Path(shutil.copytree(trained, tmp_path / "run"))
+    assert Run.open(run).program.has_rivals
+    assert read_listed(run).mean_return is None
+    Run.open(run).update(status="running", result=None)
+    with run_lock(run):
+        listed = read_listed(run)
+    assert (listed.state, listed.mean_return, listed.success_rate) == ("training", None, None)
+    assert listed.episodes is not None
+    assert listed.episodes > 0
 
 
 def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:

@@ -335,7 +335,8 @@ def test_the_list_follows_a_training_by_its_own_files(run_copy: Path, trained: T
     with run_lock(run_copy):
         listed = read_listed(run_copy)
     assert (listed.state, listed.episodes, listed.score) == ("training", trained.episodes, "training")
-    assert listed.mean_return == pytest.approx(fmean(_returns(run_copy)[-100:]))
+    # Over whole generations of the four worlds, as the training itself.
+    assert listed.mean_return == trained.mean_return != pytest.approx(fmean(_returns(run_copy)[-100:]))
     assert listed.cpu_seconds is not None
     with (run_copy / "monitor.csv").open("a") as log:
         log.write("12.0,12")  # a line that is being written
@@ -344,6 +345,35 @@ def test_the_list_follows_a_training_by_its_own_files(run_copy: Path, trained: T
 
 def _returns(run: Path) -> list[float]:
     return [float(line.split(",")[0]) for line in (run / "monitor.csv").read_text().splitlines()[2:]]
+
+
+def test_a_group_is_listed_as_solved_by_the_verdicts_of_its_seeds(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
+    group = Path(shutil.copytree(trained_group.group, tmp_path / "group"))
+    assert read_listed(group).solved is None
+    evaluation = evaluate(group / "seed-0", episodes=3, build=stand_in.build).model_dump(mode="json")
+    for verdicts, expected in (
+        ((True, True, True), True),
+        ((True, None, True), None),
+        ((True, None, False), False),
+    ):
+        for seed, solved in zip((0, 1, 4), verdicts, strict=True):
+            Run.open(group / f"seed-{seed}").write_evaluation(evaluation | {"solved": solved})
+        assert read_listed(group).solved is expected
+
+
+def test_a_group_averages_no_evaluation_with_a_training(trained_group: GroupTraining, tmp_path: Path) -> None:
+    group = Path(shutil.copytree(trained_group.group, tmp_path / "group"))
+    evaluation = evaluate(group / "seed-1", episodes=3, build=stand_in.build)
+    Run.open(group / "seed-1").write_evaluation(evaluation.model_dump(mode="json"))
+    listed = read_listed(group)
+    assert [run.score for run in listed.runs] == ["training", "evaluation", "training"]
+    assert (listed.score, listed.mean_return, listed.evaluated_episodes) == (
+        "evaluation",
+        evaluation.mean_return,
+        3,
+    )
 
 
 def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(run_copy: Path) -> None:

@@ -466,7 +466,9 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         file.write_text(CARTPOLE.replace("fall_angle", "fall_angel", 1))
         _run(page, lambda: "mine.yaml" in page.banner.content)
         assert page.player is world
-        assert page.playback.paused
+        step = page.player.frame.step
+        page.playback.pass_time(1.0, continues=True)
+        assert page.player.frame.step == step
         assert "fall_ang" in page.banner.content
         began = time.monotonic()
         file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
@@ -475,6 +477,53 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         assert page.playback.seed == 3
         assert page.playback.stopped is None
         assert page.playback.paused is False
+
+
+def test_a_page_that_its_user_paused_stays_paused_after_an_error_is_fixed(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Showing(str(file)), port=0)) as page:
+        page.play(False)
+        for text in (CARTPOLE.replace("fall_angle", "fall_angel", 1), CARTPOLE):
+            file.write_text(text)
+            page.reload()
+        assert page.playback.stopped is None
+        assert page.playback.paused
+
+
+@pytest.mark.parametrize("driver", ["backward", "forward,backward"])
+def test_a_saved_file_leaves_the_actions_that_drive_the_page(tmp_path, driver):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Showing(str(file)), port=0, driver=driver)) as page:
+        file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
+        page.reload()
+        assert page.player.driver_name == driver
+
+
+def test_a_page_goes_on_with_its_default_driver_when_a_script_goes(tmp_path):
+    file = tmp_path / "mine.yaml"
+    script = CARTPOLE + "scripts: {onward: {drive: forward}}\n"
+    file.write_text(script)
+    with closing(Page(Showing(str(file)), port=0, driver="onward")) as page:
+        file.write_text(CARTPOLE)
+        page.reload()
+        assert page.player.driver_name == "random"
+
+
+def test_a_page_shows_a_saved_file_of_the_scenario_beside(tmp_path):
+    one, other = tmp_path / "one.yaml", tmp_path / "other.yaml"
+    one.write_text(CARTPOLE)
+    other.write_text(CARTPOLE)
+    compare = Showing(str(other))
+    with closing(Page(Showing(str(one)), compare=compare, port=0, watch=True)) as page:
+        for text, has_errors in (
+            (CARTPOLE.replace("fall_angle", "fall_angel", 1), True),
+            (CARTPOLE.replace("timestep: 32 ms", "timestep: 16 ms"), False),
+        ):
+            other.write_text(text)
+            _run(page, lambda has_errors=has_errors: bool(page.playback.stopped) is has_errors)
+        assert page.playback.worlds[1].player.program.world.timestep == 0.016
 
 
 @pytest.mark.slow

@@ -252,6 +252,10 @@ def solid(shape: str, fields: str = "", mass: float = 1.0, name: str = "BODY") -
     )
 
 
+ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
+"""Of the rod of `hinge`, about the hinge, kg m^2."""
+
+
 def hinge(parameters: str = "", devices: str = "", end: str = "", kind: str = "HingeJoint") -> str:
     """Return a robot whose only joint is at its origin, about y; the end point is a rod of 1 m along x."""
     rod = end or "boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"

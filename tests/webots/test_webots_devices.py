@@ -6,11 +6,14 @@ Radars, light sensors, rotating lidars and ball joints of worlds against closed 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from deepbots_cli.webots.unimplemented import NotImplementedCallError
-from tests.webots.exported_projects import FLOOR, device, hinge, node, run, simulate, solid
+from tests.webots.exported_projects import FLOOR, ROD_INERTIA, device, hinge, node, run, simulate, solid
 
 
 def robot(devices: str, fields: str = "", mass: float = 1.0) -> str:
@@ -219,13 +222,98 @@ def test_less_available_torque_is_less_acceleration():
     assert (node(simulation, "ROD").getVelocity()[4] - first) / first == pytest.approx(10, rel=0.01)
 
 
-@pytest.mark.parametrize("value", [math.nan])
-def test_a_command_that_is_not_a_number_is_an_error(value: float):
-    motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
-    with pytest.raises(ValueError, match="NaN"):
-        motor.setVelocity(value)
-    with pytest.raises(ValueError, match="NaN"):
-        motor.setPosition(value)
+@pytest.mark.parametrize(
+    ("call", "values"),
+    [
+        ("setPosition", [math.nan]),
+        ("setVelocity", [math.nan]),
+        ("setVelocity", [-2]),  # under position control
+        ("setTorque", [math.nan]),
+        ("setAvailableTorque", [-1]),
+        ("setAvailableForce", [math.nan]),
+        ("setAcceleration", [-2]),
+        ("setAcceleration", [math.nan]),
+        ("setControlPID", [0, 0, 0]),
+        ("setControlPID", [10, -1, 0]),
+    ],
+)
+def test_a_motor_ignores_a_wrong_call_with_an_error_and_the_run_goes_on(
+    call: str, values: list[float], capsys
+):
+    simulation = simulate(hinge(devices="RotationalMotor { }"), gravity=0)
+    motor = device(simulation, "rotational motor")
+    before = vars(motor._state).copy()
+    getattr(motor, call)(*values)
+    assert vars(motor._state) == before
+    error = capsys.readouterr().err
+    assert error.startswith("Error: rotational motor: ")
+    assert error.endswith("so the call is ignored\n")
+    run(simulation, 0.1)
+    assert node(simulation, "ROD").getVelocity()[4] == 0
+
+
+@dataclass
+class ReferenceMotor:
+    """A motor by the reference manual of Webots: its mode, its limits, and what it asks of the joint."""
+
+    target: float = 0.0
+    velocity: float = 10.0
+    available: float = 10.0
+    torque: float | None = None
+
+    def call(self, name: str, value: float) -> None:
+        match name:
+            case "setPosition":
+                self.torque = None
+                self.target = value if math.isinf(value) else max(-1.0, min(value, 2.0))
+            case "setVelocity" if value >= 0 or math.isinf(self.target):
+                self.velocity = max(-10.0, min(value, 10.0))
+            case "setAvailableTorque" | "setAvailableForce" if value >= 0:
+                self.available = min(value, 10.0)
+            case "setTorque" | "setForce" if not math.isnan(value):
+                self.torque = max(-self.available, min(value, self.available))
+
+    def change(self, position: float, velocity: float, time: float, inertia: float) -> float:
+        """Return by how much the velocity of a free joint changes in a basic time step."""
+        if self.torque is not None:
+            return self.torque * time / inertia
+        command = self.velocity
+        if not math.isinf(self.target):
+            command = 10.0 * (self.target - position)
+            command = math.copysign(min(abs(command), abs(self.velocity)), command)
+        most = self.available * time / inertia
+        return max(-most, min(command - velocity, most))
+
+
+_CALLS = st.one_of(
+    st.tuples(st.just("setPosition"), st.sampled_from([math.inf, -math.inf]) | st.floats(-3, 3)),
+    st.tuples(st.just("setVelocity"), st.floats(-12, 12)),
+    st.tuples(st.sampled_from(["setTorque", "setForce"]), st.just(math.nan) | st.floats(-12, 12)),
+    st.tuples(st.sampled_from(["setAvailableTorque", "setAvailableForce"]), st.floats(-2, 12)),
+)
+
+
+@given(st.lists(_CALLS, min_size=1, max_size=8))
+@example([("setPosition", math.inf), ("setVelocity", -3.0), ("setPosition", 1.0)])
+@example([("setTorque", 0.7), ("setVelocity", 3.0)])
+@example([("setAvailableTorque", 0.2), ("setTorque", 5.0)])
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_a_motor_obeys_any_calls_as_the_manual_of_webots_says(calls: list[tuple[str, float]]):
+    text = hinge(devices="RotationalMotor { minPosition -1 maxPosition 2 } PositionSensor { }")
+    simulation = simulate(text, gravity=0)
+    motor, rod = device(simulation, "rotational motor"), node(simulation, "ROD")
+    joint = node(simulation, "JOINT").getField("position")
+    reference = ReferenceMotor()
+    for name, value in calls:
+        getattr(motor, name)(value)
+        reference.call(name, value)
+        limits = motor.getTargetPosition(), motor.getVelocity(), motor.getAvailableTorque()
+        assert limits == (reference.target, reference.velocity, reference.available)
+        for _ in range(5):
+            position, velocity = joint.getSFFloat(), rod.getVelocity()[4]
+            simulation.run_step()
+            expected = reference.change(position, velocity, 0.008, ROD_INERTIA)
+            assert rod.getVelocity()[4] - velocity == pytest.approx(expected, rel=0.02, abs=1e-5)
 
 
 # Surroundings

@@ -15,10 +15,18 @@ from deepbots_cli.webots.scene import Contact, Scene
 from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
 from deepbots_cli.webots.tree import Field, Node
 from deepbots_cli.webots.unimplemented import NotImplementedCallError
-from tests.webots.exported_projects import FLOOR, HEADER, device, hinge, node, read, run, simulate, solid
-
-ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
-"""About the hinge, kg m^2."""
+from tests.webots.exported_projects import (
+    FLOOR,
+    HEADER,
+    ROD_INERTIA,
+    device,
+    hinge,
+    node,
+    read,
+    run,
+    simulate,
+    solid,
+)
 
 
 def test_gravity_is_a_number_of_the_world():

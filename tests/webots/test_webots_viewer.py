@@ -659,6 +659,12 @@ def test_a_range_finder_reads_infinity_beyond_its_range():
 
 
 @needs_opengl
+def test_a_range_finder_that_sees_only_sky_reads_infinity_at_any_range():
+    finder = seeing(robot("RangeFinder { width 2 height 1 maxRange 5000 }"), "range-finder")
+    assert finder.getRangeImage() == [math.inf, math.inf]
+
+
+@needs_opengl
 def test_all_geometries_are_seen():
     shapes = [
         "Box { size 1 1 1 }",

@@ -15,12 +15,13 @@ import random
 import struct
 import zlib
 from contextlib import closing, suppress
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api, engines, frames, pictures
@@ -351,17 +352,25 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("level", range(LEVELS))
-def test_a_tile_is_level_along_its_edge_and_on_its_platform_unless_the_ground_is_rough(
-    kind: str, level: int
+@given(
+    st.sampled_from(sorted(KINDS)),
+    st.integers(0, LEVELS - 1),
+    st.integers(0, 99),
+    st.sampled_from([4.0, 6.0, SIDE, 10.2]),
+    st.floats(0.2, 3.6),
+)
+@settings(max_examples=100, deadline=None, derandomize=True)
+def test_a_robot_finds_a_level_platform_in_the_middle_of_each_tile(
+    kind: str, level: int, seed: int, side: float, platform: float
 ) -> None:
-    whole = tile_heights(tiles(kind, **KINDS[kind]), 0, level)
-    assert whole.shape == (81, 81)
+    terrain = replace(tiles(kind, seed, **KINDS[kind]), side=side, platform=platform)
+    whole = tile_heights(terrain, 0, level)
+    count = round(side / CELL) + 1
+    assert whole.shape == (count, count)
     assert not np.any([whole[0], whole[-1], whole[:, 0], whole[:, -1]])
-    platform = whole[33:48, 33:48]
-    is_uneven = kind in ("waves", "rough") and level > 0
-    assert (np.ptp(platform) > 0.0) == is_uneven
+    along = np.linspace(-side / 2, side / 2, count)
+    in_platform = np.abs(along) < platform / 2
+    assert not in_platform.any() or np.ptp(whole[np.ix_(in_platform, in_platform)]) == 0.0
 
 
 @pytest.mark.parametrize("inverted", [0.0, 1.0])
@@ -386,9 +395,10 @@ def test_a_slope_has_its_angle() -> None:
 def test_waves_go_up_to_their_height_with_their_length() -> None:
     whole = tile_heights(tiles("waves", **KINDS["waves"]), 0, LEVELS - 1)
     x = np.linspace(-SIDE / 2, SIDE / 2, len(whole))
-    inner = np.abs(x) <= SIDE / 2 - TILE_MARGIN_M
+    outward = np.maximum(np.abs(x[:, None]), np.abs(x[None, :]))
+    between = (outward <= SIDE / 2 - TILE_MARGIN_M) & (outward >= PLATFORM / 2 + TILE_MARGIN_M)
     wave = 0.1 * (np.cos(math.pi * x[:, None]) + np.cos(math.pi * x[None, :]) + 2.0) / 4.0
-    assert whole[np.ix_(inner, inner)] == pytest.approx(wave[np.ix_(inner, inner)])
+    assert whole[between] == pytest.approx(wave[between])
     assert whole.max() == pytest.approx(0.1)
 
 

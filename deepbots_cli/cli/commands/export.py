@@ -14,11 +14,10 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.new_files import write_new
+from deepbots_cli.cli.new_files import check_new_folder, refuse_links_within, write_new
 from deepbots_cli.cli.sources import run_to_export
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import check_new_folder, refuse_links_within
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind

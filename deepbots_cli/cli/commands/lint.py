@@ -36,7 +36,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.files import file_stamps
+from deepbots_cli.files import READS, file_stamps, is_file, recorded_reads
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer, LintResult
 from deepbots_cli.lint.settings import settings
@@ -171,7 +171,7 @@ def command(
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
         once = partial(ctx.command.callback, **{**ctx.params, "watch": False})
-        _watch(once, partial(scenario_names, scenarios or ["."], project), look)
+        _watch(once, partial(scenario_names, scenarios or ["."], project))
         return
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
@@ -208,7 +208,7 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], look: LintOptions) -> None:
+def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -> None:
     """Lint, and again whenever a file that was read changes, or a folder has other scenarios, until
     Ctrl-C."""
 
@@ -220,18 +220,16 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], l
 
     with suppress(KeyboardInterrupt):
         while True:
-            try:
-                lint_once()
-            except typer.Exit:
-                pass  # the findings are shown
-            except DeepbotsError as error:
-                terminal.print_error(error.full_message)
+            with recorded_reads() as files:
+                try:
+                    lint_once()
+                except typer.Exit:
+                    pass  # the findings are shown
+                except DeepbotsError as error:
+                    terminal.print_error(error.full_message)
             sys.stdout.flush()
-            try:
-                files = {file for name in find_names() for file in look.files_read(name)}
-            except DeepbotsError:
-                files = set()
-            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {len(files)} files; Ctrl-C ends it")
+            count = sum(map(is_file, files))
+            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {count} files; Ctrl-C ends it")
             last_state = state(files)
             while state(files) == last_state:
                 time.sleep(_WATCH_INTERVAL_S)
@@ -443,13 +441,6 @@ class LintOptions:
         nothing = MappingNode(Span(SourceText(name, ""), 0, 0), {})
         return LintResult(findings, sources, nothing, compiled=True)
 
-    def files_read(self, name: str) -> set[Path]:
-        """Return the scenario or robot file, and the files that it reads."""
-        if is_robot(name):
-            return {robot_path(name, self.permissions.folders)}
-        checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
-        return {checked.document.path, *checked.document.files, *checked.inputs.names}
-
     def _of_stdin(self) -> list[Finding]:
         """Lint standard input. Paths in the text are relative to the folder of `stdin_name`, and the project
         is that of this folder."""
@@ -549,10 +540,16 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
             jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
         ) as pool,
     ):
-        results = dict(
-            zip(files, pool.map(look_at, files, chunksize=max(1, len(files) // (4 * jobs))), strict=True)
-        )
-    return [results[name] if name in results else look_at(name) for name in names]
+        size = max(1, len(files) // (4 * jobs))
+        results = dict(zip(files, pool.map(partial(_recorded, look_at), files, chunksize=size), strict=True))
+    READS.get(set()).update(*(paths for _, paths in results.values()))
+    return [results[name][0] if name in results else look_at(name) for name in names]
+
+
+def _recorded(look_at: Callable[[str], list[Finding]], name: str) -> tuple[list[Finding], set[Path]]:
+    """Return the findings of a scenario, and the files that were read for them."""
+    with recorded_reads() as paths:
+        return look_at(name), paths
 
 
 # Formats

@@ -19,13 +19,14 @@ from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import numbered_files, read_json
-from deepbots_cli.learning.runs.episodes import WINDOW_EPISODES, read_log_tail
+from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.record_shape import SKIPPED
 from deepbots_cli.learning.runs.records import (
     MAX_STATE_BYTES,
     ChosenBy,
     RunRecord,
+    RunResult,
     State,
     changed_settings,
 )
@@ -33,22 +34,25 @@ from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TAIL_BYTES = 64_000
-"""The number of bytes at the end of a log that contain its last 100 episodes."""
-_MAX_SCENARIO_BYTES = 10_000_000
+"""The number of bytes at the end of a log that contain its last episode."""
+Origin = Literal["evaluation", "training"]
+_ORIGINS: tuple[Origin, ...] = ("evaluation", "training")
 
 
-class _CpuTime(BaseModel):
+class _Statistics(BaseModel):
+    """The part of the statistics in a checkpoint that is listed; versions before 0.2 kept no means."""
+
     model_config = ConfigDict(json_schema_extra={SKIPPED: None})
 
     cpu_seconds: float
+    mean_return: float | None = None
+    success_rate: float | None = None
 
 
-class _CheckpointTime(BaseModel):
-    """The part of the state of a checkpoint that is listed."""
-
+class _Checkpoint(BaseModel):
     model_config = ConfigDict(json_schema_extra={SKIPPED: None})
 
-    statistics: _CpuTime
+    statistics: _Statistics
 
 
 @dataclass(frozen=True)
@@ -56,17 +60,20 @@ class ListedRun:
     """A run, a group or a study, from its files.
 
     For a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no
-    score. For a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and
-    `cpu_seconds` are sums, and `runs` are its members. `score` is the origin of the return and the success
-    rate. `evaluation`: the quoted evaluation (`quoted_evaluation`) of `evaluated_episodes` episodes;
-    `remarks` are its differences from a usual one. `training`: the recent episodes of the training, in which
-    the policy explores. `solved_after` are the steps after which a confirmation showed that the task is
-    solved, if the run is solved; `best_steps` are those of the best model, and `chosen_by` is how it was
-    chosen. `mean_level` is the mean level of its worlds at its end, None without levels. `decline` is the
-    decline of its evaluations since then; None if there is none. `settings` are the assignments of `--set`,
-    `teacher` is that of the `TaskRecord`. `success_rate` is None if the scenario defines no success.
-    `solved` is that of `run_verdict`. While a run trains, `cpu_seconds` is as old as its last checkpoint.
-    `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
+    score. For a group, `mean_return` and `success_rate` are means over the runs that have one of the same
+    `score`, over those with an evaluation if there is one; `steps` and `cpu_seconds` are sums, and `runs`
+    are its members. `score` is the origin of the return and the success rate. `evaluation`: the quoted
+    evaluation (`quoted_evaluation`) of `evaluated_episodes` episodes; `remarks` are its differences from a
+    usual one. `training`: the recent episodes of the training, in which the policy explores. `solved_after`
+    are the steps after which a confirmation showed that the task is solved, if the run is solved;
+    `best_steps` are those of the best model, and `chosen_by` is how it was chosen. `mean_level` is the mean
+    level of its worlds at its end, None without levels. `decline` is the decline of its evaluations since
+    then; None if there is none. `settings` are the assignments of `--set`, `teacher` is that of the
+    `TaskRecord`. `success_rate` is None if the scenario defines no success, and `mean_return` if its agents
+    compete. `solved` is that of `run_verdict`; for a group, True if it is True for every seed, and False if
+    it is False for one. While a run trains, `mean_return`, `success_rate` and `cpu_seconds` are as old as
+    its last checkpoint. `updated` is a time in UTC, and `problem` is the reason why the files cannot be
+    read.
     """
 
     path: Path
@@ -84,7 +91,7 @@ class ListedRun:
     mean_return: float | None = None
     return_interval: tuple[float, float] | None = None
     success_rate: float | None = None
-    score: Literal["evaluation", "training"] | None = None
+    score: Origin | None = None
     evaluated_episodes: int | None = None
     solved: bool | None = None
     solved_after: int | None = None
@@ -126,33 +133,28 @@ def _listed_run(path: Path) -> ListedRun:
     record = RunRecord.read(path)
     result = record.result
     state: State = record.state(path)
-    recent = _recent(path / "monitor.csv") if result is None or state == "training" else []
-    mean: float | None
-    success: float | None
+    steps, episodes = (result.steps, result.episodes) if result else (0, 0)
+    training: RunResult | _Statistics | None = result
+    if result is None or state == "training":
+        training = _last_statistics(path)
+        steps, episodes = _last_episode(path / "monitor.csv") or (steps, episodes)
     verdict = run_verdict(path, record)
     evaluation = verdict.evaluation
-    if recent:
-        (steps, episodes) = recent[-1][:2]
-    elif result:
-        (steps, episodes) = (result.steps, result.episodes)
-    else:
-        (steps, episodes) = (0, 0)
-    if evaluation is not None:
-        mean = evaluation.mean_return
-        if evaluation.agents and not evaluation.success_defined:
-            mean = None  # the returns of agents that compete have no common meaning
-        success = evaluation.success_rate if evaluation.success_defined else None
-    elif recent:
-        mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
-    else:
-        mean, success = (result.mean_return, result.success_rate) if result else (None, None)
-    if record.task is not None and not record.task.defines_success:
+    scores = evaluation or training
+    mean, success = (scores.mean_return, scores.success_rate) if scores else (None, None)
+    if (record.task is not None and record.task.has_rivals) or (
+        evaluation is not None and evaluation.agents and not evaluation.success_defined
+    ):
+        mean = None  # the returns of agents that compete have no common meaning
+    if (record.task is not None and not record.task.defines_success) or (
+        evaluation is not None and not evaluation.success_defined
+    ):
         success = None
     best = result.best_model if result else None
     steps_of_best = evaluation.model_steps if evaluation is not None else None
     if steps_of_best is None and best is not None:
         steps_of_best = best.steps
-    of_training: Literal["training"] | None = None if mean is None else "training"
+    of_training: Origin | None = None if mean is None else "training"
     return ListedRun(
         path,
         state,
@@ -178,7 +180,7 @@ def _listed_run(path: Path) -> ListedRun:
         mean_level=result.levels.mean if result and result.levels else None,
         chosen_by=best.chosen_by if best else None,
         decline=_decline(path, record),
-        cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
+        cpu_seconds=training.cpu_seconds if training else None,
         updated=record.updated,
     )
 
@@ -194,11 +196,12 @@ def _listed_group(path: Path) -> ListedRun:
     group = Group.open(path)
     listed = _listed_campaign(group)
     runs = [run for run in listed.runs if run.problem is None]
-    returns = [run.mean_return for run in runs if run.mean_return is not None]
-    rates = [run.success_rate for run in runs if run.success_rate is not None]
+    score = next((origin for origin in _ORIGINS if any(run.score == origin for run in runs)), None)
+    returns = [run.mean_return for run in runs if run.mean_return is not None and run.score == score]
+    rates = [run.success_rate for run in runs if run.success_rate is not None and run.score == score]
     seeds = group.record.seeds
-    is_evaluated = any(run.score == "evaluation" for run in runs)
-    evaluated: Literal["evaluation"] | None = "evaluation" if is_evaluated else None
+    verdicts = {run.solved for run in runs} | ({None} if len(runs) < len(seeds) else set())
+    solved = None if None in verdicts else True
     return replace(
         listed,
         digest=runs[0].digest if runs else "",
@@ -207,11 +210,11 @@ def _listed_group(path: Path) -> ListedRun:
         total_timesteps=runs[0].total_timesteps * len(seeds) if runs and runs[0].total_timesteps else None,
         mean_return=fmean(returns) if returns else None,
         success_rate=fmean(rates) if rates else None,
-        score="training" if "training" in {run.score for run in runs} else evaluated,
+        score=score,
         evaluated_episodes=min(
             (run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None
         ),
-        solved=bool(runs) and len(runs) == len(seeds) and all(run.solved for run in runs),
+        solved=False if False in verdicts else solved,
     )
 
 
@@ -252,23 +255,19 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationResult | str]]:
     return numbered
 
 
-def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
-    """Return steps, number, return and success of the last episodes in a log; empty if it cannot be read."""
+def _last_episode(log: Path) -> tuple[int, int] | None:
+    """Return steps and number of the last episode in a log; None if it cannot be read."""
     try:
-        rows = read_log_tail(log, _TAIL_BYTES)[-WINDOW_EPISODES:]
-        return [
-            (int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1")
-            for row in rows
-        ]
-    except (RunError, KeyError, ValueError):
-        return []
+        row = read_log_tail(log, _TAIL_BYTES)[-1]
+        return int(row["steps"]), int(row["episode"])
+    except (RunError, IndexError, KeyError, ValueError):
+        return None
 
 
-def _cpu_of_checkpoint(run: Path) -> float | None:
-    """Return the CPU time of the training when the last checkpoint was written, in s."""
+def _last_statistics(run: Path) -> _Statistics | None:
     states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
     try:
-        return read_json(states[-1], _CheckpointTime, MAX_STATE_BYTES).statistics.cpu_seconds
+        return read_json(states[-1], _Checkpoint, MAX_STATE_BYTES).statistics
     except (IndexError, RunError):
         # There is no checkpoint yet, or it has just been replaced.
         return None

@@ -347,6 +347,9 @@ class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
     """The world of each recent episode; versions before 0.2 did not keep it."""
     present: NonNegativeInt | None = None
     returns: tuple[float, float] | None = None
+    mean_return: float | None = None
+    """For the list of runs, as `success_rate`; both follow from the recent episodes."""
+    success_rate: float | None = None
 
 
 class Statistics:
@@ -467,6 +470,8 @@ class Statistics:
             worlds=worlds,
             present=self._present,
             returns=self.returns,
+            mean_return=self.mean_return,
+            success_rate=self.success_rate,
         )
 
     def restore(self, state: StatisticsState) -> None:

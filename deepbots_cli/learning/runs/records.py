@@ -218,6 +218,7 @@ class TaskRecord(BaseModel):
         solved: The criterion for a solved task; None without one.
         teacher: The script that teaches the policy, or the file of a recording or the folder of a policy that
             does; None without a teacher.
+        has_rivals: Whether several agents act that have no success in common.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -225,6 +226,7 @@ class TaskRecord(BaseModel):
     defines_success: bool
     solved: Solved | None
     teacher: str | None
+    has_rivals: bool = Field(default=False, exclude_if=lambda has_rivals: not has_rivals)
 
 
 class QuotedEvaluation(BaseModel):
