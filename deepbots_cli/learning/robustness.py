@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from deepbots_cli import api
@@ -608,14 +609,19 @@ def written(root: Node | None, *path: str) -> str | None:
 
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
     """Return noise on each entry of the observation with a finite range, in relation to its narrowest
-    component; of several agents, on those of all that learn."""
+    component; of several agents, on those of all that learn, and of those that share their policy."""
     if not program.members and program.others is None:
         return _nonempty("observation", _noisy(node_at(root, "observation"), program.agent, share))
-    learners = {name: member.program.agent for name, member in program.members.items()}
-    if program.others is not None:
-        learners = {program.others.agent: program.agent}
-    change: Change = {}
     sections = sections_of_agents(root)
+    learners = {name: member.program.agent for name, member in program.members.items()}
+    names: dict[str, str] = {}
+    if program.others is not None:
+        played = program.others.agent
+        owner = written(sections[played], "policy") or played
+        learners = {owner: program.agent}
+        pairs = zip(*(entries_at(sections[name], "observation") for name in (played, owner)), strict=True)
+        names = dict(pairs)
+    change: Change = {}
     for name, section in sections.items():
         observation = section.get("observation")
         if observation is None or written(section, "policy") is not None:
@@ -624,7 +630,7 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
         entries = to_data(observation) if written(root, "agents", name, "like") else {}
         assert isinstance(entries, dict)
         if name in learners:
-            entries |= _noisy(observation, learners[name], share)
+            entries |= _noisy(observation, learners[name], share, names)
         change |= _nonempty(name, {"observation": entries} if entries else {})
     return _nonempty("agents", change)
 
@@ -633,14 +639,18 @@ def _nonempty(key: str, change: Change) -> Change:
     return {key: change} if change else {}
 
 
-def _noisy(observation: Node | None, agent: Agent, share: float) -> Change:
-    """Return the entries of the observation of an agent that have noise."""
+def _noisy(
+    observation: Node | None, agent: Agent, share: float, names: Mapping[str, str] = MappingProxyType({})
+) -> Change:
+    """Return the entries of the observation of an agent that have noise; `names` has their written names
+    where these are those of another agent."""
     widths: dict[str, tuple[float, str]] = {}
     for number in agent.numbers:
         width = number.high - number.low
         if number.is_truth or not 0 < width < 1e9:
             continue
-        widths[number.name] = min((width, number.unit), widths.get(number.name, (width, number.unit)))
+        name = names.get(number.name, number.name)
+        widths[name] = min((width, number.unit), widths.get(name, (width, number.unit)))
     change: Change = {}
     for name, (width, unit) in widths.items():
         noise = f"{share * width:.6g}" + (f" {unit}" if unit != "1" else "")

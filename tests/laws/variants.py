@@ -140,7 +140,7 @@ def with_forms(case: Case) -> dict[str, Any]:
     return data
 
 
-@law(cost=400)
+@law(cost=450)
 def a_condition_changes_what_it_names(case: Case) -> None:
     """A level of a condition is the scenario with another amount of one property: it compiles, it is the
     scenario itself if the amount changes nothing, and all other properties and draws are the same."""
@@ -299,7 +299,7 @@ def outcome(case: Case, data: dict[str, Any], name: str) -> tuple[Counter[tuple[
     return found, results
 
 
-@law(cost=120, profile=Profile(agents=1))
+@law(cost=300, profile=Profile(agents=1))
 def a_test_of_a_case_is_a_test_of_its_settings(case: Case) -> None:
     """A case is the scenario with its settings, so a test of the case has the findings and the result of the
     test of a scenario in which they are written."""

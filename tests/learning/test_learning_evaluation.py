@@ -41,6 +41,7 @@ from deepbots_cli.learning.robustness import (
     Side,
     _bar,
     base_document,
+    changed_program,
     changed_scenario,
     delayed,
     plans,
@@ -431,10 +432,10 @@ def conditions_of(path: Path, mass_of: str | None = None) -> tuple[Document, dic
     return base, {plan.name: dict(plan.levels) for plan in plans(base.root, program, mass_of)}
 
 
-def extended(tmp_path: Path, text: str) -> Path:
-    """A file that extends CartPole."""
+def extended(tmp_path: Path, text: str, name: str = "cartpole") -> Path:
+    """A file that extends a shipped scenario."""
     path = tmp_path / "own.yaml"
-    path.write_text(f"deepbots: 1\nextends: cartpole\nname: Own\n{text}", encoding="utf-8")
+    path.write_text(f"deepbots: 1\nextends: {name}\nname: Own\n{text}", encoding="utf-8")
     return path
 
 
@@ -503,6 +504,17 @@ def test_the_observation_of_one_agent_of_several_has_noise_and_that_of_the_other
         noisy = {name: member.program.agent.numbers for name, member in others.world.members.items()}
         assert all(number.std is not None for number in noisy[agent])
         assert all(number.std is None for number in noisy[other])
+
+
+def test_the_observation_of_an_agent_that_shares_a_policy_has_noise_too(tmp_path: Path) -> None:
+    path = extended(tmp_path, "agents: {right: {policy: left}}\n", "carry")
+    for agent in ("left", "right"):
+        base = base_document(Source.open(path), [f"role={{agent: {agent}}}"])
+        assert base.root is not None
+        program = changed_program(base, {})
+        (plan,) = (plan for plan in plans(base.root, program) if plan.name == "observation noise")
+        numbers = changed_program(base, dict(plan.levels)["10% of the range"]).agent.numbers
+        assert all(number.std is not None for number in numbers)
 
 
 def with_success(trained: TrainingResult, tmp_path: Path) -> Path:
