@@ -548,10 +548,9 @@ def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
     surfaces: dict[str, Surface] = {}
     if program.world.terrain is not None or program.world.ground is not None:
         surfaces["the ground"] = ("world", "terrain" if program.world.terrain is not None else "ground")
-    for name, body in _objects(root, program).items():
-        if body.solid and not _can_move(body):
-            surfaces[name] = ("objects", name)
-    return surfaces
+    bodies = _objects(root, program)
+    fixed = [name for name, body in bodies.items() if body.solid and not _can_move(body)]
+    return surfaces | {name: ("objects", name) for name in fixed}
 
 
 def _objects(root: MappingNode, program: Program) -> dict[str, ObjectBody]:
@@ -567,8 +566,7 @@ def _written_names(program: Program) -> dict[str, str]:
 
 
 def _can_move(body: ObjectBody) -> bool:
-    is_fixed = all(kind.fixed for kind in body.variants) if body.variants else body.fixed
-    return body.solid and not is_fixed
+    return body.solid and not all(form.fixed for form in body.variants or (body,))
 
 
 def movable_objects(root: MappingNode, program: Program) -> list[str]:
@@ -619,16 +617,15 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
         played = program.others.agent
         owner = written(sections[played], "policy") or played
         learners = {owner: program.agent}
-        pairs = zip(*(entries_at(sections[name], "observation") for name in (played, owner)), strict=True)
-        names = dict(pairs)
+        observed = (entries_at(sections[name], "observation") for name in (played, owner))
+        names = dict(zip(*observed, strict=True))
     change: Change = {}
     for name, section in sections.items():
         observation = section.get("observation")
         if observation is None or written(section, "policy") is not None:
             continue
         # An agent that is like another one would have its noise, too.
-        entries = to_data(observation) if written(root, "agents", name, "like") else {}
-        assert isinstance(entries, dict)
+        entries: Any = to_data(observation) if written(root, "agents", name, "like") else {}
         if name in learners:
             entries |= _noisy(observation, learners[name], share, names)
         change |= _nonempty(name, {"observation": entries} if entries else {})
