@@ -14,7 +14,7 @@ failed_episodes.py     the failed episodes of the last evaluation of a run
 explanations.py        the entries of `explain` about a word
 inspected.py           the captions of the tables of `inspect`, and those without `--full`
 pages.py               the pages of `view` and `play`
-gates.py               the requirements of `eval`, `robustness` and `transfer` on their result
+gates.py               the requirements of `eval` on its result
 records.py             results of trainings and evaluations as text, JSON and CSV
 matches.py             policies and scripts of two agents against each other
 trainings.py           the results of `train` and `resume`

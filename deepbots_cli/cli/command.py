@@ -389,8 +389,12 @@ class Command(TyperCommand):
             before = word
             for gone in GONE.keys() & {name, with_value}:
                 ctx.fail(f"{gone} is gone; {GONE[gone]}")
-            if name.startswith("--") and name in REPLACEMENTS and name not in names:
-                ctx.fail(f"there is no option {name}; use `{REPLACEMENTS[name]}`")
+            replacement = REPLACEMENTS.get(name) if name.startswith("--") and name not in names else None
+            instead = (replacement or "").partition(" ")[0]
+            if instead.startswith("--") and instead not in names:  # this command has neither
+                replacement = REPLACEMENTS.get(instead)
+            if replacement is not None:
+                ctx.fail(f"there is no option {name}; use `{replacement}`")
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.words import counted
@@ -50,11 +50,9 @@ class Gates:
         solved = program.agent.solved
         if self.solved or self.min_success is not None or self.min_return is not None:
             check_common_measure(program, "require something of one: --agent NAME")
-        if self.min_success is not None and not program.defines_success:
-            alternatives = "--min-return" if solved is None else "--min-return or --require-solved"
-            raise UsageError(
-                f"--min-success: {program.name} defines no success; use {alternatives}, or add"
-                " `termination.success` or a `goal` to the scenario"
+        if self.min_success is not None:
+            check_defines_success(
+                program, "--min-return" if solved is None else "--min-return or --require-solved"
             )
         if self.solved and solved is None:
             alternatives = "--min-success or --min-return" if program.defines_success else "--min-return"

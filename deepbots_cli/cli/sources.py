@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -143,12 +143,17 @@ def robot_findings(
     arguments: Mapping[str, str] | None = None,
     drafts: Drafts = NO_DRAFTS,
 ) -> list[Finding]:
-    """Return the findings of a robot file alone, or of its draft.
+    """Return the findings of a robot file alone, or of its draft. Those of a file that it includes have no
+    fix: linting that file fixes it.
 
     Raises:
         UsageError: There is no such file.
     """
-    return list(_read_robot(reference, allowed, arguments, drafts)[1])
+    name = files.display_path(robot_path(reference, allowed).resolve())
+    return [
+        finding if finding.span.source.name == name else replace(finding, fix=None)
+        for finding in _read_robot(reference, allowed, arguments, drafts)[1]
+    ]
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:

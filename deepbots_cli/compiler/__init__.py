@@ -183,10 +183,8 @@ def _all_passes(document: Document, *, to_train: bool) -> CheckedScenario:
         variants, program = compile_variants(
             checked.document, checked.spec, checked.program, checked.findings, check_variant
         )
-        expected_by_test = {test.name: test.expected for variant in variants for test in variant.tests}
-        tests = tuple(
-            replace(test, expected=expected_by_test.get(test.name, test.expected)) for test in checked.tests
-        )
+        by_name = {test.name: test for version in (checked, *variants) for test in version.tests}
+        tests = tuple(by_name[name] for name in checked.spec.tests if name in by_name)
         return replace(
             checked, program=None if checked.findings.errors else program, variants=variants, tests=tests
         )

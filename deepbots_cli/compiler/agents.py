@@ -77,7 +77,7 @@ def divide(document: Document) -> AgentDocuments | None:
     _report_joined_names(document)
     if document.findings.errors:
         return None
-    agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
+    agents = _Mirrors(document.findings, entries_at(root, AGENTS)).resolved()
     agents = {
         name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
     }
@@ -274,11 +274,16 @@ def _report_joined_names(document: Document) -> None:
 # Agents that mirror another one
 
 
+def sections_of_agents(root: MappingNode) -> dict[str, MappingNode]:
+    """Return the section of each agent, without `like`."""
+    return _Mirrors(Findings(), entries_at(root, AGENTS)).resolved()
+
+
 class _Mirrors:
     """Resolves `like`."""
 
-    def __init__(self, document: Document, entries: Mapping[str, Entry]) -> None:
-        self._document = document
+    def __init__(self, findings: Findings, entries: Mapping[str, Entry]) -> None:
+        self._findings = findings
         self._written = entries
         self._resolved: dict[str, MappingNode] = {}
         self._reported: set[str] = set()
@@ -300,7 +305,7 @@ class _Mirrors:
         if node.text in (*above, name):
             cycle = " -> ".join((*above, name, node.text))
             self._reported |= {*above, name}
-            self._document.findings.add(
+            self._findings.add(
                 "DB207",
                 node.span,
                 f"`{name}` mirrors itself",
@@ -309,7 +314,7 @@ class _Mirrors:
             )
             return None
         if node.text not in self._written:
-            _report_unknown(self._document.findings, node, node.text, "agent", [*self._written])
+            _report_unknown(self._findings, node, node.text, "agent", [*self._written])
             return None
         model = self._resolve(node.text, (*above, name))
         if model is None:

@@ -415,6 +415,8 @@ class _VariantCompiler:
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
+        named: dict[str, Any] = {word: name}
+        checked = replace(checked, tests=tuple(replace(test, **named) for test in checked.tests))
         self.checked.append(checked)
         name_span = self._values.key_span(path) if word == "case" else self._values.span((*path, "name"))
         entry_spans = [
@@ -492,8 +494,11 @@ class _VariantCompiler:
             help = f"keep {timestep}the observation, the action and the messages as in the scenario"
             if any(line.startswith("observation.") for line in lines):
                 help += f"; if a range uses a parameter that the {word} changes, write the range as numbers"
-            for robot, base in zip(program.robots, self._base.robots, strict=True):
-                if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
+            sent = {robot.name: len(robot.emit) for robot in self._base.robots}
+            for robot in program.robots:
+                if len(robot.emit) > sent.get(
+                    robot.name, math.inf
+                ):  # without an `emit`, which would be equal
                     listed = ", ".join(field.name for field in robot.emit)
                     help = (
                         f"`{robot.name}` sends only what the scenario itself uses; let it always send"
@@ -522,7 +527,8 @@ _MAX_SHOWN_VALUES = 4
 
 
 def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest, ...]:
-    """Return the tests without findings, compiled in the namespace of `program`."""
+    """Return the tests without findings, compiled in the namespace of `program`. A test that names a case or
+    a stage is compiled in that variant, which has neither name."""
     specs = namespace.scenario.tests
     values = namespace.values
     if len(specs) > MAX_TESTS:
@@ -543,28 +549,31 @@ class _Reader(NamespaceReader):
         self._scope = SupervisorScope(namespace, Context.TEST)
 
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
-        """Return the test; None after an error."""
+        """Return the test; None after an error, or if it names a case or a stage."""
+        if self._names_variant(spec):
+            return None
         errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
         if spec.agent is not None:
             headline = "`agent` of a test belongs to a scenario with several `agents`"
             self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
-        cases = self._spec.evaluation.cases
-        stages = [stage.name for stage in self._spec.stages]
-        for word, section, variant, names in (
-            ("case", "cases", spec.case, list(cases)),
-            ("stage", "curriculum", spec.stage, stages),
-        ):
-            if variant is not None and variant not in names and not self._values.is_invalid(section):
-                self._values.report_unknown(self._values.field(spec, word).span, word, variant, names)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, driver)
         if len(self._values.findings.errors) > errors_before or driver is None:
             return None
         span = self._values.key_span(("tests", name))
-        return ScenarioTest(
-            name, span, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage
-        )
+        return ScenarioTest(name, span, driver, spec.episodes, spec.seed, steps, expected)
+
+    def _names_variant(self, spec: TestSpec) -> bool:
+        """Return whether the test names a case or a stage, after a finding if there is none of this name."""
+        cases, stages = list(self._spec.evaluation.cases), [stage.name for stage in self._spec.stages]
+        for word, section, variant, names in (
+            ("case", "cases", spec.case, cases),
+            ("stage", "curriculum", spec.stage, stages),
+        ):
+            if variant is not None and variant not in names and not self._values.is_invalid(section):
+                self._values.report_unknown(self._values.field(spec, word).span, word, variant, names)
+        return spec.case is not None or spec.stage is not None
 
     # Who acts, for how long
 

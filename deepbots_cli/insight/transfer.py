@@ -23,6 +23,7 @@ from deepbots_cli.learning.robustness import (
     base_document,
     evaluate_robustness,
 )
+from deepbots_cli.learning.runs.episodes import check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
@@ -152,10 +153,13 @@ def transfer(
 
     Raises:
         RunError: The run has no model, or does not fit the scenario.
-        UsageError: The scenario has copies of a robot.
+        UsageError: The scenario has copies of a robot, or defines no success for `min_success`.
     """
     base = Source.kept(run.path, permissions)
     trained_in = api.compile(base.checked())
+    for compiled in (trained_in, scenario) if min_success is not None else ():
+        if compiled is not None:
+            check_defines_success(compiled.program)
     root = run.record.seed if seed is None else seed
     settings: dict[str, Any] = {"seed": root, "model": model, "permissions": permissions}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -18,6 +18,9 @@ from deepbots_cli.learning.robustness import (
     Plan,
     delayed,
     friction,
+    joined,
+    movable_objects,
+    scaled,
     written,
 )
 from deepbots_cli.program import Program
@@ -41,10 +44,8 @@ def doubled_times(timestep: float) -> tuple[float, ...]:
 
 def friction_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Yield, for each object that can move, a plan that multiplies its friction."""
-    written_objects = entries_at(root, "objects")
-    for body in program.world.objects:
-        if not body.fixed and body.name in written_objects:
-            yield Plan("friction", partial(_friction_of, root, body.name), subject=body.name)
+    for name in movable_objects(root, program):
+        yield Plan("friction", partial(_friction_of, root, name), subject=name)
 
 
 def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
@@ -96,27 +97,16 @@ def torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
 
 
 def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
-    return _together({path: form.format(limit)})
+    return joined({path: form.format(limit)})
 
 
 def _later(root: MappingNode, paths: Sequence[tuple[str, ...]], delay: float) -> Change:
-    return _together({path: delayed(delay, written(root, *path)) for path in paths})
+    return joined({path: delayed(delay, written(root, *path)) for path in paths})
 
 
 def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], factor: float) -> Change:
     """Return written values times a factor."""
-    return _together({path: f"{factor:g} * ({written(root, *path)})" for path in paths})
-
-
-def _together(values: Mapping[tuple[str, ...], str]) -> Change:
-    """Return a change of the values at several paths."""
-    change: Change = {}
-    for path, value in values.items():
-        section = change
-        for key in path[:-1]:
-            section = section.setdefault(key, {})
-        section[path[-1]] = value
-    return change
+    return joined({path: scaled(factor, written(root, *path) or "") for path in paths})
 
 
 def changed_actions(program: Program) -> Iterator[tuple[str, Act]]:

@@ -11,34 +11,45 @@ side are ordered by their distance from the unchanged scenario.
 
 from __future__ import annotations
 
+import glob
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.agents import sections_of_agents
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.document import Document, MappingNode, Node, Permissions, ScalarNode, SequenceNode
 from deepbots_cli.document.load import TESTS, merge, with_settings_at
-from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_paths
+from deepbots_cli.document.nodes import NodePath, entries_at, node_at, to_data, without_paths
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
+from deepbots_cli.expressions.lower import constant_values
+from deepbots_cli.expressions.parser import parse as parse_expression
+from deepbots_cli.expressions.syntax import Binary, Redrawn
+from deepbots_cli.expressions.types import walk
 from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor, results
-from deepbots_cli.learning.runs.episodes import check_common_measure
+from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
+from deepbots_cli.learning.runs.order import Measure, measure_of
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.program import Program
+from deepbots_cli.program.resets import OfLink
+from deepbots_cli.program.task import Agent
+from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 from deepbots_cli.words import sentence_list
 
@@ -60,7 +71,6 @@ SHARE_OF_NOMINAL = 0.8
 """The required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return
 without any change."""
 
-Metric = Literal["success_rate", "mean_return"]
 Change = dict[str, Any]
 """The keys of a scenario that replace or add to those of the scenario that it extends."""
 
@@ -180,14 +190,14 @@ class Condition:
 class Robustness:
     """A policy under changed conditions.
 
-    `metric` is the measure that is compared with `bar`: the success rate if the scenario defines success,
-    else the mean return. `nominal` is the evaluation without any change. `bar` is None if no score is
+    `metric` is the measure that is compared with `bar`: that of the required score, else the measure of the
+    task. `nominal` is the evaluation without any change. `bar` is None if no score is
     required, and the policy never succeeds without any change. `conditions` are then empty.
     """
 
     run: Path
     scenario: str
-    metric: Metric
+    metric: Measure
     bar: float | None
     bar_source: str
     nominal: EvaluationResult
@@ -252,7 +262,8 @@ def evaluate_robustness(
 
     Raises:
         RunError: The folder is not a run, is damaged, or does not match `scenario`.
-        UsageError: The scenario does not exist, or nothing with the name `mass_of` has a mass.
+        UsageError: The scenario does not exist, defines no success for `min_success`, or nothing with the name
+            `mass_of` has a mass.
     """
     ref = ModelRef.open(run, model=model)
     trained = ref.run
@@ -264,6 +275,8 @@ def evaluate_robustness(
     plain = api.compile(base.checked(overrides=overrides))
     program = plain.program.variant(case, stage)
     check_common_measure(program, "name one of them: deepbots robustness RUN --agent NAME")
+    if min_success is not None:
+        check_defines_success(program)
     document = base_document(base, overrides, case, stage)
     usual = plain.program.evaluation.episodes if case is None else plain.program.case(case).episodes
     evaluation_options: dict[str, Any] = {
@@ -396,7 +409,7 @@ def _checked(document: Document, change: Change) -> CheckedScenario:
     return check(replace(document, root=merge(document.root, over), findings=findings))
 
 
-def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:
+def _level(label: str, result: EvaluationResult, metric: Measure, bar: float) -> RobustnessLevel:
     is_rate = metric == "success_rate"
     score, interval = (
         (result.success_rate, result.success_interval)
@@ -409,7 +422,7 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
 
 def _bar(
     program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None
-) -> tuple[Metric, float | None, str]:
+) -> tuple[Measure, float | None, str]:
     """Return the metric, the required score, and its source. The score is None if the unchanged success rate
     is 0 % and no score is required."""
     solved = program.agent.solved
@@ -417,10 +430,9 @@ def _bar(
         return "mean_return", min_return, "given"
     if min_success is not None:
         return "success_rate", min_success, "given"
-    if solved is not None and solved.success_rate is not None:
-        return "success_rate", solved.success_rate, "`solved` of the scenario"
-    if solved is not None and solved.mean_return is not None and not nominal.success_defined:
-        return "mean_return", solved.mean_return, "`solved` of the scenario"
+    if solved is not None:
+        measure = measure_of(solved, defines_success=nominal.success_defined)
+        return measure, getattr(solved, measure), "`solved` of the scenario"
     source = f"{SHARE_OF_NOMINAL:.0%} of the value without any change"
     if nominal.success_defined:
         return "success_rate", SHARE_OF_NOMINAL * nominal.success_rate or None, source
@@ -475,15 +487,11 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
             latency = written(root, "messages", direction, "latency")
             yield Plan(words, partial(_latency, direction, latency), {"": steps}, DELAY)
         yield Plan("message loss", _loss, {"": LOSS_RATES}, "{:.0%}")
-    if all(_noise(root, program, share) for share in NOISE_SHARES):
-        yield Plan(
-            "observation noise",
-            lambda share: {"observation": _noise(root, program, share)},
-            {"": NOISE_SHARES},
-            "{:.0%} of the range",
-        )
+    if _noise(root, program, 1.0):
+        noise = partial(_noise, root, program)
+        yield Plan("observation noise", noise, {"": NOISE_SHARES}, "{:.0%} of the range")
     if mass := _mass(root, program, mass_of):
-        yield _mass_plan(root, mass)
+        yield _mass_plan(root, program, mass)
     if surfaces := _surfaces(root, program):
         yield Plan(
             "friction",
@@ -491,14 +499,31 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
             subject=_named(surfaces),
         )
     if any(entries_at(root, "robots", robot, "actuators") for robot in entries_at(root, "robots")):
-        yield Plan(
-            "motor strength", lambda factor: {"robots": _strengths(root, factor)}, {"": STRENGTH_FACTORS}
-        )
+        yield Plan("motor strength", partial(_strengths, root), {"": STRENGTH_FACTORS})
 
 
 def delayed(delay: float, base: str | None) -> str:
     """Return a time of the scenario, or 0, plus `delay` ms."""
-    return f"{delay:g} ms" + (f" + {base}" if base else "")
+    time = f"{float(delay)!r} ms"
+    return _combined(f"{time} +", base) if base else time
+
+
+def scaled(factor: float, text: str) -> str:
+    """Return a value of the scenario times a factor."""
+    return _combined(f"{float(factor)!r} *", text)
+
+
+def _combined(before: str, text: str) -> str:
+    """Return an operation, without its right side, upon a written value: `a when c` and `a each step` are
+    allowed only as a whole text."""
+    tree = parse_expression(text, lambda *_: None)
+    assert tree is not None  # the scenario compiles
+    value = tree.value if isinstance(tree, Redrawn) else tree
+    operand = text[value.start : value.end]
+    if isinstance(value, Binary) and value.operator == "when":
+        amount, condition = (text[part.start : part.end] for part in (value.left, value.right))
+        operand = f"{amount} if {condition} else 0"
+    return f"{before} ({operand}){text[value.end : tree.end]}"
 
 
 def _latency(direction: str, latency: str | None, delay: float) -> Change:
@@ -523,13 +548,30 @@ def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
     surfaces: dict[str, Surface] = {}
     if program.world.terrain is not None or program.world.ground is not None:
         surfaces["the ground"] = ("world", "terrain" if program.world.terrain is not None else "ground")
-    copies = {copy: group.name for group in program.reset.groups for copy in group.copies}
-    for body in program.world.objects:
-        name = copies.get(body.name, body.name)
-        is_fixed = all(variant.fixed for variant in body.variants) if body.variants else body.fixed
-        if is_fixed and body.solid and name in entries_at(root, "objects"):
-            surfaces[name] = ("objects", name)
-    return surfaces
+    bodies = _objects(root, program)
+    fixed = [name for name, body in bodies.items() if body.solid and not _can_move(body)]
+    return surfaces | {name: ("objects", name) for name in fixed}
+
+
+def _objects(root: MappingNode, program: Program) -> dict[str, ObjectBody]:
+    """Return the body of each written object; of a group, that of a copy."""
+    written_names = _written_names(program)
+    bodies = {written_names.get(body.name, body.name): body for body in program.world.objects}
+    return {name: body for name, body in bodies.items() if name in entries_at(root, "objects")}
+
+
+def _written_names(program: Program) -> dict[str, str]:
+    """Return the name of the group of each copy."""
+    return {copy: group.name for group in program.reset.groups for copy in group.copies}
+
+
+def _can_move(body: ObjectBody) -> bool:
+    return body.solid and not all(form.fixed for form in body.variants or (body,))
+
+
+def movable_objects(root: MappingNode, program: Program) -> list[str]:
+    """Return the names of the objects and groups that can move."""
+    return [name for name, body in _objects(root, program).items() if _can_move(body)]
 
 
 def _named(surfaces: Iterable[str]) -> str:
@@ -550,10 +592,10 @@ def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) ->
 def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
     """Return the friction of a body, and of the variants that have one of their own, times a factor; 1 is the
     default."""
-    change: Change = {"friction": f"{factor:g} * ({written(root, *surface, 'friction') or '1'})"}
+    change: Change = {"friction": scaled(factor, written(root, *surface, "friction") or "1")}
     for variant in entries_at(root, *surface, "one_of"):
         if text := written(root, *surface, "one_of", variant, "friction"):
-            change.setdefault("one_of", {})[variant] = {"friction": f"{factor:g} * ({text})"}
+            change.setdefault("one_of", {})[variant] = {"friction": scaled(factor, text)}
     return change
 
 
@@ -565,20 +607,54 @@ def written(root: Node | None, *path: str) -> str | None:
 
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
     """Return noise on each entry of the observation with a finite range, in relation to its narrowest
-    component."""
+    component; of several agents, on those of all that learn, and of those that share their policy."""
+    if not program.members and program.others is None:
+        return _nonempty("observation", _noisy(node_at(root, "observation"), program.agent, share))
+    sections = sections_of_agents(root)
+    learners = {name: member.program.agent for name, member in program.members.items()}
+    names: dict[str, str] = {}
+    if program.others is not None:
+        played = program.others.agent
+        owner = written(sections[played], "policy") or played
+        learners = {owner: program.agent}
+        observed = (entries_at(sections[name], "observation") for name in (played, owner))
+        names = dict(zip(*observed, strict=True))
+    change: Change = {}
+    for name, section in sections.items():
+        observation = section.get("observation")
+        if observation is None or written(section, "policy") is not None:
+            continue
+        # An agent that is like another one would have its noise, too.
+        entries: Any = to_data(observation) if written(root, "agents", name, "like") else {}
+        if name in learners:
+            entries |= _noisy(observation, learners[name], share, names)
+        change |= _nonempty(name, {"observation": entries} if entries else {})
+    return _nonempty("agents", change)
+
+
+def _nonempty(key: str, change: Change) -> Change:
+    return {key: change} if change else {}
+
+
+def _noisy(
+    observation: Node | None, agent: Agent, share: float, names: Mapping[str, str] = MappingProxyType({})
+) -> Change:
+    """Return the entries of the observation of an agent that have noise; `names` has their written names
+    where these are those of another agent."""
     widths: dict[str, tuple[float, str]] = {}
-    for number in program.agent.numbers:
+    for number in agent.numbers:
         width = number.high - number.low
         if number.is_truth or not 0 < width < 1e9:
             continue
-        widths[number.name] = min((width, number.unit), widths.get(number.name, (width, number.unit)))
+        name = names.get(number.name, number.name)
+        widths[name] = min((width, number.unit), widths.get(name, (width, number.unit)))
     change: Change = {}
     for name, (width, unit) in widths.items():
         noise = f"{share * width:.6g}" + (f" {unit}" if unit != "1" else "")
-        text = written(root, "observation", name)
+        text = written(observation, name)
         if text is not None:
             change[name] = {"range": text, "noise": noise}
-        elif isinstance(node_at(root, "observation", name), MappingNode):
+        elif isinstance(node_at(observation, name), MappingNode):
             change[name] = {"noise": noise}
     return change
 
@@ -588,40 +664,85 @@ def masses(root: MappingNode, program: Program, largest: int) -> Iterator[Plan]:
     move."""
     links, objects, _ = _movable(root, program)
     heaviest = sorted(links, key=lambda link: -links[link])[:largest]
-    yield from (_mass_plan(root, name) for name in (*heaviest, *objects))
+    yield from (_mass_plan(root, program, name) for name in (*heaviest, *objects))
 
 
 def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], list[str], list[str]]:
     """Return the links that can move, with their masses in kg; the objects that can move; and the links and
     objects that are fixed to the world."""
+    written_names = _written_names(program)
     heavy = {
-        f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
+        f"{written_names.get(body.name, body.name)}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
         for still in [body.model.links_below(body.model.root, rigid=True) if body.fixed_base else []]
         for link in body.model.links
         if link.inertial is not None and link.inertial.mass > 0
     }
     links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
-    fixed = {body.name for body in program.world.objects if body.fixed}
-    weighed = [
-        key for key in entries_at(root, "objects") if written(root, "objects", key, "mass") is not None
-    ]
-    objects = [key for key in weighed if key not in fixed]
-    return (
-        links,
-        objects,
-        [*(link for link in heavy if link not in links), *(key for key in weighed if key in fixed)],
+    objects = movable_objects(root, program)
+    still_objects = [name for name in _objects(root, program) if name not in objects]
+    return links, objects, [*(link for link in heavy if link not in links), *still_objects]
+
+
+def _mass_plan(root: MappingNode, program: Program, name: str) -> Plan:
+    body = _objects(root, program).get(name)
+    texts = (
+        _mass_of_link(program, *name.split(".", 1)) if body is None else _masses_of_object(root, name, body)
+    )
+    return Plan(
+        MASS,
+        lambda factor: joined({path: scaled(factor, text) for path, text in texts.items()}),
+        subject=name,
     )
 
 
-def _mass_plan(root: MappingNode, name: str) -> Plan:
-    path = (
-        ("objects", name)
-        if name in entries_at(root, "objects")
-        else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
+def _mass_of_link(program: Program, robot: str, link: str) -> dict[tuple[str, ...], str]:
+    """Return the text of the mass of a link by its path.
+
+    Patterns and a density may set it, too. A further pattern, which only this link matches, is applied last:
+    in it, `urdf` is the fixed mass that all others leave. A drawn mass is written anew.
+    """
+    links = ("robots", robot, "links")
+    # Upper and lower case differ.
+    last = (*links, f"[{link[0]}]{glob.escape(link[1:])}", "mass")
+    written_names = _written_names(program)
+    drawn = next(
+        (
+            variation.value
+            for variation in program.reset.variations
+            if variation.what == "mass"
+            and isinstance(variation.of, OfLink)
+            and written_names.get(variation.of.body, variation.of.body) == robot
+            and variation.of.link == link
+        ),
+        None,
     )
-    mass = written(root, *path, "mass") or "urdf"
-    return Plan(MASS, lambda factor: _nested(path, {"mass": f"{factor:g} * ({mass})"}), subject=name)
+    if drawn is None:
+        return {last: "urdf"}
+    own = (*links, link, "mass")
+    if drawn.owner.partition(":")[0] == ".".join(own):
+        return {own: drawn.text}  # with the draws of the same stream
+    text = drawn.text
+    for node in sorted(walk(drawn.typed), key=lambda node: -node.start):
+        if text[node.start : node.end] == "urdf" and (values := constant_values(node)):
+            text = f"{text[: node.start]}({float(values[0])!r} kg){text[node.end :]}"
+    return {last: text}
+
+
+def _masses_of_object(root: MappingNode, name: str, body: ObjectBody) -> dict[tuple[str, ...], str]:
+    """Return the texts of the masses of an object, or of its kinds that can move, by their paths. Without
+    one, the mass is that of water."""
+    path = ("objects", name)
+    own = written(root, *path, "mass")
+    if not body.variants:
+        return {(*path, "mass"): own or f"{body.mass!r} kg"}
+    kinds = {kind.name: kind for kind in body.variants if not kind.fixed}
+    return {
+        (*path, "one_of", key, "mass"): written(root, *path, "one_of", key, "mass")
+        or own
+        or f"{kind.mass!r} kg"
+        for key, kind in kinds.items()
+    }
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
@@ -646,22 +767,22 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
     return name or max(links, key=lambda link: links[link], default=None)
 
 
-def _nested(path: Sequence[str], value: Change | str) -> Change:
-    """Return a change of the value at a path of keys."""
-    return {path[0]: _nested(path[1:], value) if len(path) > 1 else value}
+def joined(values: Mapping[tuple[str, ...], str]) -> Change:
+    """Return a change of the values at several paths."""
+    change: Change = {}
+    for path, value in values.items():
+        section = change
+        for key in path[:-1]:
+            section = section.setdefault(key, {})
+        section[path[-1]] = value
+    return change
 
 
 def _strengths(root: MappingNode, factor: float) -> Change:
     """Return the strength of every actuator times a factor."""
-    return {
-        robot: {
-            "actuators": {
-                name: {
-                    "strength": f"{factor:g} *"
-                    f" ({written(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"
-                }
-                for name in entries_at(root, "robots", robot, "actuators")
-            }
-        }
+    paths = [
+        ("robots", robot, "actuators", name, "strength")
         for robot in entries_at(root, "robots")
-    }
+        for name in entries_at(root, "robots", robot, "actuators")
+    ]
+    return joined({path: scaled(factor, written(root, *path) or "1") for path in paths})

@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import islice
@@ -76,16 +77,12 @@ def missing_path_hint(path: Path, folder_kind: Callable[[Path], object]) -> str:
 
 
 def _runs_there(parent: Path, folder_kind: Callable[[Path], object]) -> str:
-    """Return the runs in the folder `runs` of a folder, the newest first."""
-    try:
-        folders = [
-            Path(entry.path) for entry in islice(os.scandir(parent / "runs"), _MAX_RUNS) if entry.is_dir()
-        ]
-        newest = sorted(
-            (folder for folder in folders if folder_kind(folder)), key=os.path.getmtime, reverse=True
-        )
-    except OSError:
-        newest = []
+    """Return the runs in the folder `runs` of a folder, or in the folder itself, the newest first."""
+    newest: list[Path] = []
+    for holder in (parent / "runs", parent):
+        with suppress(OSError):
+            folders = [Path(entry.path) for entry in islice(os.scandir(holder), _MAX_RUNS) if entry.is_dir()]
+            newest = newest or sorted(filter(folder_kind, folders), key=os.path.getmtime, reverse=True)
     if not newest:
         return "it has no runs: train one with `deepbots train SCENARIO`"
     more = ", and `deepbots runs` lists all" if len(newest) > _MAX_LISTED else ""
@@ -205,17 +202,19 @@ class Source:
                 else opened.kind.value
             )
             hint = ""
-            if opened.kind is SourceKind.STUDY:
-                hint = f"; name one of its trials, such as {quote(f'{opened.path}/trial-0')}"
-            elif SourceKind.RUN in kinds and opened.kind is SourceKind.GROUP:
-                hint = f"; name one of its runs, such as {quote(f'{opened.path}/seed-0')}"
+            if opened.kind in (SourceKind.STUDY, SourceKind.GROUP):
+                inner = _first_inside(opened.path, kinds)
+                noun = "trials" if SourceKind.GROUP in kinds else "runs"
+                hint = f"; name one of its {noun}, such as {quote(str(inner))}" if inner else ""
             elif (
                 SourceKind.RUN in kinds
                 and opened.kind is SourceKind.SCENARIO
                 and opened.path.suffix in (".yaml", ".yml")
             ):
+                is_shipped = shipped.scenario_path(opened.path.stem) == opened.path
+                name = opened.path.stem if is_shipped else opened.name
                 hint = (
-                    f"; train it first with `deepbots train {quote(opened.name)}`, or name one of its runs,"
+                    f"; train it first with `deepbots train {quote(name)}`, or name one of its runs,"
                     " which `deepbots runs` lists"
                 )
             elif SourceKind.RUN in kinds and opened.kind is SourceKind.CHECKPOINT:
@@ -225,11 +224,13 @@ class Source:
 
     @classmethod
     def _named(cls, path: Path, name: str, permissions: Permissions, error: type[UsageError]) -> Source:
+        if not name:
+            raise error("the name is empty; name a scenario or a run")
         try:
             kind = folder_kind(path)
             if kind is not None:
                 return cls.kept(path, permissions, kind)
-            if path.suffix.lower() in (".urdf", ".xacro"):
+            if path.exists() and path.suffix.lower() in (".urdf", ".xacro"):
                 words = quote(name)
                 raise error(
                     f"{name} is a robot file, not a scenario; `deepbots inspect {words}` describes it,"
@@ -308,6 +309,17 @@ class Source:
     ) -> CheckedScenario:
         """Read and check the scenario; arguments and errors are those of `document`."""
         return check(self.document(overrides=overrides, drafts=drafts, tests=tests))
+
+
+def _first_inside(folder: Path, kinds: Sequence[SourceKind]) -> Path | None:
+    """Return the first run or group of these kinds in a group or a study."""
+    for inner in sorted(folder.iterdir()):
+        kind = folder_kind(inner)
+        if kind in kinds:
+            return inner
+        if kind is not None and (deeper := _first_inside(inner, kinds)):
+            return deeper
+    return None
 
 
 def folder_kind(path: Path) -> SourceKind | None:

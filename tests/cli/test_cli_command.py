@@ -185,7 +185,7 @@ def test_an_option_that_is_gone_says_what_to_do_instead(deepbots, words, instead
 
 @pytest.mark.parametrize(("old", "new"), REPLACEMENTS.items())
 def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, new):
-    verb = "eval" if old == "--driver" else "try"
+    verb = {"--driver": "eval", "--out": "render", "--ros1": "serve"}.get(old, "try")
     words = (verb, "cartpole", old, "x") if old.startswith("--") else (old, "cartpole")
     ran = deepbots(*words, code=2)
     assert f"use `{new}`" in ran.err
@@ -195,6 +195,21 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
         for verb in COMMANDS
         for parameter in Commands().get_command(None, verb).params
     )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "eval runs/a --policy mine",
+            "there is no option --policy; use `deepbots try SCENARIO --driver NAME`",
+        ),
+        ("lint --actions 0,1", "there is no option --actions; use `deepbots try SCENARIO --driver NAME`"),
+        ("try cartpole --out a.png", "No such option: --out"),
+    ],
+)
+def test_no_option_is_advised_that_the_command_lacks(deepbots, words, message):
+    assert message in deepbots(*words.split(), code=2).err
 
 
 @pytest.mark.parametrize(

@@ -454,6 +454,24 @@ def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch)
     deepbots("lint", "broken.yaml", "--watch", "--fix", code=2)
 
 
+@pytest.mark.parametrize("wrong", ["--unsafe-fixes", "--statistics --format sarif"])
+def test_wrong_options_end_the_watching_before_it_begins(deepbots, files, wrong):
+    ran = deepbots("lint", "broken.yaml", "--watch", *wrong.split(), code=2)
+    assert "watching" not in ran.err
+
+
+def test_a_fix_of_an_included_file_is_not_offered_for_the_file_that_includes_it(deepbots, files):
+    begin = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    link = '<link name="base"/>'
+    (files / "part.xacro").write_text(f'\n<?xml version="1.0"?>\n{begin}{link}</robot>\n')
+    (files / "arm.xacro").write_text(f'{begin}<xacro:include filename="part.xacro"/></robot>\n')
+    ran = deepbots("lint", "arm.xacro")
+    assert "DB311" in ran.out
+    assert "can be fixed" not in ran.err
+    deepbots("lint", "arm.xacro", "--fix")
+    assert "1 fixed in 1 file" in deepbots("lint", "part.xacro", "--fix").err
+
+
 SIMULATED = with_defaults(CARTPOLE)
 SUNK = SIMULATED.replace("z: 0.04 m", "z: 0.02 m")
 STILL = SIMULATED.replace(

@@ -112,6 +112,27 @@ def test_a_missing_case_is_refused_with_the_cases_that_exist(workshop, cartpole)
         program.case("flat")
 
 
+def test_a_case_that_adds_a_robot_and_a_message_is_a_finding(workshop, rail) -> None:
+    robot = "{urdf: cartpole_rail, base: fixed, pose: {y: 1 m}}"
+    ends = "{off: abs(cart.place) > 9 m, wild: cart.spin > 99 rad/s}"
+    cases = f"evaluation: {{cases: {{two: {{set: {{robots.other: {robot}, termination.failure: {ends}}}}}}}}}"
+    spin = ("    actuators:", "      spin: {type: joint_velocity, joint: hinge}\n    actuators:")
+    text = rail(("    emit: [place, rate, lean, turn]\n", ""), spin, ("reset:", f"{cases}\nreset:"))
+    (finding,) = workshop.lint(text)
+    assert finding.code == "DB613"
+    assert (finding.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")
+
+
+def test_a_test_of_a_case_may_be_longer_than_the_scenario_and_end_in_its_own_way(workshop, cartpole) -> None:
+    cases = "long: {set: {truncation.max_steps: 400, termination.success: {won: step >= 300}}}"
+    script = "scripts: {hold: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}}"
+    test = "{driver: hold, case: long, expect: {success_rate: 100 %, ends_by: won, eventually: step >= 250}}"
+    text = cartpole(with_cases(cases), ("tests:", f"{script}\ntests:\n  one: {test}"))
+    assert workshop.codes(text) == []
+    one, *_ = api.load(workshop.file, tests=True).tests
+    assert (one.name, one.case, one.steps) == ("one", "long", 400)
+
+
 CRATES = (
     "robots:",
     """objects:

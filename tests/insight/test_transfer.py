@@ -464,6 +464,15 @@ def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any
     ]
 
 
+def test_a_success_rate_cannot_be_required_if_the_other_world_defines_no_success(tmp_path: Path) -> None:
+    far = "termination.success={far: abs(x) > 1 m}"
+    trained = train(
+        api.compile("cartpole", overrides=[BRIEF, "evaluation.episodes=1", far]), run=tmp_path / "run"
+    )
+    with pytest.raises(UsageError, match="--min-success: CartPole defines no success; use --min-return"):
+        transfer(Run.open(trained.run), engine="mujoco", scenario=api.compile("cartpole"), min_success=0.5)
+
+
 def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -> None:
     from types import SimpleNamespace as Result
 

@@ -10,6 +10,7 @@ reduce.py       makes the scenario of a failure smaller
 found.yaml      scenarios that once broke a law
 episodes.py     laws of episodes
 writing.py      laws of writing
+variants.py     laws of changed conditions and of tests of a case
 claims.py       laws of what the analysis and lint state
 records.py      laws of what trainings and evaluations record, and of what is exported
 readings.py     a world that shows all that sensors and functions read
@@ -19,7 +20,7 @@ shapes.py       rays and points against shapes, in closed form
 sensors.py      laws of sensors and functions against a second implementation
 """
 
-from tests.laws import claims, episodes, frames, records, sensors, two_engines, writing
+from tests.laws import claims, episodes, frames, records, sensors, two_engines, variants, writing
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "claims", "episodes", "frames", "records", "sensors", "two_engines", "writing"]
+__all__ = ["LAWS", "claims", "episodes", "frames", "records", "sensors", "two_engines", "variants", "writing"]

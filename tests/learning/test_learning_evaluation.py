@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -40,8 +41,11 @@ from deepbots_cli.learning.robustness import (
     Side,
     _bar,
     base_document,
+    changed_program,
     changed_scenario,
+    delayed,
     plans,
+    scaled,
 )
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
@@ -49,6 +53,7 @@ from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
@@ -403,6 +408,147 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("5 kg", "(5 kg)"),
+        ("5 kg if far else 6 kg", "(5 kg if far else 6 kg)"),
+        ("5 kg when far", "(5 kg if far else 0)"),
+        ("uniform(0 .. 1 s) each step", "(uniform(0 .. 1 s)) each step"),
+        ("(a if far else b) when near  # often", "((a if far else b) if near else 0)"),
+        ("a when far every 2 s", "(a if far else 0) every 2 s"),
+    ],
+)
+def test_a_value_with_a_condition_or_of_each_step_is_changed_as_a_whole(text: str, expected: str) -> None:
+    assert scaled(2, text) == f"2.0 * {expected}"
+    assert delayed(32, text) == f"32.0 ms + {expected}"
+
+
+def conditions_of(path: Path, mass_of: str | None = None) -> tuple[Document, dict[str, dict[str, Change]]]:
+    """The scenario of a file, and the changes of each condition by level."""
+    base = base_document(Source.open(path))
+    assert base.root is not None
+    program = api.compile(path).program
+    return base, {plan.name: dict(plan.levels) for plan in plans(base.root, program, mass_of)}
+
+
+def extended(tmp_path: Path, text: str, name: str = "cartpole") -> Path:
+    """A file that extends a shipped scenario."""
+    path = tmp_path / "own.yaml"
+    path.write_text(f"deepbots: 1\nextends: {name}\nname: Own\n{text}", encoding="utf-8")
+    return path
+
+
+def test_the_levels_of_a_latency_are_whole_timesteps_whatever_the_timestep(tmp_path: Path) -> None:
+    base, conditions = conditions_of(extended(tmp_path, "world: {timestep: 1 s / 60}\n"))
+    counts = []
+    for change in conditions["latency to the robot"].values():
+        latency = changed_scenario(base, change).program.robots[0].to_route.latency
+        assert latency is not None
+        counts.append(60 * latency.scalar.value)  # type: ignore[union-attr]
+    assert counts == pytest.approx([1, 2, 4, 8], abs=1e-12)
+
+
+THINGS = """objects:
+  ball: {shape: sphere, radius: 5 cm, pose: {y: 2 m}}
+  crate:
+    mass: 3 kg
+    pose: {y: 1 m}
+    one_of:
+      light: {shape: sphere, radius: 5 cm, mass: 1 kg}
+      heavy: {shape: sphere, radius: 5 cm}
+"""
+
+
+def test_the_mass_of_kinds_and_the_mass_by_default_can_be_changed(tmp_path: Path) -> None:
+    path = extended(tmp_path, THINGS)
+    for name in ("ball", "crate"):
+        base, conditions = conditions_of(path, name)
+        ball, crate = changed_scenario(base, conditions[f"mass of {name}"]["x 2"]).program.world.objects
+        water = 1000 * 4 / 3 * math.pi * 0.05**3
+        assert ball.mass == pytest.approx(water * (2 if name == "ball" else 1))
+        assert [kind.mass for kind in crate.variants] == ([2, 6] if name == "crate" else [1, 3])
+
+
+@pytest.mark.parametrize(
+    ("links", "nominal"),
+    [
+        ("{body: {mass: 3 kg}, '*': {mass: urdf * 2}}", 6),
+        ("{body: {density: 900 kg/m^3}}", None),
+        ("{'*': {mass: urdf * uniform(0.5 .. 2)}}", 2 * 1.25),
+        ("{body: {mass: urdf * uniform(0.5 .. 2)}}", 2 * 1.25),
+    ],
+)
+def test_the_mass_of_a_link_is_changed_where_a_pattern_a_density_or_a_draw_sets_it(
+    tmp_path: Path, links: str, nominal: float | None
+) -> None:
+    path = extended(tmp_path, f"robots: {{cart: {{links: {links}}}}}\n")
+    base, conditions = conditions_of(path, "cart.body")
+    before = api.compile(path).program
+    after = changed_scenario(base, conditions["mass of cart.body"]["x 2"]).program
+    assert nominal is None or masses(before)[0] == pytest.approx(nominal)
+    assert masses(after) == pytest.approx([2 * masses(before)[0], *masses(before)[1:]])
+    names = [{entry.name for entry in EpisodeDraws(program).noted} for program in (before, after)]
+    assert names[0] == names[1]
+
+
+def test_the_observation_of_one_agent_of_several_has_noise_and_that_of_the_other_has_not() -> None:
+    for agent, other in (("hunter", "prey"), ("prey", "hunter")):
+        overrides = [f"role={{agent: {agent}}}"]
+        base = base_document(Source.open("tag"), overrides)
+        assert base.root is not None
+        program = api.compile("tag", overrides=overrides).program
+        (plan,) = (plan for plan in plans(base.root, program) if plan.name == "observation noise")
+        others = changed_scenario(base, dict(plan.levels)["10% of the range"]).program.others
+        assert others is not None
+        noisy = {name: member.program.agent.numbers for name, member in others.world.members.items()}
+        assert all(number.std is not None for number in noisy[agent])
+        assert all(number.std is None for number in noisy[other])
+
+
+def test_the_observation_of_an_agent_that_shares_a_policy_has_noise_too(tmp_path: Path) -> None:
+    path = extended(tmp_path, "agents: {right: {policy: left}}\n", "carry")
+    for agent in ("left", "right"):
+        base = base_document(Source.open(path), [f"role={{agent: {agent}}}"])
+        assert base.root is not None
+        program = changed_program(base, {})
+        (plan,) = (plan for plan in plans(base.root, program) if plan.name == "observation noise")
+        numbers = changed_program(base, dict(plan.levels)["10% of the range"]).agent.numbers
+        assert all(number.std is not None for number in numbers)
+
+
+def with_success(trained: TrainingResult, tmp_path: Path) -> Path:
+    """The scenario of a run with a success."""
+    text = (trained.run / "resolved.yaml").read_text()
+    path = tmp_path / "success.yaml"
+    path.write_text(
+        text.replace("inputs/robots/urdf/cartpole.urdf", "cartpole").replace(
+            "failure:", "success: {far: abs(x) > 1 m}\n  failure:"
+        )
+    )
+    return path
+
+
+def test_a_required_return_of_solved_counts_although_the_scenario_defines_success(
+    trained: TrainingResult, tmp_path: Path
+) -> None:
+    path = with_success(trained, tmp_path)
+    nominal = evaluate(trained.run, episodes=2, scenario=path, build=stand_in.build)
+    assert nominal.success_defined
+    assert _bar(api.compile(path).program, nominal, None, None)[:2] == ("mean_return", 195.0)
+
+
+def test_a_success_rate_is_required_of_the_scenario_that_is_evaluated(
+    trained: TrainingResult, tmp_path: Path, deepbots: Deepbots
+) -> None:
+    path = with_success(trained, tmp_path)
+    options = ["--min-success", "50%", "--episodes", "1", "--set", "truncation.max_steps=2"]
+    ran = deepbots("robustness", trained.run, *options, "--scenario", path, code=1)
+    assert "required: success rate of at least 50.0%" in ran.out
+    ran = deepbots("robustness", trained.run, *options, code=2)
+    assert "--min-success: stand_in defines no success; use --min-return, or add" in ran.err
+
+
 ARM = """\
 deepbots: 1
 name: Arm
@@ -549,11 +695,8 @@ def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -
 def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
     trained: TrainingResult, tmp_path: Path, deepbots: Deepbots
 ) -> None:
-    without_solved = re.sub(r"(?m)^solved:.*\n", "", (trained.run / "resolved.yaml").read_text()).replace(
-        "inputs/robots/urdf/cartpole.urdf", "cartpole"
-    )
-    hard = tmp_path / "hard.yaml"
-    hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
+    hard = with_success(trained, tmp_path)
+    hard.write_text(re.sub(r"(?m)^solved:.*\n", "", hard.read_text()))
     options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]
     output = deepbots("robustness", trained.run, *options, code=1).out
     assert "nothing to keep: without any change, the success rate is 0.0%" in output

@@ -243,6 +243,46 @@ def test_a_scenario_in_memory_is_no_run(folder: Path) -> None:
         Source.open(scenario, Permissions(), SourceKind.RUN)
 
 
+def test_the_advice_for_a_scenario_without_a_run_is_a_command_that_works(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("cartpole", "cart.yaml"):
+        assert f"train it first with `deepbots train {name}`," in refusal_of(["report", "?"], name, capsys)
+
+
+def test_the_advice_for_a_group_or_a_study_names_a_run_that_exists(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "group" / "seed-3").mkdir()
+    (folder / "group" / "seed-3" / "run.json").write_text("{}")
+    (folder / "study" / "trial-0" / "seed-1").mkdir(parents=True)
+    (folder / "study" / "study.json").write_text("{}")
+    (folder / "study" / "trial-0" / "group.json").write_text("{}")
+    (folder / "study" / "trial-0" / "seed-1" / "run.json").write_text("{}")
+    assert refusal_of(["view", "?"], "group", capsys).endswith("; name one of its runs, such as group/seed-3")
+    words = "; name one of its runs, such as study/trial-0/seed-1"
+    assert refusal_of(["view", "?"], "study", capsys).endswith(words)
+    words = "; name one of its trials, such as study/trial-0"
+    assert refusal_of(["eval", "?"], "study", capsys).endswith(words)
+
+
+def test_within_the_folder_of_the_runs_its_runs_are_listed(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "runs" / "cartpole-0-1").mkdir(parents=True)
+    (folder / "runs" / "cartpole-0-1" / "run.json").write_text("{}")
+    monkeypatch.chdir(folder / "runs")
+    words = "its runs, the newest first, are cartpole-0-1"
+    assert refusal_of(["eval", "?"], "cartpole-0-2", capsys).endswith(words)
+
+
+def test_a_robot_file_that_is_missing_and_an_empty_name_are_refused_as_such(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refusal_of(["try", "?"], "no.urdf", capsys).startswith(NOWHERE.format("no.urdf"))
+    assert refusal_of(["try", "?"], "", capsys) == "the name is empty; name a scenario or a run"
+
+
 def test_a_source_says_what_it_is(folder: Path) -> None:
     kinds = {
         "cartpole": SourceKind.SCENARIO,

@@ -168,24 +168,25 @@ def command(
     arguments = xacro_arguments(xacro, of_robot=all(map(is_robot, names)))
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name, arguments)
     _check_names(names, look, is_watching=watch, may_fix=fix or diff)
+    format_ = Format.json if as_json else format or Format(project.format or Format.full)
+    is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
+    _check_together(
+        statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats"
+    )
+    if fix or diff or unsafe_fixes:
+        _check_fixing(fix, diff, overrides, names)
+    _check_together(
+        diff and (as_json or format is not None),
+        "--diff cannot be combined with --format or --json: it prints changes instead of findings",
+    )
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
         once = partial(ctx.command.callback, **{**ctx.params, "watch": False})
         _watch(once, partial(scenario_names, scenarios or ["."], project))
         return
-    format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
-    is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
-    _check_together(
-        statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats"
-    )
     changes = False
-    if fix or diff or unsafe_fixes:
-        _check_fixing(fix, diff, overrides, names)
-        if diff and (as_json or format):
-            raise UsageError(
-                "--diff cannot be combined with --format or --json: it prints changes instead of findings"
-            )
+    if fix or diff:
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
@@ -437,7 +438,8 @@ class LintOptions:
             return api.load(name, permissions=self.permissions, drafts=drafts)
         findings = robot_findings(name, self.permissions.folders, self.xacro, drafts)
         path = robot_path(name, self.permissions.folders).resolve()
-        sources = {path: findings[0].span.source} if findings else {}
+        fixable = next((finding.span.source for finding in findings if finding.fix), None)
+        sources = {path: fixable} if fixable else {}
         nothing = MappingNode(Span(SourceText(name, ""), 0, 0), {})
         return LintResult(findings, sources, nothing, compiled=True)
 

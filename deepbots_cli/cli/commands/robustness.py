@@ -22,7 +22,6 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.gates import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.learning.runs.run import ModelRef
@@ -107,9 +106,6 @@ def command(
     """Evaluate a policy under changed conditions."""
     ref = ModelRef.open(run, permissions, model="last" if last else "best")
     terminal.note_physics(ref.run)
-    gates = Gates(min_success, min_return, False)
-    if not ref.run.program.members:  # with several agents, --agent names the one that is evaluated
-        gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness
     with processes.executor(workers, address) as executor, terminal.progress("evaluations") as show_level:

@@ -26,7 +26,6 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.gates import Gates
 from deepbots_cli.cli.records import number, percent, with_interval
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
@@ -119,7 +118,6 @@ def command(
         check_common_measure(
             ref.run.program, "evaluate one: deepbots eval RUN --agent NAME --engine NAME,NAME"
         )
-        Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
         _compare_log(
             opened, log, as_json=as_json, other_options=(engine, scenario, overrides, min_success, min_return)

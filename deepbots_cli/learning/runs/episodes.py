@@ -618,6 +618,19 @@ def check_common_measure(program: Program, instead: str) -> None:
         )
 
 
+def check_defines_success(program: Program, alternatives: str = "--min-return") -> None:
+    """Check that a success rate can be required.
+
+    Raises:
+        UsageError: The scenario defines no success; `alternatives` are the other requirements.
+    """
+    if not program.defines_success:
+        raise UsageError(
+            f"--min-success: {program.name} defines no success; use {alternatives}, or add"
+            " `termination.success` or a `goal` to the scenario"
+        )
+
+
 def agent_returns(members: Mapping[str, Member], term_means: Mapping[str, float]) -> dict[str, float]:
     """Return the mean return of each of several agents, given the means of the reward terms of all of them;
     empty before the first episode."""
