@@ -316,6 +316,8 @@ def difference(source: Source, actual: Array, expected: Array) -> float:
     return float(apart.max(initial=0.0))
 
 
+OF_LINES = ("cross_track_error", "arc_length")
+"""Functions of the nearest point of a line."""
 ANGLES = ("roll", "yaw", "bearing", "compass")
 
 
@@ -374,7 +376,7 @@ def compare(
         for step in range(STEPS + 1):
             before, after, *beside = (readings(world, sources) for world in worlds)
             for name, source in sources.items():
-                if name_of(source) == "cross_track_error" and not has_side(worlds[0], source):
+                if name_of(source) in OF_LINES and not has_side(worlds[0], source):
                     continue
                 expected = rule_of(source)(change, before[name])
                 spread = max(difference(source, other[name], before[name]) for other in beside)

@@ -206,7 +206,7 @@ def require_mass(subject: str, program: Program, nominal: Program, factor: float
 
 
 def masses_of(program: Program) -> dict[str, float]:
-    found = {
+    masses_kg = {
         f"{body.name}.{link.name}": link.inertial.mass
         for body in program.world.robots
         for link in body.model.links
@@ -214,10 +214,10 @@ def masses_of(program: Program) -> dict[str, float]:
     }
     for body in program.world.objects:
         if body.variants:
-            found |= {f"{body.name}:{kind.name}": kind.mass for kind in body.variants if not kind.fixed}
+            masses_kg |= {f"{body.name}:{kind.name}": kind.mass for kind in body.variants if not kind.fixed}
         else:
-            found[body.name] = body.mass
-    return found
+            masses_kg[body.name] = body.mass
+    return masses_kg
 
 
 # Tests of a case
@@ -282,11 +282,11 @@ def outcome(case: Case, data: dict[str, Any], name: str) -> tuple[Counter[tuple[
     about = [finding for finding in findings if finding.span.start > begin]
     if any(finding not in about for finding in errors):
         reject()  # a mistake of the case itself
-    found = Counter((finding.code, _VERSION.sub("", finding.headline)) for finding in about)
+    messages = Counter((finding.code, _VERSION.sub("", finding.headline)) for finding in about)
     program, tests = checked.program, checked.tests
     checked.release_names()
     if errors or program is None:
-        return found, None
+        return messages, None
     with reference():
         results = [
             (
@@ -296,7 +296,7 @@ def outcome(case: Case, data: dict[str, Any], name: str) -> tuple[Counter[tuple[
             )
             for result in run_tests(program, tests)
         ]
-    return found, results
+    return messages, results
 
 
 @law(cost=300, profile=Profile(agents=1))
