@@ -131,12 +131,6 @@ def test_a_file_goes_to_python_and_back(path: Path) -> None:
     assert Scenario.model_validate_json(scenario.model_dump_json(exclude_unset=True)) == scenario
 
 
-@pytest.mark.parametrize("name", ["cartpole", "find_ball", "quadrotor", "tag", "carry"])
-def test_a_file_that_went_through_python_compiles_to_the_same(name: str) -> None:
-    path = ROOT / "scenarios" / f"{name}.yaml"
-    assert deepbots_cli.compile(Scenario.from_yaml(path)).digest == deepbots_cli.compile(path).digest
-
-
 def test_a_scenario_of_several_agents_is_changed_in_python() -> None:
     scenario = Scenario.from_yaml(ROOT / "scenarios" / "sumo.yaml")
     assert scenario.agents is not None
