@@ -522,6 +522,7 @@ def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes
     )
 
 
+@pytest.mark.slow
 def test_the_nearest_of_the_solved_runs_is_compared(solved, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _trained(tmp_path, "newer", EASY.replace("  time: ", "  other: 0.002\n  time: "))
