@@ -71,9 +71,9 @@ def test_the_help_lists_every_template():
 @pytest.mark.parametrize(
     "words",
     [
-        ("--template", "wheeled"),
+        pytest.param(("--template", "wheeled"), marks=pytest.mark.slow),
         ("--urdf", "rover"),
-        ("--urdf", "package://pybullet_data/husky/husky.urdf"),
+        pytest.param(("--urdf", "package://pybullet_data/husky/husky.urdf"), marks=pytest.mark.slow),
     ],
 )
 def test_the_script_of_a_wheeled_robot_finds_its_ball(deepbots, words):
@@ -834,7 +834,11 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
 
 @pytest.mark.usefixtures("simulated_here")
 @pytest.mark.parametrize(
-    "inertial", ["", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>']
+    "inertial",
+    [
+        '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>',
+        pytest.param("", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize(
     ("shape", "setting"),
