@@ -923,7 +923,7 @@ def test_neither_of_two_equal_drivers_has_an_advantage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "mine", "--template", "duel"]) == 0
+    assert main(["new", "mine", "--template", "duel", "--json"]) == 0
     program = api.compile("mine.yaml").program
     columns = [list(member.columns) for member in program.members.values()]
     winners: dict[int, tuple[str, ...]] = {}

@@ -520,7 +520,7 @@ def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path)
     refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
     assert "deepbots new mine --urdf there/buggy.urdf here --allow-path there`" in refused.err
     assert "package://PACKAGE/PATH" in refused.err
-    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there")
+    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there", "--json")
     deepbots("lint", "here/mine.yaml", "--allow-path", "there")
 
 
