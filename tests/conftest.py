@@ -60,7 +60,7 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.freeze()
         gc.enable()
-        # As the command does. At the usual 700, garbage of tests is 5 % of their time.
+        # As the command does. At the usual 700, garbage of tests is 8 % of their time.
         gc.set_threshold(50_000)
 
 

@@ -497,7 +497,7 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
 @pytest.mark.parametrize("text", [SHARED_POLICY, SHARED_ALONE], ids=["together", "alone"])
 def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path, text: str) -> None:
     sharing_carts.write_text(text + PPO_512)
-    deepbots_cli.train(sharing_carts, run=tmp_path / "run", seed=1, total_timesteps=128)
+    assert deepbots_cli.train(sharing_carts, run=tmp_path / "run", seed=1, total_timesteps=128).steps == 128
     weights = load_model(Run.open(tmp_path / "run"), "best").weights()
     left = {name.partition("/")[2]: array for name, array in weights.items() if name.startswith("left/")}
     assert left
