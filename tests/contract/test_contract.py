@@ -36,8 +36,8 @@ EXACT_FORMATS = ("struct", "json", "msgpack", "csv", "none")
 
 @pytest.fixture(scope="session")
 def rollouts(environment: Supervisor) -> list[list[Any]]:
-    """Transitions of two random episodes, long enough that most come to their end."""
-    return [list(episode(environment, seed, 250)) for seed in range(2)]
+    """Transitions of four random episodes, long enough that most come to their end."""
+    return [list(episode(environment, seed, 250)) for seed in range(4)]
 
 
 def parts(observation: Any) -> list[Any]:
