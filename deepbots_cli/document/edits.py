@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import islice
 
 from deepbots_cli.diagnostics import Edit, Fix, Source, Span
 from deepbots_cli.document.layout import plain_or_quoted
@@ -37,12 +38,12 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
         return None
     # The signals of an agent have those of all agents before them, which are written elsewhere.
     source, start, end = holder.span
-    written = [
+    written = (
         entry
         for entry in holder.entries.values()
         if entry.key.span.source is source and start <= entry.key.span.start < end
-    ]
-    if len(written) < 2:
+    )
+    if len([*islice(written, 2)]) < 2:  # of thousands, two are enough
         return None
     entry = holder.entries.get(str(path[-1]))
     if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:

@@ -162,12 +162,6 @@ def test_a_random_agent_acts_the_same_in_a_repeated_episode(several: Path) -> No
     assert tracks[0] == tracks[1]
 
 
-def test_the_policy_of_a_role_is_trained_and_evaluated(several: Path, tmp_path: Path) -> None:
-    compiled = api.compile(several, overrides=["role.agent=right"])
-    result = deepbots_cli.train(compiled, run=tmp_path / "run")
-    assert (result.steps, deepbots_cli.evaluate(result.run, episodes=2).episodes) == (256, 2)
-
-
 def test_pettingzoo_accepts_the_environment(several: Path) -> None:
     pytest.importorskip("pettingzoo")
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
@@ -867,7 +861,7 @@ def test_two_robots_carry_the_bar_to_the_mark_and_one_alone_does_not(right: str,
 
 
 @pytest.mark.parametrize(("winner", "loser"), [("red", "blue"), ("blue", "red")])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", few([0, 1, 2], ["0"]))
 def test_the_robot_that_leaves_the_ring_loses(seed: int, winner: str, loser: str) -> None:
     infos, _ = play("sumo", seed, **{winner: "push", loser: [0.0, 0.0]})
     assert infos[loser]["ended_by"] == f"{loser}_out"
@@ -905,9 +899,9 @@ def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
     from pettingzoo.utils import parallel_to_aec
 
     with closing(deepbots_cli.parallel_env(scenario)) as environment:
-        parallel_api_test(environment, num_cycles=50)
-        api_test(parallel_to_aec(environment), num_cycles=20)
-    parallel_seed_test(lambda: deepbots_cli.parallel_env(scenario), num_cycles=10)
+        parallel_api_test(environment, num_cycles=20)
+        api_test(parallel_to_aec(environment), num_cycles=10)
+    parallel_seed_test(lambda: deepbots_cli.parallel_env(scenario), num_cycles=5)
     with pytest.warns(RuntimeWarning, match="there is no display"):
         render_test(
             lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(scenario, render_mode=render_mode))
@@ -929,7 +923,7 @@ def test_neither_of_two_equal_drivers_has_an_advantage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "mine", "--template", "duel"]) == 0
+    assert main(["new", "mine", "--template", "duel", "--json"]) == 0
     program = api.compile("mine.yaml").program
     columns = [list(member.columns) for member in program.members.values()]
     winners: dict[int, tuple[str, ...]] = {}

@@ -170,6 +170,7 @@ def test_players_of_equal_agents_take_both_sides(trained: Path) -> None:
     assert (match.wins, match.losses, match.episodes) == (wins, losses, 10)
 
 
+@pytest.mark.slow
 def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp_path: Path) -> None:
     text = SHARED.replace(
         "{like: left, robots: [right]}", "{like: left, robots: [right], reward: {alive: 1}}"
@@ -316,6 +317,7 @@ def test_a_group_of_agents_that_compete_shows_the_return_of_each(tmp_path: Path,
     assert [line.split()[0] for line in lines[3:5]] == ["seed-1", "seed-2"]
 
 
+@pytest.mark.slow
 def test_an_agent_of_a_run_plays_against_the_policies_of_the_run(trained: Path, deepbots: Deepbots) -> None:
     together = evaluate(trained, episodes=3, seed=9)
     alone = json.loads(
@@ -653,6 +655,7 @@ def test_an_episode_is_explained_for_one_agent(hopeless: Path, deepbots: Deepbot
     )
 
 
+@pytest.mark.slow
 def test_a_recording_has_the_episodes_that_one_agent_failed(
     hopeless: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:

@@ -36,7 +36,8 @@ SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_t
 """Settings with which episodes end within 500 steps."""
 ENDLESS = ("find_and_avoid", "pit_escape", PUSHED, FEET)
 """Scenarios in which no episode ends within 40 steps."""
-LIVED = ("find_ball", "multi_cartpole", "pushed", "feet")
+LIVED = ("multi_cartpole", "feet")
+"""Those with what the law `one_world_is_one_of_many` does not draw: copies of a robot, and forces of contacts."""
 OTHERS = (
     "cartpole_continuous",
     "cartpole_long",
@@ -160,7 +161,7 @@ TORQUES = (
 @pytest.mark.parametrize(
     "motors",
     [
-        pytest.param((), id="springs"),
+        pytest.param((), id="springs", marks=pytest.mark.slow),
         pytest.param(SPUN, id="velocity motors", marks=pytest.mark.slow),
         pytest.param(CURVED[:1], id="weak curves", marks=pytest.mark.slow),
         pytest.param(CURVED[1:], id="drawn curves"),

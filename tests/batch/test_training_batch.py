@@ -41,8 +41,11 @@ def program() -> Program:
 
 @pytest.mark.parametrize(
     ("name", "overrides"),
-    [("cartpole", ()), ("cartpole", MASKED), ("multi_cartpole", MASKED)],
-    ids=["alone", "masked", "copies"],
+    [
+        pytest.param("cartpole", (), id="alone"),
+        pytest.param("cartpole", MASKED, id="masked", marks=pytest.mark.slow),
+        pytest.param("multi_cartpole", MASKED, id="copies"),
+    ],
 )
 def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(
     name: str, overrides: tuple[str, ...]

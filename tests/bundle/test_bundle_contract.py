@@ -18,7 +18,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export.network import numbers_read
 from deepbots_robot import Bundle
 from tests.bundle.untrained import compare_with_simulation, untrained_bundle
-from tests.few import WORLDS, few
+from tests.few import few
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
 FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -34,7 +34,8 @@ FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("pushed", ()),
     ("../../bundle/readings", ()),
 )
-FAST = (*WORLDS, "find_and_avoid")
+FAST = ("quadruped", "multi_cartpole", "see_ball", "find_and_avoid")
+"""The law `a_bundle_commands_what_the_simulation_applies` has small worlds, without pictures and copies."""
 
 
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))

@@ -452,7 +452,7 @@ def test_streams_that_were_closed_from_the_start_are_not_a_failure(verb, closed)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("verb", ["lsp --schema", "--help"])
+@pytest.mark.parametrize("verb", [pytest.param("lsp --schema", marks=pytest.mark.slow), "--help"])
 def test_a_full_disk_is_one_clear_line(verb):
     message, code = _in_shell(f"(deepbots {verb} >/dev/full) 2>&1; echo $?").splitlines()
     assert message.startswith("error: ")
@@ -535,7 +535,7 @@ def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path)
     refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
     assert "deepbots new mine --urdf there/buggy.urdf here --allow-path there`" in refused.err
     assert "package://PACKAGE/PATH" in refused.err
-    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there")
+    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there", "--json")
     deepbots("lint", "here/mine.yaml", "--allow-path", "there")
 
 
@@ -820,6 +820,7 @@ def without_docstrings(folder: Path, *words: str) -> subprocess.CompletedProcess
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lines",
     [LINES, pytest.param([["lint", "cartpole", "--deep"]], marks=pytest.mark.slow)],

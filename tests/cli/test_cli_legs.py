@@ -14,6 +14,7 @@ import yaml
 from deepbots_cli import api, frames
 from deepbots_cli.robots.kinematics import center_of_mass, link_frames, min_spring_inertia
 from deepbots_cli.robots.model import Inertial, Joint, Link, Pose, RobotModel
+from tests.few import few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")  # first chooses the OpenGL library of `mujoco`
 
@@ -151,7 +152,13 @@ ROBOTS = {
 }
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    "name",
+    few(
+        ROBOTS,
+        ("humanoid with feet that are not level", "quadruped on its side", "hexapod drawn stretched out"),
+    ),
+)
 def test_a_robot_on_legs_stands_for_ten_seconds_without_a_policy(written, tmp_path, name):
     written(ROBOTS[name])
     assert api.lint(tmp_path / "first.yaml", preview=True) == []

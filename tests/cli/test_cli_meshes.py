@@ -64,9 +64,7 @@ def project(
         pytest.param(
             way,
             id=name,
-            marks=()
-            if name in ("the folder of the project", "two folders of --allow-path")
-            else pytest.mark.slow,
+            marks=() if name == "two folders of --allow-path" else pytest.mark.slow,
         )
         for name, way in WAYS.items()
     ],

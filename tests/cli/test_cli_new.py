@@ -71,9 +71,9 @@ def test_the_help_lists_every_template():
 @pytest.mark.parametrize(
     "words",
     [
-        ("--template", "wheeled"),
+        pytest.param(("--template", "wheeled"), marks=pytest.mark.slow),
         ("--urdf", "rover"),
-        ("--urdf", "package://pybullet_data/husky/husky.urdf"),
+        pytest.param(("--urdf", "package://pybullet_data/husky/husky.urdf"), marks=pytest.mark.slow),
     ],
 )
 def test_the_script_of_a_wheeled_robot_finds_its_ball(deepbots, words):
@@ -671,7 +671,7 @@ def odd_robot(request, tmp_path):
 @pytest.mark.parametrize("odd_robot", few(ODD_ROBOTS, ("tall_foot",)), indirect=True)
 def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, odd_robot):
     unsure = ("--task", "roam") if odd_robot in ("spider", "odd_names") else ()
-    deepbots("new", "first", "--urdf", f"{odd_robot}.urdf", *unsure)
+    deepbots("new", "first", "--urdf", f"{odd_robot}.urdf", *unsure, "--json")
     ran = deepbots("lint", "first.yaml", "--deep", "--preview")
     assert ran.out == "first.yaml: no findings, including the simulation\n"
 
@@ -834,7 +834,11 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
 
 @pytest.mark.usefixtures("simulated_here")
 @pytest.mark.parametrize(
-    "inertial", ["", '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>']
+    "inertial",
+    [
+        '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial>',
+        pytest.param("", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize(
     ("shape", "setting"),
@@ -846,7 +850,7 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
 def test_a_joint_that_moves_no_mass_gets_one_in_the_scenario(deepbots, tmp_path, inertial, shape, setting):
     parts = f'<link name="a">{inertial}{shape}</link>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
     (tmp_path / "light.urdf").write_text(f'<robot name="r">{parts}</robot>')
-    deepbots("new", "first", "--urdf", "light.urdf", "--task", "follow")
+    deepbots("new", "first", "--urdf", "light.urdf", "--task", "follow", "--json")
     assert f"a: {setting}" in (tmp_path / "first.yaml").read_text()
     ran = deepbots("lint", "first.yaml", "--deep")
     assert ran.out == "first.yaml: no findings, including the simulation\n"
@@ -870,14 +874,14 @@ ODD = (
 def test_a_robot_with_an_unusual_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
     pytest.importorskip("pybullet_data")
     unsure = ("--task", "roam") if name.startswith("bicycle") else ()
-    deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf", *unsure)
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf", *unsure, "--json")
     assert deepbots("lint", "first.yaml").out == "first.yaml: no findings\n"
     ran = deepbots("try", "first.yaml", "--steps", "100")
     assert ran.err == ""
     assert "term" in ran.out
 
 
-RACECAR = ("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
+RACECAR = ("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf", "--json")
 
 
 def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
@@ -931,7 +935,7 @@ def test_the_comment_about_a_tricycle_says_that_one_joint_steers(deepbots, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), (*LIGHT, "carry")))
 def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots, tmp_path, name):
-    deepbots("new", name, "a/b", "--from", name)
+    deepbots("new", name, "a/b", "--from", name, "--json")
     assert api.compile(tmp_path / "a" / "b" / f"{name}.yaml").digest == api.compile(name).digest
     assert all(
         path.is_relative_to(tmp_path)
@@ -1114,7 +1118,7 @@ def test_a_drone_of_rotors_without_mass_is_turned_by_their_thrust(deepbots, tmp_
     )
     body = link("base", box("0.2 0.2 0.05"), 1.0)
     (tmp_path / "drone.urdf").write_text(f'<robot name="r">{body}{rotors}</robot>')
-    deepbots("new", "first", "--urdf", "drone.urdf")
+    deepbots("new", "first", "--urdf", "drone.urdf", "--json")
     assert "    actuators:\n      rotors:" in (tmp_path / "first.yaml").read_text()
     with closing(api.make(tmp_path / "first.yaml")) as environment:
         environment.reset(seed=0)

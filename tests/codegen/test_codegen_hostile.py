@@ -73,7 +73,7 @@ NUMBERS = ("0", "-1", "1e-320", "1e300", "1e-9", "1000")
 Place = tuple[Any, ...]
 
 
-@pytest.fixture(scope="module", params=every(4, SOURCES, lambda source: Path(source).stem))
+@pytest.fixture(scope="module", params=every(6, SOURCES, lambda source: Path(source).stem))
 def opened(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """A scenario as data, and the folder that its files lie in."""
     checked = api.load(request.param)

@@ -31,7 +31,6 @@ from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, walk
 from deepbots_cli.program import identity
 from deepbots_cli.program.identity import digest, interface, to_json
-from tests.few import LIGHT, few
 from tests.named import constant
 
 
@@ -542,13 +541,6 @@ def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
         ["scenarios/scenario.yaml", "robots/mine.urdf", "meshes/part.obj"],
         MESH,
     )
-
-
-@pytest.mark.parametrize("overrides", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
-@pytest.mark.parametrize("name", few(shipped.scenario_names(), LIGHT))
-def test_a_resolved_scenario_compiles_to_the_same_from_its_copies(tmp_path, name, overrides):
-    compiled = api.compile(name, overrides=overrides)
-    assert api.compile(unpack(compiled, tmp_path)).digest == compiled.digest
 
 
 def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):

@@ -75,6 +75,21 @@ def named(page: RulePage) -> str:
     return f"{page.code}{'-deep' * page.deep}"
 
 
+BESIDES = {
+    "DB314": ("DB306",),
+    "DB603": ("DB205",),
+    "DB702": ("DB810",),
+    "DB703": ("DB708",),
+    "DB705": ("DB810",),
+    "DB708": ("DB810",),
+    "DB710": ("DB205",),
+    "DB711": ("DB810",),
+    "DB801": ("DB205",),
+    "DB802": ("DB205",),
+    "DB806": ("DB611",),
+    "DB807": ("DB708",),
+}
+"""The other findings of the example of a rule."""
 EXAMPLES = [page for page in every_page() if page.example]
 QUICK = {named(page) for page in EXAMPLES if not page.deep}
 """All but those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each
@@ -85,7 +100,11 @@ of them."""
 def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(
     page: RulePage, tmp_path: Path
 ) -> None:
-    assert page.code in codes_of(page.example, page, tmp_path)
+    codes = codes_of(page.example, page, tmp_path)
+    if page.deep or page.language == "xml":
+        assert page.code in codes
+    else:
+        assert codes == {page.code, *BESIDES.get(page.code, ())}
     codes = codes_of(page.instead, page, tmp_path)
     assert page.code not in codes
     assert not {code for code in codes if RULES[code].severity == "error"}

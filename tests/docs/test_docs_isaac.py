@@ -152,6 +152,7 @@ def groups(rows: list[Row]) -> list[list[Row]]:
     return parts
 
 
+@pytest.mark.slow
 def test_all_lines_compile_in_scenarios_that_extend_the_quadruped(tmp_path: Path) -> None:
     """A lint takes 0.1 s, whether of one row or of a hundred."""
     assert [row.names for row in WITH_LINES if row.reason] == []

@@ -22,7 +22,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span, edited
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import (
@@ -45,7 +44,6 @@ from deepbots_cli.document.layout import canonical_text, to_yaml
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
-from tests.few import LIGHT, few
 from tests.golden.cases import mistakes
 
 
@@ -1059,25 +1057,3 @@ def disturbed(text, seed):
         if chance.random() < 0.1:
             lines += ["", ""]
     return "\n".join(lines)
-
-
-@pytest.mark.parametrize("name", few(SHIPPED, LIGHT))
-def test_any_layout_of_a_scenario_is_changed_without_its_meaning_and_once_for_all(name):
-    for seed in range(3):
-        text = disturbed(text_of(name), seed)
-        before = meaning(text)
-        done = canonical_text(text) if before is not None else None
-        if done is not None:
-            assert (meaning(done), canonical_text(done)) == (before, done)
-
-
-@pytest.mark.parametrize("name", few(SHIPPED, LIGHT))
-def test_a_scenario_compiles_to_the_same_before_and_after(name):
-    path = shipped.scenario_path(name).resolve()
-    text = text_of(name)
-    layouts = [
-        canonical_text(text),
-        *(canonical_text(other) for other in [disturbed(text, 1)] if meaning(other) == meaning(text)),
-    ]
-    digests = {api.compile(api.load(path, drafts={path: layout.encode()})).digest for layout in layouts}
-    assert digests == {api.compile(path).digest}

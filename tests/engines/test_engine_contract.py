@@ -414,6 +414,7 @@ def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> b
     ).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pasts", PASTS)
 @pytest.mark.parametrize("carts", few([1, 3], ["3"]))
 def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(

@@ -100,6 +100,7 @@ def test_worlds_go_on_in_python_where_numba_cannot_be_imported(in_python, crate,
         sliding.install()
 
 
+@pytest.mark.slow
 def test_the_callback_is_compiled_where_no_folder_can_be_written(in_python, crate, monkeypatch):
     def refuse(*args, **options):
         raise PermissionError("a read-only file system")

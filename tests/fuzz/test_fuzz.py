@@ -20,7 +20,7 @@ from tests.fuzz.mutations import ROOT as REPOSITORY
 from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
 from tests.lsp.client import Client
 
-COUNT = 200
+COUNT = 100
 FOLDER = SEEDS.relative_to(REPOSITORY)
 
 

@@ -10,6 +10,7 @@ CPU and `MOST_MEMORY` more than the server.
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import random
@@ -305,6 +306,7 @@ def main() -> None:
     os.environ["DEEPBOTS_DEBUG"] = "1"
     torch.set_num_threads(1)  # a pool of threads is lost in a fork
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    gc.freeze()  # copies look for garbage among their own objects alone
     for line in sys.stdin:
         request = json.loads(line)
         print(json.dumps(tried(Path(request["run"]), request["number"])), flush=True)

@@ -114,21 +114,23 @@ def large(record: dict[str, Any], key: str, item: str, *, is_list: bool = True) 
     [
         (EvaluationResult, large({}, "x", "0", is_list=False)),
         (EvaluationResult, large(EVALUATION, "x", "{}")),
-        (EvaluationResult, large(EVALUATION, "agents", "{}", is_list=False)),
-        (EvaluationResult, large(EVALUATION, "set", "0")),
-        (EvaluationResult, large(EVALUATION, "cases", "[[]]")),
+        pytest.param(
+            EvaluationResult, large(EVALUATION, "agents", "{}", is_list=False), marks=pytest.mark.slow
+        ),
+        pytest.param(EvaluationResult, large(EVALUATION, "set", "0"), marks=pytest.mark.slow),
+        pytest.param(EvaluationResult, large(EVALUATION, "cases", "[[]]"), marks=pytest.mark.slow),
         (EvaluationResult, "{" + ",".join(f'"k{number}":0' for number in range(200_000)) + "}"),
-        (EvaluationResult, large(EVALUATION, "outcomes", "{}")),
-        (EvaluationResult, large(EVALUATION, "outcomes", EPISODE % "")),
+        pytest.param(EvaluationResult, large(EVALUATION, "outcomes", "{}"), marks=pytest.mark.slow),
+        pytest.param(EvaluationResult, large(EVALUATION, "outcomes", EPISODE % ""), marks=pytest.mark.slow),
         (EvaluationResult, large(EVALUATION, "outcomes", EPISODE % ',"terms":{"a":"x"}')),
-        (RunRecord, large({}, "seeds", "0", is_list=False)),
+        pytest.param(RunRecord, large({}, "seeds", "0", is_list=False), marks=pytest.mark.slow),
         (RunRecord, large({}, "command", '""')),
-        (RunRecord, large({}, "command", "0")),
+        pytest.param(RunRecord, large({}, "command", "0"), marks=pytest.mark.slow),
         (Failure, large(FAILURE, "actions", "[0]")),
-        (Failure, large(FAILURE, "actions", '{"a":0}')),
-        (Failure, large(FAILURE, "actions", "0")),
+        pytest.param(Failure, large(FAILURE, "actions", '{"a":0}'), marks=pytest.mark.slow),
+        pytest.param(Failure, large(FAILURE, "actions", "0"), marks=pytest.mark.slow),
         (StableState, large({}, "stages", "-1")),
-        (StableState, large({}, "logs", '"x"', is_list=False)),
+        pytest.param(StableState, large({}, "logs", '"x"', is_list=False), marks=pytest.mark.slow),
     ],
 )
 def test_a_record_of_two_megabytes_takes_fifty_megabytes(model: Any, text: str, tmp_path: Path) -> None:

@@ -522,6 +522,7 @@ def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes
     )
 
 
+@pytest.mark.slow
 def test_the_nearest_of_the_solved_runs_is_compared(solved, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _trained(tmp_path, "newer", EASY.replace("  time: ", "  other: 0.002\n  time: "))
@@ -576,11 +577,11 @@ def _fallen(
     ("settings", "path", "advised"),
     [
         (["train.learning_rate=2e-2"], "train.learning_rate", "0.003 -> 0.0003"),
-        (["train.n_epochs=100"], "train.n_epochs", "10"),
-        (["train.ent_coef=0.2"], "train.ent_coef", "0.01"),
-        (["train.clip_range=0.9"], "train.clip_range", "0.2"),
+        pytest.param(["train.n_epochs=100"], "train.n_epochs", "10", marks=pytest.mark.slow),
+        pytest.param(["train.ent_coef=0.2"], "train.ent_coef", "0.01", marks=pytest.mark.slow),
+        pytest.param(["train.clip_range=0.9"], "train.clip_range", "0.2", marks=pytest.mark.slow),
         (["train.batch_size=8"], "train.batch_size", "256"),
-        (["train.max_grad_norm=50"], "train.max_grad_norm", "0.5"),
+        pytest.param(["train.max_grad_norm=50"], "train.max_grad_norm", "0.5", marks=pytest.mark.slow),
         (["train.gamma=0.5"], "train.gamma", "0.98"),
     ],
 )

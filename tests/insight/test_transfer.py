@@ -391,25 +391,38 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
     assert "\r" not in output.err
 
 
-def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The carriage waits until step 104, and succeeds in step 121 if it is near its start. `x 8` makes it
-    leave too early; an own speed from step 116 is a change that deepbots does not try."""
+def patient(folder: Path) -> list[str]:
+    """The words of a transfer of a carriage that waits until step 104, and succeeds in step 121 if it is near
+    its start."""
     run = train_shuttle(
-        tmp_path,
+        folder,
         "robots.shuttle.receive={go: 0.05 m/s if time > 5.2 s else 0 m/s}",
         "robots.shuttle.apply={motor: go + 0 * drive * speed}",
         "termination.success={stays: time > 6 s and abs(shuttle.place) < 0.1 m}",
         "reward.parked=1 when stays",
         "truncation.max_steps=160",
     )
-    words = ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
+    return ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
+
+
+def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`x 8` makes it leave too early."""
+    words = patient(tmp_path)
     assert main([*words, "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}"]) == 0
     output = capsys.readouterr().out
     assert "4 of 4 episodes end in another way in other; before this, in steps 72 to 121" in output
     assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.76", output)
     assert "training with command of shuttle.motor x 8: 0.0%, 100.0% of the difference" in output
+
+
+@pytest.mark.slow
+def test_a_change_that_is_not_tried_explains_no_difference_in_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An own speed from step 116 is such a change."""
+    words = patient(tmp_path)
     late = "robots.shuttle.receive={go: (0.05 m/s if time > 5.2 s else 0 m/s) if time < 5.8 s else 5 m/s}"
     assert main([*words, late]) == 0
     assert (

@@ -670,7 +670,7 @@ def test_a_lucky_evaluation_does_not_stop_a_training(tmp_path: Path) -> None:
     assert any("not confirmed after" in note and "the training goes on" in note for note in notes.notes)
 
 
-@pytest.mark.parametrize("solved", [SUCCESS, LOW_RETURN])
+@pytest.mark.parametrize("solved", [SUCCESS, pytest.param(LOW_RETURN, marks=pytest.mark.slow)])
 def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solved) -> None:
     build = Worlds(
         lambda number: (1.0, number >= 1) if solved is SUCCESS else (float(number >= 1), False),

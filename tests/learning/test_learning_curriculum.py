@@ -256,7 +256,10 @@ def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:
 
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
-ENGINES = [pytest.param("pybullet", id="single worlds"), pytest.param("mujoco", id="batch")]
+ENGINES = [
+    pytest.param("pybullet", id="single worlds", marks=pytest.mark.slow),
+    pytest.param("mujoco", id="batch"),
+]
 
 
 def compiled(*overrides: str) -> Compiled:

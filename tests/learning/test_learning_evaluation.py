@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,7 +67,7 @@ def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
     return evaluate(trained.run, build=stand_in.build, **settings).model_dump(mode="json")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("deterministic", [True, False])
+@pytest.mark.parametrize("deterministic", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(
     trained: TrainingResult, deterministic: bool
 ) -> None:
@@ -746,11 +747,16 @@ class Paid(stand_in.CartPole):
         return observation, self.reward, terminated, truncated, info
 
 
+@pytest.fixture(scope="module")
+def with_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with three models: of 192, 320 and 448 steps; the last one is the best. Not to be changed."""
+    task, folder = stand_in.compiled(training=SHORT), tmp_path_factory.mktemp("kept")
+    return train(task, run=folder / "run", build=stand_in.build, keep_checkpoints=3).run
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    """A run with three models: of 192, 320 and 448 steps; the last one is the best."""
-    task = stand_in.compiled(training=SHORT)
-    return Run.open(train(task, run=tmp_path / "run", build=stand_in.build, keep_checkpoints=3).run)
+def run(with_checkpoints: Path, tmp_path: Path) -> Run:
+    return Run.open(Path(shutil.copytree(with_checkpoints, tmp_path / "run")))
 
 
 def bytes_of(run: Run, name: str) -> bytes:

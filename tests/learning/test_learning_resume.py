@@ -887,7 +887,7 @@ remove: [observation.speed, observation.tip_speed]
 observation: {cart.pole_angle: {range: -20 .. 20 deg, history: 3}}
 critic: {CRITIC}
 solved: mean_return >= 1000000 over 2 episodes
-train: {total_timesteps: 2048, algorithm: {algorithm}}
+train: {total_timesteps: 1024, algorithm: {algorithm}}
 """
 CRITIC = "{speed: -0.8 .. 0.8 m/s, tip_speed: -2 .. 2 m/s}"
 

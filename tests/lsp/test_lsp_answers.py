@@ -464,7 +464,7 @@ def test_the_outline_shows_sections_and_the_names_in_them(client, pit):
     assert list(names)[:3] == ["deepbots", "name", "summary"]
 
 
-def test_the_server_writes_nothing(project, tmp_path):
+def test_the_server_writes_nothing(client, project):
     def state() -> dict[str, str]:
         return {
             str(path): hashlib.sha256(path.read_bytes()).hexdigest()
@@ -473,15 +473,15 @@ def test_the_server_writes_nothing(project, tmp_path):
         }
 
     before = state()
-    with Client(project) as own:
-        path = project / "scenarios" / "pit_escape.yaml"
-        uri = own.open(path, path.read_text().replace("timestep: 32", "timestop: 32"))
-        own.findings(uri)
-        own.actions(uri, "time¦stop", only=FIX_ALL)
-        own.request(
-            "textDocument/formatting",
-            {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
-        )
+    path = project / "scenarios" / "quadrotor.yaml"
+    uri = client.open(path, path.read_text().replace("timestep:", "timestop:"))
+    client.findings(uri)
+    client.actions(uri, "time¦stop", only=FIX_ALL)
+    client.request(
+        "textDocument/formatting",
+        {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
+    )
+    client.close(uri)
     assert state() == before
 
 

@@ -7,15 +7,30 @@ import pytest
 from tests.physics.case import Case, Quantity, measured
 from tests.physics.table import CASES, EXPECTED_TO_FAIL
 
+BATCHES = CASES[1::3]
+"""The cases that `make test` tries in a batch: its worlds are those of MuJoCo, to the bit (the law
+`one_world_is_one_of_many`), and one takes four times as long."""
+
+
+def is_nightly(case: Case, engine: str) -> bool:
+    """Whether another case of `make test` has the fact: another engine, or the same world with longer
+    steps."""
+    longer = case.name.replace("steps of 1 ms", "steps of 4 ms")
+    is_short = longer != case.name and longer in {other.name for other in CASES}
+    return is_short or (engine == "batch" and case not in BATCHES)
+
+
 READINGS = [
     pytest.param(
         case,
         quantity,
         engine,
         id=f"{case.name}: {quantity.what}-{engine}",
-        marks=[pytest.mark.xfail(strict=True, reason="known to be wrong")]
-        if engine in EXPECTED_TO_FAIL.get(f"{case.name}: {quantity.what}", "").split()
-        else [],
+        marks=[
+            *[pytest.mark.slow] * is_nightly(case, engine),
+            *[pytest.mark.xfail(strict=True, reason="known to be wrong")]
+            * (engine in EXPECTED_TO_FAIL.get(f"{case.name}: {quantity.what}", "").split()),
+        ],
     )
     for case in CASES
     for engine in case.engines

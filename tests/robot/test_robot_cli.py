@@ -21,7 +21,7 @@ from deepbots_robot import bundle, signature
 from deepbots_robot.__main__ import main as robot
 from deepbots_robot.topics import Topic
 from tests.bundle.untrained import write_bundle
-from tests.few import WORLDS, few
+from tests.few import few
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,9 @@ def test_options_of_keys_that_do_not_fit_are_refused(
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), (*WORLDS, "tag")))
+@pytest.mark.parametrize(
+    "scenario", few(shipped.scenario_names(), ("multi_cartpole", "see_ball", "panda_reach", "tag"))
+)
 def test_what_inspect_prints_is_a_section_without_findings(
     scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -364,7 +364,7 @@ def test_a_robot_outside_the_project_is_copied_with_its_meshes_as_the_message_of
 
 def test_new_for_a_robot_without_masses_gives_the_links_a_density(deepbots: Deepbots, tmp_path: Path):
     (tmp_path / "bare.urdf").write_text(robot(link("base", BOX), link("arm", BOX), ARM[2]))
-    deepbots("new", "first", "--urdf", "bare.urdf")
+    deepbots("new", "first", "--urdf", "bare.urdf", "--json")
     assert "density: 1000 kg/m^3" in (tmp_path / "first.yaml").read_text()
     assert api.lint(tmp_path / "first.yaml") == []
 
@@ -386,7 +386,7 @@ def test_new_for_sixteen_hinges_with_alternating_velocity_limits_runs(deepbots: 
         for number, velocity in enumerate(velocities)
     ]
     (tmp_path / "arm.urdf").write_text(robot(*links, *hinges))
-    deepbots("new", "first", "--urdf", "arm.urdf")
+    deepbots("new", "first", "--urdf", "arm.urdf", "--json")
     runs(tmp_path, (tmp_path / "first.yaml").read_text())
 
 

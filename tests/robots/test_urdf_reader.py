@@ -44,6 +44,7 @@ from deepbots_cli.robots.model import (
 )
 from deepbots_cli.robots.packages import UnusableMesh, mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
+from tests.few import few
 from tests.golden.cases import mistakes
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -665,6 +666,17 @@ PUBLISHED = {
     "humanoid/humanoid.urdf": {"DB311"},
     "spherical_joint_limit.urdf": {"DB306", "DB311"},
 }
+UNLIKE = (
+    "r2d2.urdf",
+    "husky/husky.urdf",
+    "quadruped/minitaur.urdf",
+    "kuka_iiwa/model.urdf",
+    "bicycle/bike.urdf",
+    "biped/biped2d_pybullet.urdf",
+    "humanoid/humanoid.urdf",
+    "spherical_joint_limit.urdf",
+)
+"""Those without many triangles, which take a second to read."""
 
 
 def shipped_robot(name: str) -> RobotFile:
@@ -772,7 +784,7 @@ def published(library: Path, name: str) -> tuple[RobotFile | None, Findings]:
     ), findings
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize("name", few(PUBLISHED, UNLIKE))
 def test_a_published_robot_is_read_with_warnings_at_most(library, name):
     robot, findings = published(library, name)
     assert findings.errors == []

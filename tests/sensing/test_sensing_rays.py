@@ -272,7 +272,7 @@ def points(environment: Any, *, level: bool = True) -> list[tuple[float, float, 
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_scan_is_the_height_above_the_ground_at_each_point(tmp_path: Path, engine: str, seed: int) -> None:
     pytest.importorskip(engine)
     compiled = scenario(tmp_path, ROUGH)

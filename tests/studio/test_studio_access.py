@@ -408,6 +408,8 @@ def test_commands_that_start_at_once_write_into_different_places(tmp_path):
             for _ in range(2)
         ]
         assert videos[0].record.output != videos[1].record.output
+        for task in (first, second, *videos):  # each would import deepbots, to find no scenario
+            task.stop()
         await _until(lambda: not any(task.is_running for task in (first, second, *videos)))
         await session.close()
 

@@ -89,7 +89,7 @@ class Running:
                 self.notices,
             )
             assert not self._task.done(), self._task.exception()
-            await asyncio.sleep(0.02)
+            await asyncio.sleep(0.05)
 
     async def checked(self, path: Path) -> None:
         file = self.session.files[path]
@@ -859,7 +859,7 @@ def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(tra
 
 
 def test_the_evaluations_beside_the_robot_are_those_of_the_run_that_is_watched_now(trained, tmp_path):
-    acted(trained, tmp_path, *("watch", "look_at_curve") * 5)
+    acted(trained, tmp_path, *("watch", "look_at_curve") * 2)
 
 
 @pytest.mark.slow
@@ -869,6 +869,7 @@ def test_all_that_is_shown_agrees_with_the_files_in_random_walks(trained, tmp_pa
     walked(trained, tmp_path, range(first, first + _WALKS_OF_A_SESSION), costs=True)
 
 
+@pytest.mark.slow
 def test_all_that_is_shown_agrees_with_the_files_in_a_walk(trained, tmp_path):
     walked(trained, tmp_path, range(1000, 1001), costs=False)
 

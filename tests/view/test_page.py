@@ -160,7 +160,7 @@ def test_keys_drive_and_let_go():
 )  # to the right is positive in one, and to the left in the other
 def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "mine", "--template", "wheeled"]) == 0
+    assert main(["new", "mine", "--template", "wheeled", "--json"]) == 0
     with closing(Page(Showing(name), port=0, playing=True)) as page:
         yaws = []
         for key in ("ArrowRight", "ArrowLeft"):

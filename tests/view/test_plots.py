@@ -692,7 +692,7 @@ def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
         Viewpoint(follow="dog").now(player, whole)
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+@pytest.mark.parametrize("suffix", [pytest.param(".gif", marks=pytest.mark.slow), ".mp4"])
 def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     out = tmp_path / f"clip{suffix}"
     with closing(Player(Showing("find_ball").open(), "around")) as player:

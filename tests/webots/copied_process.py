@@ -5,6 +5,7 @@ The imports of `deepbots webots` take 0.8 s of CPU.
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
@@ -70,6 +71,7 @@ def serve() -> None:
         world = Path(folder, "empty.wbt")
         world.write_text(f"{HEADER}Robot {{ }}", encoding="utf-8")
         main(["webots", str(world)])  # everything is imported
+    gc.freeze()  # copies look for garbage among their own objects alone
     for line in sys.stdin:
         words, folder, *outputs = json.loads(line)
         copy = os.fork()

@@ -1180,13 +1180,14 @@ NUMBERS = "1 1 1 " * (MAX_NUMBERS // 3)
         pytest.param('WorldInfo { title "' + r"\a" * 4_000_000 + '" }', id="escapes"),
         pytest.param("#\n" * 4_000_000, id="comments"),
         pytest.param("Group { " + " ".join(f"childrem{i} 1" for i in range(MAX_TOKENS // 2 - 9)) + "}", id="unknown fields"),
-        pytest.param(" ".join(f"Groupp{i} {{ }}" for i in range(MAX_NODES)), id="unknown nodes"),
+        pytest.param(" ".join(f"Groupp{i} {{ }}" for i in range(MAX_NODES)), id="unknown nodes", marks=pytest.mark.slow),
         pytest.param("Groupp { } " * MAX_NODES, id="one unknown node"),
         pytest.param("".join(f"PROTO A{i} [ ] {{ Group {{ }} }} " for i in range(MAX_NODES)), id="PROTOs"),
         pytest.param(
             "PROTO A [ field MFFloat x [ ] ] { Group { } } PROTO B [ ] { A { x [ " + NUMBERS + "] } }"
             + "B { }" * (MAX_NODES // 6),
             id="numbers in a field of a PROTO",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             "PROTO A [ ] { Shape { geometry PointSet { coord Coordinate { point [ " + NUMBERS + "] } } } }"
@@ -1194,7 +1195,7 @@ NUMBERS = "1 1 1 " * (MAX_NUMBERS // 3)
             id="numbers in the body of a PROTO",
         ),
         pytest.param("Solid { boundingObject Sphere { } physics Physics { } }" * 1990, id="bodies"),
-        pytest.param("E-puck { }" * 280, id="robots of the library"),
+        pytest.param("E-puck { }" * 280, id="robots of the library", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_world_at_the_limits_of_size_is_read_in_a_second(text: str):
@@ -1397,7 +1398,7 @@ def test_a_template_imports_modules_of_a_copy_of_webots(tmp_path: Path):
 )
 def test_a_template_that_fails_is_a_finding(tmp_path: Path, monkeypatch, body: str, words: str):
     if "timeout" in words:  # on a busy machine, the memory is not full after 2 s
-        monkeypatch.setattr("deepbots_cli.webots.proto_templates.MAX_SECONDS", 2.0)
+        monkeypatch.setattr("deepbots_cli.webots.proto_templates.MAX_SECONDS", 0.3)
     assert problem(world(tmp_path, body)).startswith(f"the template of PROTO Thing {words}")
 
 

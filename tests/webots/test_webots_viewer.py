@@ -555,8 +555,9 @@ def test_a_sphere_has_the_mean_color_of_its_texture(red_and_green):
 @pytest.mark.parametrize(
     "address",
     [
-        "https://example.org/tiles.png",
-        *("../../secret.png", "textures/broken.png", "textures/huge.png", "textures/heavy.png"),
+        *("https://example.org/tiles.png", "../../secret.png", "textures/broken.png"),
+        pytest.param("textures/huge.png", marks=pytest.mark.slow),
+        pytest.param("textures/heavy.png", marks=pytest.mark.slow),
     ],
 )
 def test_a_texture_that_cannot_be_read_is_squares(red_and_green, address: str):

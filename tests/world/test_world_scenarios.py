@@ -189,6 +189,7 @@ def test_a_shipped_scenario_has_no_findings(name: str) -> None:
     assert [f"{finding.span.location}: {finding.headline}" for finding in api.lint(name, preview=True)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))
 def test_a_shipped_scenario_runs_under_random_actions(name: str) -> None:
     drive(name, 100)
