@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
@@ -192,8 +193,31 @@ class Expressions:
     def text(self, kind: ValueType, depth: int = MAX_DEPTH) -> str:
         """Draw an expression with the dimension and the components of `kind`."""
         leaf = depth <= 0 or chance(self.draw, 30)
+        if not leaf and not kind.components and chance(self.draw, 20):
+            with suppress(UnavailableError):
+                return self._of_any_function(kind, depth - 1)
         ways = self._leaves(kind) if leaf else self._calls(kind) + self._operations(kind)
         return pick(self.draw, ways or self._leaves(kind))(depth - 1)
+
+    def _of_any_function(self, kind: ValueType, depth: int) -> str:
+        """Draw an expression with a call of any function, also where its value has another dimension."""
+        function = pick(self.draw, self.names.functions)
+        calls = [
+            (way, dimension)
+            for dimension in _SHARED
+            for way in self._calls_of(function, ValueType(dimension))
+        ]
+        truths = [way(depth) for way in self._calls_of(function, CONDITION)] if not calls else []
+        if kind.boolean and truths:
+            return pick(self.draw, truths)
+        if truths:
+            return f"{literal(self.draw, kind.dimension)} if {truths[0]} else {literal(self.draw, kind.dimension)}"
+        way, dimension = pick(self.draw, calls)
+        text = way(depth)
+        if kind.boolean:
+            return f"{text} > {literal(self.draw, dimension)}"
+        unit = pick(self.draw, units_of(dimension)).text
+        return f"{text} / (1 {unit}) * {literal(self.draw, kind.dimension)}".replace(" )", ")")
 
     def operand(self, kind: ValueType, depth: int) -> str:
         """Draw an expression, in parentheses where an operator beside it would split it."""

@@ -297,7 +297,7 @@ def training(author: Author, data: Mapping[str, Any]) -> dict[str, Any]:
         del drawn["replay"]
     if not model.on_policy and "learning_starts" in fields:
         drawn["learning_starts"] = 200
-    if model.imitates and data.get("scripts") and chance(author.draw, 20):
+    if model.imitates and data.get("scripts") and not author.has_copies and chance(author.draw, 20):
         drawn["teacher"] = next(iter(data["scripts"]))
     return drawn
 
