@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from hypothesis import strategies as st
 
+from deepbots_cli.compiler.episodes import HELP_BEFORE_FIRST_STEP
 from deepbots_cli.expressions.dimensions import (
     ACCELERATION,
     ANGLE,
@@ -151,6 +152,17 @@ def literal_range(
 # Expressions
 
 
+@cache
+def functions_in(context: Context) -> list[Function]:
+    """Return the functions that an expression may call in a context."""
+    left_out = HELP_BEFORE_FIRST_STEP if context is Context.REQUIRE else ()
+    return [
+        function
+        for name, function in FUNCTIONS.items()
+        if function.family in ALLOWED_FAMILIES[context] and name not in left_out
+    ]
+
+
 @dataclass
 class Names:
     """What an expression may use in its place.
@@ -169,9 +181,7 @@ class Names:
 
     @property
     def functions(self) -> list[Function]:
-        return [
-            function for function in FUNCTIONS.values() if function.family in ALLOWED_FAMILIES[self.context]
-        ]
+        return functions_in(self.context)
 
     def known_by(self, latest: Known) -> Names:
         """Return the names of which the values are known by then."""
@@ -216,8 +226,9 @@ class Expressions:
         text = way(depth)
         if kind.boolean:
             return f"{text} > {literal(self.draw, dimension)}"
-        unit = pick(self.draw, units_of(dimension)).text
-        return f"{text} / (1 {unit}) * {literal(self.draw, kind.dimension)}".replace(" )", ")")
+        unit = units_of(dimension)[0].text
+        last = literal(self.draw, kind.dimension, low=0.5, high=1.0)
+        return f"{text} / (1 {unit}) * {last}".replace(" )", ")")
 
     def operand(self, kind: ValueType, depth: int) -> str:
         """Draw an expression, in parentheses where an operator beside it would split it."""

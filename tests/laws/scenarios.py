@@ -204,7 +204,7 @@ TOGETHER: dict[str, tuple[tuple[str, ...], ...]] = {
     "Placement": (("grid", "region"),),
     "GridScan": (("spacing", "grid"), ("align", "grid")),
     "RaySensor": (("range",),),
-    "HeightScan": (("range",), ("grid",)),
+    "HeightScan": (("range",),),
 }
 """Keys that need each other, or that the compiler requires."""
 LEFT_OUT = {
