@@ -750,26 +750,27 @@ class Author(Values):
 
     def _parameter(self, name: str) -> str:
         dimension = pick(self.draw, SCALARS)
-        latest = Known.EPISODE if chance(self.draw, 50) else Known.FIXED
+        latest = pick(self.draw, (Known.FIXED, Known.FIXED, Known.EPISODE, Known.EPISODE, Known.STEP))
         kind = ValueType(dimension, known=latest)
         text = self.parameter_text(name, kind)
         self.parameters[name] = kind
         return text
 
     def parameter_text(self, name: str, kind: ValueType) -> str:
-        """Draw the value of a parameter: a fixed one, from those above it, or one of each episode."""
-        if kind.known is Known.FIXED:
-            names = self.names(Context.FIXED).known_by(Known.FIXED)
+        """Draw the value of a parameter: from those above it, or at random in each episode or more often."""
+        if kind.known is Known.FIXED or chance(self.draw, 30):
+            context = Context.FIXED if kind.known is Known.FIXED else Context.PARAMETER
+            names = self.names(context).known_by(kind.known)
             above = dict(itertools.takewhile(lambda item: item[0] != name, names.values.items()))
             return plain(Expressions(self.draw, replace(names, values=above)).text(kind))
-        if kind.dimension == NUMBER and chance(self.draw, 20):
-            return pick(self.draw, ("integer(1 .. 3)", "choice(1 | 2 | 0.5)"))
-        if chance(self.draw, 15):
-            unit = pick(self.draw, units_of(kind.dimension)).text
-            return pick(self.draw, (f"normal(1 +- 0.1 {unit})", f"choice(1 {unit} | 2 {unit})")).replace(
-                " )", ")"
-            )
-        return f"uniform({literal_range(self.draw, kind.dimension, 0.5, 2.0)})"
+        unit = pick(self.draw, units_of(kind.dimension)).text
+        ways = [f"normal(1 +- 0.1 {unit})", f"choice(1 {unit} | 2 {unit})"]
+        ways += ["integer(1 .. 3)"] if kind.dimension == NUMBER else []
+        text = f"uniform({literal_range(self.draw, kind.dimension, 0.5, 2.0)})"
+        if chance(self.draw, 25):
+            text = pick(self.draw, ways).replace(" )", ")")
+        again = pick(self.draw, (" each step", " every 0.1 s")) if kind.known is Known.STEP else ""
+        return text + again
 
     def _objects(self) -> None:
         objects = {}
