@@ -574,7 +574,7 @@ class Author(Values):
         """Draw all sections in the order in which they take names from each other."""
         agents = ("one", "two", "three")[: min(pick(self.draw, (1, 1, 1, 2, 3)), self.profile.agents)]
         self.has_several_agents = len(agents) > 1
-        self.has_copies = len(agents) == 1 and self.profile.has_copies and chance(self.draw, 10)
+        self.has_copies = len(agents) == 1 and self.profile.has_copies and chance(self.draw, 20)
         self._world()
         self.define(self.data, "parameters", self._parameter, 3)
         self._objects()
@@ -749,7 +749,8 @@ class Author(Values):
             del data[section]
 
     def _parameter(self, name: str) -> str:
-        dimension = pick(self.draw, SCALARS)
+        dimensions = [kind.dimension for kind in self.parameters.values()]
+        dimension = pick(self.draw, dimensions if dimensions and chance(self.draw, 50) else SCALARS)
         latest = pick(self.draw, (Known.FIXED, Known.FIXED, Known.EPISODE, Known.EPISODE, Known.STEP))
         kind = ValueType(dimension, known=latest)
         text = self.parameter_text(name, kind)
@@ -758,10 +759,20 @@ class Author(Values):
 
     def parameter_text(self, name: str, kind: ValueType) -> str:
         """Draw the value of a parameter: from those above it, or at random in each episode or more often."""
-        if kind.known is Known.FIXED or chance(self.draw, 30):
+        has_changing = any(other.known is Known.STEP for other in self.parameters.values())
+        percent = 80 if kind.known is Known.STEP and has_changing else 30
+        if kind.known is Known.FIXED or chance(self.draw, percent):
             context = Context.FIXED if kind.known is Known.FIXED else Context.PARAMETER
             names = self.names(context).known_by(kind.known)
             above = dict(itertools.takewhile(lambda item: item[0] != name, names.values.items()))
+            latest = max((other.known for other in above.values()), default=Known.FIXED)
+            alike = [
+                other
+                for other, its in above.items()
+                if its.dimension == kind.dimension and its.known == latest
+            ]
+            if alike and chance(self.draw, 60):
+                return f"{pick(self.draw, alike)} * {pick(self.draw, ('2', '0.5'))}"
             return plain(Expressions(self.draw, replace(names, values=above)).text(kind))
         unit = pick(self.draw, units_of(kind.dimension)).text
         ways = [f"normal(1 +- 0.1 {unit})", f"choice(1 {unit} | 2 {unit})"]
