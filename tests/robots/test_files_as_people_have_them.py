@@ -263,12 +263,14 @@ def test_a_robot_file_is_linted_alone(deepbots: Deepbots, tmp_path: Path):
 
 
 ORIGIN = '<origin xyz="0 0 0"/>'
+COLOR = '<color rgba="0 1 0 1"/>'
 FIXES = {
     "a misspelled element": ("</collision>", "</colision>", ("<collision>", "<colision>")),
     "a misspelled attribute": ('lower="-1"', 'lowr="-1"'),
     "a misspelled type": ('type="revolute"', 'type="revolut"'),
     "a misspelled link": ('<child link="arm"/>', '<child link="amr"/>'),
     "two materials": ("</visual>", '<material name="a"/>\n  <material name="b"></material></visual>'),
+    "two colors": ("</visual>", f'<material name="a">{2 * COLOR}</material></visual>'),
     "limits of minus one": ('effort="5" velocity="5"', 'effort="-1" velocity="-1.0"'),
     "crossed limits": ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
     "one scale": ('"m.obj"', '"m.obj" scale="0.5"'),
