@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +18,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.lines import WIDTH, wrap_line
 from deepbots_cli.codegen.names import Constants, docstring
 from deepbots_cli.expressions.scalar import NamedFloat
+from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every
 from tests.worlds import SCENARIOS
 
@@ -151,6 +154,28 @@ def test_a_name_of_a_scenario_without_the_form_of_a_name_is_refused(tmp_path: Pa
 def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
     code = api.compile(scenario(tmp_path, summary=summary)).code
     exec(compile(code, "printed", "exec"), {"__name__": "printed"})
+
+
+@pytest.mark.parametrize(
+    ("source", "overrides"),
+    [
+        ("cartpole", []),
+        ("cartpole", ["observation={cart.pole_angle: {range: -12 .. 12 deg, clip: false}}"]),
+        ("see_ball", []),
+        ("see_ball", ["observation={epuck.camera: auto}"]),
+    ],
+)
+def test_the_types_of_an_observation_in_the_code_are_those_of_its_space(
+    source: str, overrides: list[str]
+) -> None:
+    compiled = api.compile(source, overrides=overrides)
+    space = observation_space(compiled.program.agent)
+    boxes = list(space.values()) if isinstance(space, gym.spaces.Dict) else [space]
+    (text,) = re.findall(r'"""What the policy sees, (.*?):', compiled.code)
+    assert ("uint8 images" in text) == any(box.dtype == np.uint8 for box in boxes)
+    vectors = [box for box in boxes if box.dtype == np.float32]
+    assert ("float32" in text) == bool(vectors)
+    assert ("[-1, 1]" in text) == any(box.is_bounded() for box in vectors)
 
 
 @pytest.mark.slow
