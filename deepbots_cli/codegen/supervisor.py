@@ -32,7 +32,7 @@ from deepbots_cli.expressions.scalar import Const, Op, Scalar
 from deepbots_cli.expressions.targets import BATCH
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Direction
-from deepbots_cli.program.task import ActionRange, Agent, Choices, Script, ScriptedChoice, ScriptedRange
+from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
 from deepbots_cli.words import sentence_list
 
 _CLASS = '''
@@ -119,6 +119,8 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     terms = ", ".join(
         f"{quoted(term.name)}: self.{generated.term(term.name)}" for term in supervisor.agent.reward
     )
+    is_scaled = not supervisor.agent.images and all(n.clip or n.is_truth for n in supervisor.agent.numbers)
+    kind = ", float32 in [-1, 1]" if is_scaled else ""
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return fill_template(
         _CLASS,
@@ -127,7 +129,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         tables=[*tables, ""] if tables else [],
         binding=_bind(supervisor),
         methods=methods,
-        seen=docstring(f"What the policy sees, {_types(supervisor.agent)}: {_observation_text(supervisor)}."),
+        seen=docstring(f"What the policy sees{kind}: {_observation_text(supervisor)}."),
         observation=_observation(supervisor),
         summed=docstring(f"The sum of {sentence_list([term.name for term in supervisor.agent.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
@@ -174,14 +176,6 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
 
 
 # The paper's methods, which read the results of `_observe` and change nothing
-
-
-def _types(agent: Agent) -> str:
-    images = ["uint8 images"] if agent.images else []
-    if not agent.numbers and images:
-        return images[0]
-    is_bounded = all(number.clip or number.is_truth for number in agent.numbers)
-    return sentence_list(["float32 in [-1, 1]" if is_bounded else "float32 without bounds", *images])
 
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:

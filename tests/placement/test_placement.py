@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from scipy.spatial.transform import Rotation
 from shapely import MultiPoint
 
@@ -287,72 +288,37 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
                 ), name
 
 
-SOLIDS = {
-    "box": lambda sides: trimesh.creation.box(sides),
-    "cylinder": lambda sides: trimesh.creation.cylinder(sides[0] / 2, sides[2]),
-    "sphere": lambda sides: trimesh.creation.icosphere(3, sides[0] / 2),
-}
-"""Meshes of each shape, from the sides of the box around it in m."""
-SIZES = {
-    "box": "size: {:.9f} {:.9f} {:.9f} m",
-    "cylinder": "radius: {:.9f} m, height: {:.9f} m",
-    "sphere": "radius: {:.9f} m",
-}
-CROWD = """\
-deepbots: 1
-name: Crowd
-world: {{timestep: 20 ms}}
-objects:
-  {objects}
-robots: {{cart: {{urdf: cartpole, pose: {{x: -5 m}}}}}}
-action: {{idle: -1 .. 1}}
-observation: {{time: 0 .. 10 s}}
-reward: {{idle: idle}}
-truncation: {{max_steps: 10}}
-reset:
-  attempts: 200
-  place:
-    {places}
-"""
-
-
 @pytest.mark.parametrize("seed", range(8))
-def test_objects_and_meshes_do_not_overlap_wherever_the_origin_of_a_mesh_is(
+def test_boxes_and_meshes_do_not_overlap_wherever_the_origin_of_a_mesh_is(
     make: Make, tmp_path: Path, seed: int
 ) -> None:
-    """The second implementation is shapely: the hulls of the vertices, seen from above. In each world, the
-    origin of the first mesh is at its base."""
-    generator = np.random.default_rng(seed)
-    solids, objects, places = [], [], []
-    for index in range(4):
-        shape, sides = generator.choice([*SOLIDS]), generator.uniform(0.1, 0.3, 3)
-        solid = SOLIDS[shape](sides)
-        if index % 2 == 0:
-            solid.apply_transform(trimesh.transformations.random_rotation_matrix(generator.random(3)))
-            solid.apply_translation(generator.uniform(-0.3, 0.3, 3))
-            solid.apply_translation((0.0, 0.0, -solid.bounds[0][2] if index == 0 else 0.0))
-            solid.export(tmp_path / f"solid{index}.stl")
-            form = f"shape: mesh, file: solid{index}.stl"
-        else:
-            measures = {"box": sides, "cylinder": (sides[0] / 2, sides[2]), "sphere": (sides[0] / 2,)}[shape]
-            form = f"shape: {shape}, {SIZES[shape].format(*measures)}"
-        solids.append(solid)
-        objects.append(f"solid{index}: {{{form}, fixed: true}}")
-        tilt = "roll: uniform(-3 .. 3 rad), pitch: uniform(-1 .. 1 rad)" if generator.random() < 0.5 else ""
-        region = "region: {x: -0.6 .. 0.6 m, y: -0.6 .. 0.6 m}"
-        places.append(f"solid{index}: {{{region}, yaw: any, {tilt}}}")
-    environment = make(CROWD.format(objects="\n  ".join(objects), places="\n    ".join(places)))
+    """The second implementation is shapely: the hulls of the vertices, seen from above."""
+    generator, solids = np.random.default_rng(seed), {}
+    world: dict[str, Any] = {"reset": {"attempts": 200, "place": {}}, "objects": {}}
+    for name in ("first", "second", "third", "fourth"):
+        sides = generator.uniform(0.1, 0.3, 3).round(6)
+        solids[name] = trimesh.creation.box(sides)
+        world["objects"][name] = {"shape": "box", "size": "{} {} {} m".format(*sides), "fixed": True}
+        if name in ("first", "second"):
+            points = generator.uniform(-0.15, 0.15, (9, 3)) + generator.uniform(-0.3, 0.3, 3)
+            points[:, 2] -= points[:, 2].min() * (name == "first")  # its origin is at its base
+            solids[name] = trimesh.convex.convex_hull(points)
+            solids[name].export(tmp_path / f"{name}.stl")
+            world["objects"][name] = {"shape": "mesh", "file": f"{name}.stl", "fixed": True}
+        tilt = {} if name == "first" else {"roll": "uniform(-3 .. 3 rad)", "pitch": "uniform(-1 .. 1 rad)"}
+        region = {"x": "-0.6 .. 0.6 m", "y": "-0.6 .. 0.6 m"}
+        world["reset"]["place"][name] = {"region": region, "yaw": "any", **tilt}
+    rest = yaml.safe_load(WORLD) | {"augment": {}, "observation": {"time": "0 .. 1 s"}, "reward": {"a": 1}}
+    environment = make(yaml.safe_dump(rest | world))
     for episode in range(10):
         environment.reset(seed=episode)
         outlines = []
-        for index, solid in enumerate(solids):
-            position, turn = environment.engine.pose(f"solid{index}")()
+        for name, solid in solids.items():
+            position, turn = environment.engine.pose(name)()
             vertices = Rotation.from_quat(turn).apply(solid.vertices) + position
-            assert vertices[:, 2].min() == pytest.approx(0.0, abs=3e-3)  # the faces of a sphere lie within it
+            assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)
             outlines.append(MultiPoint(vertices[:, :2]).convex_hull)
-        for number, outline in enumerate(outlines):
-            for other in outlines[:number]:
-                assert outline.intersection(other).area < 1e-9
+        assert all(a.intersection(b).area < 1e-9 for a, b in combinations(outlines, 2))
 
 
 def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
@@ -789,9 +755,8 @@ def test_a_scenario_measures_ways_between_bodies(make: Make) -> None:
 
 @pytest.mark.parametrize("origin", [0.0, 0.1], ids=["in its middle", "at its base"])
 def test_a_way_leads_around_a_mesh_wherever_its_origin_is(make: Make, tmp_path: Path, origin: float) -> None:
-    wall = trimesh.creation.box((0.02, 0.6, 0.2))
-    wall.apply_translation((0.0, 0.0, origin))
-    wall.export(tmp_path / "wall.stl")
+    raised = trimesh.transformations.translation_matrix((0.0, 0.0, origin))
+    trimesh.creation.box((0.02, 0.6, 0.2), raised).export(tmp_path / "wall.stl")
     of_box = path(make(MAZE).reset(seed=0)[0])
     text = MAZE.replace("{shape: box, size: 2 60 20 cm,", "{shape: mesh, file: wall.stl,")
     assert path(make(text).reset(seed=0)[0]) == pytest.approx(of_box, rel=1e-6)

@@ -248,6 +248,15 @@ def test_an_automatic_inertia_needs_a_shape_and_a_mass(tmp_path: Path):
     assert [(finding.code, "has no shape" in finding.headline) for finding in findings] == [("DB105", True)]
 
 
+def test_the_error_of_missing_meshes_is_at_one_that_the_robot_needs(tmp_path: Path):
+    """The mesh of `base` alone is a warning: the link has a box to touch."""
+    first, second = (
+        f'<{tag}><geometry><mesh filename="{tag}.stl"/></geometry></{tag}>' for tag in ("visual", "collision")
+    )
+    _, findings = opened(tmp_path, robot(link("base", first + BOX), link("arm", second), ARM[2]))
+    assert [finding.span.text for finding in findings if finding.severity == "error"] == ["collision.stl"]
+
+
 # Commands
 
 

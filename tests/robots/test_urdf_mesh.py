@@ -348,22 +348,6 @@ def test_a_mesh_that_is_not_there_is_an_error_at_its_name(tmp_path: Path, filena
     assert expected in robot_with(tmp_path, filename)[1][0]
 
 
-def test_the_error_of_missing_meshes_is_at_one_that_the_robot_needs(tmp_path: Path):
-    """`drawn.stl` alone is a warning: its link has a box to touch."""
-    drawn = '<visual><geometry><mesh filename="drawn.stl"/></geometry></visual>'
-    touched = '<collision><geometry><mesh filename="touched.stl"/></geometry></collision>'
-    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    findings = Findings()
-    (tmp_path / "robot.urdf").write_text(
-        f"""<robot name="r"><link name="a">{drawn}{box}</link><link name="b">{touched}</link>
-<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>"""
-    )
-    assert read(tmp_path / "robot.urdf", "robot.urdf", findings) is None
-    (error,) = findings.errors
-    assert error.span.text == "touched.stl"
-    assert "the same is true of drawn.stl" in error.notes
-
-
 def test_a_folder_or_a_pipe_is_not_a_mesh(tmp_path: Path):
     (tmp_path / "d.obj").mkdir()
     os.mkfifo(tmp_path / "p.obj")

@@ -371,9 +371,6 @@ def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text, limit)
 def test_a_color_inside_a_visual_is_one_warning_and_not_one_more_in_the_same_line(read_text):
     own = '<material name="x"><color rgba="0 200 0 1"/></material>'
     assert warning(read_text, broken('<material name="red"/>', own)).notes == ()
-    twice = own.replace("200", "1").replace("<color", '<color rgba="1 0 0 1"/><color')
-    robot, _ = read_text(broken('<material name="red"/>', twice))
-    assert robot.model.link("base").visuals[0].color == (1.0, 0.0, 0.0, 1.0)
 
 
 def test_a_further_element_of_the_same_kind_is_not_read(read_text):
