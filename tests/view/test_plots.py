@@ -34,6 +34,7 @@ from deepbots_cli.port import View
 from deepbots_cli.robots.kinematics import bounds_of_shape, robot_bounds
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.overview import overview
+from deepbots_cli.studio.trainings import read_curves
 from deepbots_cli.view import plots, training_logs, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.panel import training_rows
@@ -282,6 +283,12 @@ def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
         at, values = panel.lines[0].get_data()
         assert np.isnan(values[at == 22.0]).all()
     assert len(endings.collections[0].get_paths()) == 2
+
+
+def test_a_curve_of_more_points_than_the_page_shows_has_its_breaks(tmp_path):
+    stages = ["open"] * 600 + ["crowded"] * 401
+    _run(tmp_path / "a", "x", [0.0] * 1_001, endings=["crashed"] * 1_001, stages=stages)
+    assert [at for at, value in read_curves(tmp_path / "a").returns if value is None] == [6_010.0]
 
 
 def test_an_evaluation_shows_the_stage_it_was_made_in(tmp_path):
