@@ -119,6 +119,8 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     terms = ", ".join(
         f"{quoted(term.name)}: self.{generated.term(term.name)}" for term in supervisor.agent.reward
     )
+    is_scaled = not supervisor.agent.images and all(n.clip or n.is_truth for n in supervisor.agent.numbers)
+    kind = ", float32 in [-1, 1]" if is_scaled else ""
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return fill_template(
         _CLASS,
@@ -127,7 +129,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         tables=[*tables, ""] if tables else [],
         binding=_bind(supervisor),
         methods=methods,
-        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_observation_text(supervisor)}."),
+        seen=docstring(f"What the policy sees{kind}: {_observation_text(supervisor)}."),
         observation=_observation(supervisor),
         summed=docstring(f"The sum of {sentence_list([term.name for term in supervisor.agent.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),

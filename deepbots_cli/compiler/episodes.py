@@ -236,8 +236,7 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
-# Before the first step nothing has touched or acted, and no picture was taken.
-_HELP_BEFORE_FIRST_STEP = {
+HELP_BEFORE_FIRST_STEP = {
     **dict.fromkeys(
         ("contact", "collided", "contact_force", "contact_force_vector"),
         "contacts are not known before the first step; use `clearance(...) > 1 cm`",
@@ -246,6 +245,8 @@ _HELP_BEFORE_FIRST_STEP = {
     "visible": "no picture exists when the start is drawn; use the position of the body, as in"
     " `abs(bearing(...)) < 30 deg`",
 }
+"""The functions that `require` cannot use: before the first step nothing has touched or acted, and no picture
+was taken."""
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
@@ -455,13 +456,13 @@ def _requirement(namespace: Namespace) -> Expression | None:
     if typed is None:
         return None
     for call in walk(typed):
-        if isinstance(call, Invocation) and call.function in _HELP_BEFORE_FIRST_STEP:
+        if isinstance(call, Invocation) and call.function in HELP_BEFORE_FIRST_STEP:
             span = text.part(call.start, call.start + len(call.function))
             values.add(
                 "DB407",
                 span,
                 f"`{call.function}` cannot be used in `reset.require`",
-                _HELP_BEFORE_FIRST_STEP[call.function],
+                HELP_BEFORE_FIRST_STEP[call.function],
             )
     if constant_values(typed) == (False,):
         values.add(

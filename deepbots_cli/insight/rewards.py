@@ -329,8 +329,8 @@ def _going_on(evidence: TrainingEvidence) -> Numbers:
 
 @statement(
     "standing_still_pays",
-    "Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the"
-    " late episodes succeed.",
+    "Standing still pays: zero actions earn {still} per step, {others} {policy}, and {rate} of the late"
+    " episodes succeed.",
     advice="{progress}, and make each step cost something instead of earning something.",
 )
 def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
@@ -363,6 +363,7 @@ def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
         "likelihood": 0.93,
         "still": still,
         "policy": policy,
+        "others": "the policy earns" if evidence.policy else "random actions earn",
         "random": _per_step(evidence.random),
         "episodes": len(evidence.idle),
         "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0),
@@ -410,15 +411,15 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
         evidence.program.truncation.max_episode_steps(evidence.program.period),
     )
     stayed = float(late.returns[at_limit].mean())
-    compared = "No episode of the training succeeded."
+    compared = f"Of {len(won):,} episodes of the training, {int(won.sum()):,} succeeded."
     gained = None
-    if won.any():
+    if won.sum() >= MIN_EPISODES:
         gained = float(evidence.episodes.returns[won].mean())
         compared = (
             f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of"
             f" late ones without {stayed:.3g}."
         )
-        if won.sum() >= MIN_EPISODES and gained > stayed + 0.1 * abs(stayed):
+        if gained > stayed + 0.1 * abs(stayed):
             return None
     return {
         "likelihood": 0.935,
@@ -523,7 +524,7 @@ _CEILING = 0.01
 
 @statement(
     "return_at_ceiling",
-    "The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no"
+    "The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}), it no"
     " longer grows, and no episode of the training returned more than {most}.{bounded}{asked}",
     advice="{remedy}",
 )
@@ -544,12 +545,13 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     if (
         mean <= 0
         or (required is not None and mean >= required)
+        or return_trend(evidence).direction == "rises"
         or (evidence.program.defines_success and late.successes.mean() < 0.8)
     ):
         return None
     most = max(high, float(evidence.episodes.returns.max()))
     _, bound = possible_returns(evidence.program)
-    is_near = bound < np.inf and mean >= 0.95 * bound
+    is_near = bound < np.inf and mean >= 0.95 * bound and (required is None or required > bound)
     # The same return in each episode may also be that of standing still, or that of a local optimum, which
     # others exceed.
     stands = bool(evidence.idle) and _per_step(evidence.idle) >= 0.9 * _per_step(
@@ -557,9 +559,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
     has_grown = mean_return(evidence, 0.0, 0.1) < 0.9 * mean
-    if not is_near and (
-        stands or not is_same or not has_grown or return_trend(evidence).direction == "rises"
-    ):
+    if not is_near and (stands or not is_same or not has_grown):
         return None
     steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
     remedy = (
@@ -578,6 +578,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "low": low,
         "high": high,
         "most": most,
+        "spread": "in all of" if is_same else "on average in",
         "episodes": len(returns),
         "what": sample,
         "bound": bound if bound < np.inf else None,

@@ -150,6 +150,13 @@ def lowest_point(shape: Shape, frame: Frame) -> float:
     return bounds_of_shape(shape, frame)[0][2]
 
 
+def highest_point(shape: Shape, frame: Frame) -> float:
+    """Return the height of the highest point of a shape, as `lowest_point` does."""
+    if isinstance(shape, Mesh):
+        return frame[0][2] + mesh_reach(shape, frames.rotate_back(frame[1], (0.0, 0.0, 1.0)))
+    return bounds_of_shape(shape, frame)[1][2]
+
+
 def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
     """Return the box around a shape whose own frame is `frame`."""
     (x, y, z), turn = frame

@@ -373,15 +373,18 @@ def _model(
 # Links
 
 
-def _colors(root: Element) -> dict[str, Color]:
-    """Return the colors of named materials, first of the robot, then of its visuals."""
-    colors: dict[str, Color] = {}
+def _colors(root: Element) -> dict[Element, Color | None]:
+    """Return the color of each material: its own, else the first of its name, in the robot or in a visual."""
     holders = [root, *(visual for link in root.find_all("link") for visual in link.find_all("visual"))]
-    for material in (material for holder in holders for material in holder.find_all("material")):
-        name, color = material.attributes.get("name"), _color(material)
+    own = {material: _color(material) for holder in holders for material in holder.find_all("material")}
+    named: dict[str, Color] = {}
+    for material, color in own.items():
+        name = material.attributes.get("name")
         if name and color:
-            colors.setdefault(name, color)
-    return colors
+            named.setdefault(name, color)
+    return {
+        material: color or named.get(material.attributes.get("name", "")) for material, color in own.items()
+    }
 
 
 def _color(material: Element) -> Color | None:
@@ -418,7 +421,7 @@ def _pose(element: Element) -> Pose:
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
-def _link(element: Element, name: str, colors: dict[str, Color], meshes: MeshReader) -> Link:
+def _link(element: Element, name: str, colors: Mapping[Element, Color | None], meshes: MeshReader) -> Link:
     collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
     visuals = [
         _geometry(visual, meshes, _visual_color(visual, colors), is_optional=any(collisions))
@@ -459,12 +462,9 @@ def _moment(inertia: Element, name: str) -> float:
     return 0.0 if -_ROUNDING <= value < 0.0 else inertia.non_negative_number(name)
 
 
-def _visual_color(visual: Element, colors: dict[str, Color]) -> Color | None:
-    """Return the color inside the visual, else the color of the material that it names."""
+def _visual_color(visual: Element, colors: Mapping[Element, Color | None]) -> Color | None:
     material = visual.find_one("material")
-    if material is None:
-        return None
-    return _color(material) if material.find_all("color") else colors.get(material.attributes.get("name", ""))
+    return None if material is None else colors[material]
 
 
 def _geometry(
@@ -554,12 +554,13 @@ def _report_meshes(meshes: MeshReader) -> None:
     """Report the meshes that are refused, in one finding for each reason, and those that are elsewhere. A
     missing mesh of a link that has other shapes to touch is a warning, as in PyBullet."""
     for headline, refused in meshes.refused.items():
-        element, first, _ = refused[0]
+        element, first, can_do_without = min(refused, key=lambda each: each[2])
         names = list(dict.fromkeys(mesh.attributes["filename"] for mesh, _, _ in refused))
-        notes = _listed("the same is true of", names[1:])
+        names.remove(element.attributes["filename"])
+        notes = _listed("the same is true of", names)
         if first.tried:
             notes = (*_listed("deepbots tried", first.tried), *notes)
-        if all(can_do_without for _, _, can_do_without in refused):
+        if can_do_without:
             headline = f"{headline}; the robot is drawn without it"
             element.warn(headline, attribute="filename", help=first.help, notes=notes)
         else:
@@ -671,9 +672,10 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
     effort, velocity = (_positive(element, name) for name in ("effort", "velocity"))
     # URDF's own default of both is 0.
     lower, upper = (element.bound(name) for name in ("lower", "upper"))
+    is_limited = kind in ("revolute", "prismatic")
     if lower is None or upper is None:
-        return Limit(lower, upper, velocity, effort)
-    if kind in ("revolute", "prismatic"):
+        return Limit(lower, upper, velocity, effort) if is_limited else Limit(None, None, velocity, effort)
+    if is_limited:
         if not {"lower", "upper"} & element.attributes.keys():
             element.warn(
                 f"joint {quoted(name)} has no limits",
@@ -689,9 +691,10 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
             headline = (
                 f"the lower limit of joint {quoted(name)} is above its upper limit, so deepbots ignores both"
             )
+            otherwise = ", or change the type of the joint to continuous" if kind == "revolute" else ""
             element.warn(
                 headline,
-                help="swap the two limits, or change the type of the joint to continuous",
+                help=f"swap the two limits{otherwise}",
                 code="DB307",
                 kind="crossed limits",
                 edits=element.writing(lower=f"{upper:.9g}", upper=f"{lower:.9g}"),

@@ -556,7 +556,9 @@ class Forms:
 
     def top(self, body: str, z: float, rpy: Triple) -> float:
         """Return the height of the top of an object whose origin is at `z`; infinite for a robot."""
-        return z + kinematics.resting_height(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
+        if body not in self.things:
+            return inf
+        return kinematics.highest_point(self.shape(body), ((0.0, 0.0, z), quaternion(rpy[0], rpy[1], 0.0)))
 
     def at_home(self, body: str) -> tuple[Patch, float]:
         """Return the patch and the top of an object at the pose of the world model."""

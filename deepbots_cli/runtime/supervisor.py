@@ -258,7 +258,7 @@ class Supervisor(
 
     @abstractmethod
     def get_observations(self) -> Observation:
-        """Return the observation, float32 in [-1, 1]; a copy."""
+        """Return the observation, of `observation_space`; a copy."""
 
     def get_reward(self) -> float:
         """Return the reward of the last step: the sum of its terms."""

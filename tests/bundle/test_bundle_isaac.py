@@ -106,6 +106,35 @@ def test_the_file_has_all_digits_and_the_order_of_joints() -> None:
     }
 
 
+def test_sensors_of_one_kind_keep_their_numbers_and_the_name_of_the_base_is_for_its_own() -> None:
+    """A vector that is shorter than the policy expects; a foot whose readings pass for those of the body."""
+    program = untrained_bundle(
+        WALK,
+        "robots.dog.sensors.foot={type: gyro, link: FR_toe}",
+        "robots.dog.sensors.turned={type: projected_gravity, link: trunk, pose: {yaw: 90 deg}}",
+        "robots.dog.sensors.again={type: gyro, link: trunk}",
+        "robots.dog.emit={q: q - stand, dq: dq, gyro: gyro, down: turned, foot: foot, again: again}",
+        "observation={dog.foot: -9 .. 9 rad/s, dog.gyro: -6 .. 6 rad/s, dog.down: -1 .. 1, dog.again: -6 .. 6 rad/s}",
+    )[0].program
+    observations = deploy_settings(program)["observations"]
+    assert [*observations] == ["dog_foot", "base_ang_vel", "dog_down", "dog_again"]
+    assert sum(len(term["scale"]) for term in observations.values()) == len(program.agent.inputs)
+
+
+def test_the_ranges_of_commands_are_those_of_the_training() -> None:
+    program = untrained_bundle(
+        WALK,
+        "parameters.way=uniform(-0.2 -2 .. 0.4 2 m/s)",
+        "augment=[vx, wz, way]",
+        "observation.way=-1 .. 1 m/s",
+    )[0].program
+    assert deploy_settings(program)["commands"] == {
+        "vx": {"ranges": {"vx": [-0.5, 1.0]}},
+        "wz": {"ranges": {"wz": [-1.0, 1.0]}},
+        "way": {"ranges": {"way_x": [-0.2, 0.4], "way_y": [-1.0, 1.0]}},
+    }
+
+
 @pytest.mark.parametrize(
     ("scenario", "overrides", "named"),
     [

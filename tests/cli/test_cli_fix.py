@@ -410,8 +410,8 @@ def test_lint_says_how_many_findings_can_be_fixed(deepbots, scenario):
             "observation: {cart.pole_angle: -18 .. 18 deg}",
         ),
         (
-            "observation: {cart.pole_angle: 80 .. 100 deg}",
-            "observation: {cart.pole_angle: -74.48 .. 74.48 deg}",
+            "observation: {cart.pole_angle: 100 .. 120 deg}",
+            "observation: {cart.pole_angle: -88.81 .. 88.81 deg}",
         ),
         ("world: {gravity: 0 0 9.81 m/s^2}", "world: {gravity: 0 0 -9.81 m/s^2}"),
         (

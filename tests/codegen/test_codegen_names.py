@@ -16,6 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.lines import WIDTH, wrap_line
 from deepbots_cli.codegen.names import Constants, docstring
 from deepbots_cli.expressions.scalar import NamedFloat
+from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every
 from tests.worlds import SCENARIOS
 
@@ -151,6 +152,23 @@ def test_a_name_of_a_scenario_without_the_form_of_a_name_is_refused(tmp_path: Pa
 def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
     code = api.compile(scenario(tmp_path, summary=summary)).code
     exec(compile(code, "printed", "exec"), {"__name__": "printed"})
+
+
+@pytest.mark.parametrize(
+    ("source", "overrides"),
+    [
+        ("cartpole", []),
+        ("cartpole", ["observation={cart.pole_angle: {range: -12 .. 12 deg, clip: false}}"]),
+        ("see_ball", []),
+    ],
+)
+def test_only_an_observation_of_clipped_numbers_is_float32_from_minus_one_to_one_in_the_code(
+    source: str, overrides: list[str]
+) -> None:
+    compiled = api.compile(source, overrides=overrides)
+    space = observation_space(compiled.program.agent)
+    is_scaled = space.dtype == np.float32 and space.is_bounded()
+    assert ("What the policy sees, float32 in [-1, 1]: " in compiled.code) == is_scaled
 
 
 @pytest.mark.slow

@@ -710,6 +710,21 @@ def test_a_british_colour_is_corrected(workshop, head, line):
 
 
 @pytest.mark.parametrize(
+    ("color", "headline", "help"),
+    [
+        ("yelow", "unknown color `yelow`", "did you mean `yellow`?"),
+        ("choice()", "a choice without a color", "write its colors, as in `choice(red | green)`"),
+        ("choice(red | )", "a choice without a color", "write its colors, as in `choice(red | green)`"),
+    ],
+)
+def test_a_wrong_color_is_named_and_its_help_is_a_sentence(workshop, head, color, headline, help):
+    (finding,) = (
+        f for f in workshop.lint(f"{head}world: {{ground: {{color: {color}}}}}\n") if f.code == "DB104"
+    )
+    assert (finding.headline, finding.help) == (headline, help)
+
+
+@pytest.mark.parametrize(
     ("written", "meant"),
     [
         ("kuka_iiwa/model.urdf", "kuka_iiwa/model.urdf"),

@@ -239,6 +239,23 @@ def test_a_return_that_every_episode_reaches_has_no_advice_to_explore_more(tmp_p
     assert "exploration_collapsed" in causes_of(stuck)  # an episode returned more
 
 
+def test_a_return_near_its_bound_is_not_said_to_be_the_same_in_all_episodes(tmp_path):
+    """58.2 of 60 on average, and 45 in every eighth episode."""
+    run = train_shuttle(tmp_path, "termination={}", "reward={alive: 1}")
+    uneven = np.where(np.arange(400) % 8 == 0, 45.0, 60.0)
+    ceiling = statement_of(with_logs(run, uneven, FLAT, ending="max_steps"), "return_at_ceiling")
+    assert "58.2 on average in 100 late episodes of the training (from 45 to 60)" in ceiling.text
+    rising = np.linspace(50, 60, 400)
+    assert "return_at_ceiling" not in causes_of(with_logs(run, rising, FLAT, ending="max_steps"))
+    possible = train_shuttle(
+        tmp_path / "asked",
+        "termination={}",
+        "reward={alive: 1}",
+        "solved=mean_return >= 59 over 100 episodes",
+    )
+    assert "return_at_ceiling" not in causes_of(with_logs(possible, uneven, FLAT, ending="max_steps"))
+
+
 # Teachers and conditions
 
 

@@ -528,6 +528,13 @@ def test_staying_near_the_success_is_named_where_it_pays_more(tmp_path):
     first = diagnose(replace(training, policy=[staying]))[0]
     assert (first.cause, first.evidence["term"]) == ("loitering", "warm")
     assert 0.5 < first.evidence["per_step"] < 0.7
+    # Two lucky successes do not contradict the headline, and are not compared.
+    good = np.arange(400) < 2
+    rare = with_logs(run.path, returns_of(good, 40, 30), np.full(400, 60), success=good, ending="max_steps")
+    (text,) = (
+        cause.text for cause in diagnose(replace(rare, policy=[staying])) if cause.cause == "loitering"
+    )
+    assert text.endswith("Of 400 episodes of the training, 2 succeeded.")
 
 
 def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):

@@ -8,6 +8,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +16,13 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 import deepbots_cli
+from deepbots_cli import api
 from deepbots_cli.codegen import batch_obstacles
+from deepbots_cli.program import generated
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import chance
 from tests.laws.law import Case, law, reference, same
-from tests.laws.scenarios import Profile
+from tests.laws.scenarios import ALONE, Profile
 
 STEPS = 12
 SEEDS = (7, 8, 9)
@@ -66,7 +69,7 @@ def a_reset_world_is_a_fresh_one(case: Case) -> None:
     with case.environment(compiled) as fresh, case.environment(compiled) as used:
         with reference():
             expected = played(fresh, 4)
-            played(used, 1, case.draw(st.integers(0, STEPS)))
+            played(used, case.draw(st.sampled_from((1, 4))), case.draw(st.integers(0, STEPS)))
         same(played(used, 4), expected)
 
 
@@ -167,3 +170,35 @@ def what_adds_nothing_changes_nothing(case: Case) -> None:
         with reference():
             expected = played(before, 3)
         same(played(after, 3), expected)
+
+
+@law(cost=120, profile=replace(ALONE, agents=1))
+def a_name_has_the_value_of_its_definition(case: Case) -> None:
+    """A name stands for its definition, so both have one value in every step; each draw is another one."""
+    compiled = case.compile()
+    data = copy.deepcopy(case.drawn.data)
+    program = compiled.program
+    types = {value.name: value.typed.type for value in (*program.parameters, *program.signals)}
+    signals = data.setdefault("signals", {})
+    names: list[str] = []
+    for section in ("parameters", "signals"):
+        for name, text in [*data.get(section, {}).items()]:
+            if isinstance(text, str) and not any(word in text for word in DRAWS) and name in types:
+                names.append(f"gap{len(names)}")
+                condition = types[name].boolean
+                signals[names[-1]] = f"({name}) != ({text})" if condition else f"({name}) - ({text})"
+    changed = case.compile(case.write(data, "changed.yaml"))
+    watched = replace(changed.program, stored_signals=frozenset(names))
+    with closing(api.make(watched)) as environment, reference():
+        environment.reset(seed=3)
+        for _, action in zip(range(STEPS), actions(environment, 3), strict=False):
+            for name in names:
+                gap = np.asarray(getattr(environment, generated.last(name)), float)
+                # Infinite values have no difference.
+                assert not np.nan_to_num(gap).any(), (name, signals[name], gap)
+            _, _, terminated, truncated, _ = environment.step(action)
+            if terminated or truncated:
+                break
+
+
+DRAWS = ("uniform(", "normal(", "choice(", "integer(")

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
 
+from deepbots_cli.compiler.episodes import HELP_BEFORE_FIRST_STEP
 from deepbots_cli.expressions.dimensions import (
     ACCELERATION,
     ANGLE,
@@ -150,6 +152,17 @@ def literal_range(
 # Expressions
 
 
+@cache
+def functions_in(context: Context) -> list[Function]:
+    """Return the functions that an expression may call in a context."""
+    left_out = HELP_BEFORE_FIRST_STEP if context is Context.REQUIRE else ()
+    return [
+        function
+        for name, function in FUNCTIONS.items()
+        if function.family in ALLOWED_FAMILIES[context] and name not in left_out
+    ]
+
+
 @dataclass
 class Names:
     """What an expression may use in its place.
@@ -168,9 +181,7 @@ class Names:
 
     @property
     def functions(self) -> list[Function]:
-        return [
-            function for function in FUNCTIONS.values() if function.family in ALLOWED_FAMILIES[self.context]
-        ]
+        return functions_in(self.context)
 
     def known_by(self, latest: Known) -> Names:
         """Return the names of which the values are known by then."""
@@ -192,8 +203,32 @@ class Expressions:
     def text(self, kind: ValueType, depth: int = MAX_DEPTH) -> str:
         """Draw an expression with the dimension and the components of `kind`."""
         leaf = depth <= 0 or chance(self.draw, 30)
+        if not leaf and not kind.components and chance(self.draw, 20):
+            with suppress(UnavailableError):
+                return self._of_any_function(kind, depth - 1)
         ways = self._leaves(kind) if leaf else self._calls(kind) + self._operations(kind)
         return pick(self.draw, ways or self._leaves(kind))(depth - 1)
+
+    def _of_any_function(self, kind: ValueType, depth: int) -> str:
+        """Draw an expression with a call of any function, also where its value has another dimension."""
+        function = pick(self.draw, self.names.functions)
+        calls = [
+            (way, dimension)
+            for dimension in _SHARED
+            for way in self._calls_of(function, ValueType(dimension))
+        ]
+        truths = [way(depth) for way in self._calls_of(function, CONDITION)] if not calls else []
+        if kind.boolean and truths:
+            return pick(self.draw, truths)
+        if truths:
+            return f"{literal(self.draw, kind.dimension)} if {truths[0]} else {literal(self.draw, kind.dimension)}"
+        way, dimension = pick(self.draw, calls)
+        text = way(depth)
+        if kind.boolean:
+            return f"{text} > {literal(self.draw, dimension)}"
+        unit = units_of(dimension)[0].text
+        last = literal(self.draw, kind.dimension, low=0.5, high=1.0)
+        return f"{text} / (1 {unit}) * {last}".replace(" )", ")")
 
     def operand(self, kind: ValueType, depth: int) -> str:
         """Draw an expression, in parentheses where an operator beside it would split it."""

@@ -188,7 +188,8 @@ def _quantity(values: Values, quantity: Quantity, place: Place) -> Any:
         return draw(st.sampled_from((0.5, 1, 2)))
     if quantity.components:
         return _vector(values, quantity, dimension, low, high)
-    if quantity.urdf and chance(draw, 50):
+    # A robot file need not state the limits of joints.
+    if quantity.urdf and quantity.measure in ("mass", "damping") and chance(draw, 50):
         return f"urdf * {draw(st.sampled_from(('1.2', '0.8', '1')))}"
     return _scalar(values, quantity, dimension, low, high)
 

@@ -11,7 +11,6 @@ from functools import cache
 from itertools import product
 from typing import Any
 
-from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.syntax import Call, Node, children
 from deepbots_cli.expressions.types import Context
@@ -23,6 +22,7 @@ from deepbots_cli.scenario.robots import Messages, Route
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.walk import visit_values
+from tests.laws.expressions import functions_in
 from tests.laws.scenarios import LEFT_OUT
 
 Pair = tuple[str, str, str]
@@ -41,10 +41,9 @@ def pairs_of(data: Mapping[str, Any]) -> set[Pair]:
 def all_pairs() -> frozenset[Pair]:
     """Return all pairs that a scenario may have."""
     pairs = {
-        ("function", name, context.name.lower())
-        for context, families in ALLOWED_FAMILIES.items()
-        for name, function in FUNCTIONS.items()
-        if function.family in families and context in _CONTEXTS.values()
+        ("function", function.name, name)
+        for name, context in _CONTEXTS.items()
+        for function in functions_in(context)
     }
     for noun, table in (("sensor", SENSORS), ("actuator", ACTUATORS)):
         for word, model in table.built_in.items():

@@ -8,7 +8,7 @@ import csv
 import io
 import json
 import math
-from contextlib import chdir, closing, redirect_stdout
+from contextlib import chdir, closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -29,11 +29,12 @@ from deepbots_cli.learning import load_policy, resume, train
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.policies import PolicyDriver
+from deepbots_cli.rollout.recordings import Recording, actions
 from deepbots_cli.runtime import Supervisor
 from tests.bundle.untrained import untrained_bundle
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference, same
-from tests.laws.scenarios import PLAIN
+from tests.laws.scenarios import ALONE, PLAIN
 from tests.learning.interruption import At, outcome
 
 SMALL = replace(PLAIN, bodies=PLAIN.bodies[:3])
@@ -108,14 +109,20 @@ def with_training(case: Case) -> api.Compiled:
 
 def printed(*words: str) -> Any:
     """Return what a command prints as JSON."""
-    with redirect_stdout(io.StringIO()) as text:
-        code = main([*words, "--json"])
+    return json.loads(printed_lines(*words, "--json"))
+
+
+def printed_lines(*words: str) -> str:
+    with redirect_stdout(io.StringIO()) as text, redirect_stderr(io.StringIO()):
+        code = main([*words])
     assert code in (0, 1), (words, code, text.getvalue())
-    return json.loads(text.getvalue())
+    return text.getvalue()
 
 
 def rows_of(run: Path) -> list[Played]:
-    rows = csv.DictReader((run / "monitor.csv").read_text(encoding="utf-8").splitlines()[1:])
+    """Return the episodes of a log, which are numbered from 1."""
+    rows = list(csv.DictReader((run / "monitor.csv").read_text(encoding="utf-8").splitlines()[1:]))
+    assert [int(row["episode"]) for row in rows] == [*range(1, len(rows) + 1)]
     return [Played(float(row["r"]), int(row["l"]), row["is_success"] == "1", row["ended_by"]) for row in rows]
 
 
@@ -283,6 +290,36 @@ def episodes_of(compiled: api.Compiled, run: str, seed: int, count: int = 3) -> 
                     break
             episodes.append(Played(sum(rewards), len(rewards), info["is_success"], info["ended_by"]))
     return episodes
+
+
+@law(cost=350, profile=replace(ALONE, agents=1, bodies=SMALL.bodies))
+def a_recording_is_its_episode(case: Case) -> None:
+    """A recording has the scenario, the seed and the actions of an episode, so the same steps have the same
+    rewards and the same end, also in a case or a stage."""
+    program = case.compile().program
+    variants: list[tuple[str | None, str | None]] = [(None, None)]
+    variants += [(one.name, None) for one in program.cases]
+    variants += [(None, one.name) for one in program.curriculum]
+    name, stage = pick(case.draw, variants)
+    options = [*(("--case", name) if name else ()), *(("--stage", stage) if stage else ())]
+    with chdir(case.folder):
+        with closing(api.build(program.variant(name, stage))) as world, reference(*OF_TRAININGS):
+            printed_lines("render", "scenario.yaml", "--driver", "random", *options, "-o", "one.mcap")
+            recording = Recording.read(Path("one.mcap"))
+            recorded = recording.episodes[0]
+            world.reset(seed=recorded.seed)
+            rewards = []
+            for action in actions(recording, recorded, world.action_space):
+                _, reward, terminated, truncated, _ = world.step(action)
+                rewards.append(float(reward))
+        assert terminated or truncated
+        listed = printed("replay", "one.mcap")["episodes"][0]
+        assert (listed["steps"], listed["ended_by"]) == (len(rewards), world.ended_by), (
+            listed,
+            world.ended_by,
+        )
+        close(listed["return"], sum(rewards), "replay")
+        assert printed("replay", "--verify", "one.mcap")["same"]
 
 
 @law(cost=2000, profile=SMALL)

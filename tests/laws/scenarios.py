@@ -204,7 +204,7 @@ TOGETHER: dict[str, tuple[tuple[str, ...], ...]] = {
     "Placement": (("grid", "region"),),
     "GridScan": (("spacing", "grid"), ("align", "grid")),
     "RaySensor": (("range",),),
-    "HeightScan": (("range",), ("grid",)),
+    "HeightScan": (("range",),),
 }
 """Keys that need each other, or that the compiler requires."""
 LEFT_OUT = {
@@ -512,7 +512,8 @@ class Author(Values):
             FUNCTIONS[name] for name in ("position", "yaw", "tilt", "distance", "clearance", "height")
         ]
         text, dimension = Expressions(self.draw, names).changing(functions)
-        return f"{text} > {literal(self.draw, dimension, low=-9.0, high=-8.0)}"
+        usual = f"{text} > {literal(self.draw, dimension, low=-9.0, high=-8.0)}"
+        return f"{usual} or {self.condition(Context.REQUIRE)}" if chance(self.draw, 50) else usual
 
     def armature(self, place: Place) -> str:
         """Draw the inertia of a rotor, which PyBullet does not take."""
@@ -571,16 +572,10 @@ class Author(Values):
 
     def scenario(self) -> Drawn:
         """Draw all sections in the order in which they take names from each other."""
-        self.timestep = pick(self.draw, (20, 10, 32))
-        self.substeps = pick(self.draw, (4, 8))
-        self.data["world"] = self.section(World, Place())
         agents = ("one", "two", "three")[: min(pick(self.draw, (1, 1, 1, 2, 3)), self.profile.agents)]
         self.has_several_agents = len(agents) > 1
-        self.has_copies = len(agents) == 1 and self.profile.has_copies and chance(self.draw, 10)
-        if self.has_copies:
-            self.data["world"].pop("terrain", None)
-        if self.profile.engines[0] != "pybullet":
-            self.data["world"].setdefault("engine", self.profile.engines[0])
+        self.has_copies = len(agents) == 1 and self.profile.has_copies and chance(self.draw, 20)
+        self._world()
         self.define(self.data, "parameters", self._parameter, 3)
         self._objects()
         several = len(agents) == 1 and not self.has_copies and chance(self.draw, 20)
@@ -612,6 +607,20 @@ class Author(Values):
             self.data["truncation"] = tasks.truncation(self)
             self._around(agents if len(agents) > 1 else ())
         return Drawn(self.data)
+
+    def _world(self) -> None:
+        """Draw the world, with a ground that its engine and the robots can have."""
+        self.timestep = pick(self.draw, (20, 10, 32))
+        self.substeps = pick(self.draw, (4, 8))
+        world = self.data["world"] = self.section(World, Place())
+        engines = self.profile.engines
+        is_mesh = world.get("terrain", {}).get("type") == "mesh"
+        if self.has_copies or (is_mesh and "pybullet" not in engines):
+            world.pop("terrain", None)
+        elif is_mesh:
+            world["engine"] = "pybullet"
+        if engines[0] != "pybullet":
+            world.setdefault("engine", engines[0])
 
     def _act(self, agents: tuple[str, ...], *, like: bool) -> dict[str, dict[str, Any]]:
         """Draw the actions of each agent, and the messages of its robots, which use them."""
@@ -740,20 +749,39 @@ class Author(Values):
             del data[section]
 
     def _parameter(self, name: str) -> str:
-        dimension = pick(self.draw, SCALARS)
-        latest = Known.EPISODE if chance(self.draw, 50) else Known.FIXED
+        dimensions = [kind.dimension for kind in self.parameters.values()]
+        dimension = pick(self.draw, dimensions if dimensions and chance(self.draw, 50) else SCALARS)
+        latest = pick(self.draw, (Known.FIXED, Known.FIXED, Known.EPISODE, Known.EPISODE, Known.STEP))
         kind = ValueType(dimension, known=latest)
         text = self.parameter_text(name, kind)
         self.parameters[name] = kind
         return text
 
     def parameter_text(self, name: str, kind: ValueType) -> str:
-        """Draw the value of a parameter: a fixed one, from those above it, or one of each episode."""
-        if kind.known is Known.FIXED:
-            names = self.names(Context.FIXED).known_by(Known.FIXED)
+        """Draw the value of a parameter: from those above it, or at random in each episode or more often."""
+        has_changing = any(other.known is Known.STEP for other in self.parameters.values())
+        percent = 80 if kind.known is Known.STEP and has_changing else 30
+        if kind.known is Known.FIXED or chance(self.draw, percent):
+            context = Context.FIXED if kind.known is Known.FIXED else Context.PARAMETER
+            names = self.names(context).known_by(kind.known)
             above = dict(itertools.takewhile(lambda item: item[0] != name, names.values.items()))
+            latest = max((other.known for other in above.values()), default=Known.FIXED)
+            alike = [
+                other
+                for other, its in above.items()
+                if its.dimension == kind.dimension and its.known == latest
+            ]
+            if alike and chance(self.draw, 60):
+                return f"{pick(self.draw, alike)} * {pick(self.draw, ('2', '0.5'))}"
             return plain(Expressions(self.draw, replace(names, values=above)).text(kind))
-        return f"uniform({literal_range(self.draw, kind.dimension, 0.5, 2.0)})"
+        unit = pick(self.draw, units_of(kind.dimension)).text
+        ways = [f"normal(1 +- 0.1 {unit})", f"choice(1 {unit} | 2 {unit})"]
+        ways += ["integer(1 .. 3)"] if kind.dimension == NUMBER else []
+        text = f"uniform({literal_range(self.draw, kind.dimension, 0.5, 2.0)})"
+        if chance(self.draw, 25):
+            text = pick(self.draw, ways).replace(" )", ")")
+        again = pick(self.draw, (" each step", " every 0.1 s")) if kind.known is Known.STEP else ""
+        return text + again
 
     def _objects(self) -> None:
         objects = {}
@@ -877,7 +905,6 @@ class Author(Values):
         if others and has_messages and chance(self.draw, 30):
             name = f"{robot}_heard"
             data["hear"] = {name: pick(self.draw, others)}
-            self.on_board[robot][name] = self.said[data["hear"][name]]
         if chance(self.draw, 30):
             data["receive"] = {}
             for number in range(self.draw(st.integers(1, 2))):
@@ -894,15 +921,14 @@ class Author(Values):
             data["emit"] = {}
             for number in range(self.draw(st.integers(1, 2))):
                 dimension = pick(self.draw, SCALARS)
-                heard = (*data.get("receive", {}), *data.get("hear", {}))
-                received = {name: self.on_board[robot].pop(name) for name in heard}
+                received = {name: self.on_board[robot].pop(name) for name in data.get("receive", {})}
                 data["emit"][f"says{number}"] = self.expression(Context.EMIT, ValueType(dimension), robot)
                 self.on_board[robot] |= received
                 sent[f"{robot}.says{number}"] = ValueType(dimension, known=Known.STEP)
         if data.get("actuators"):
             data["apply"] = {name: self._command(robot, name, place) for name in data["actuators"]}
         self.said |= {name: kind for name, kind in sent.items() if not kind.picture}
-        return sent | {f"{robot}.{name}": self.on_board[robot][name] for name in data.get("hear", {})}
+        return sent | {f"{robot}.{name}": self.said[other] for name, other in data.get("hear", {}).items()}
 
     def _command(self, robot: str, name: str, place: Place) -> str:
         actuator = self.data["robots"][robot]["actuators"][name]

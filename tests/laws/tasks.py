@@ -184,7 +184,7 @@ def curriculum(author: Author) -> Any:
     ranges = [
         name
         for name, text in author.data.get("parameters", {}).items()
-        if str(text).startswith("uniform(") and not author.parameters[name].components
+        if str(text).startswith("uniform(") and author.parameters[name].known is Known.EPISODE
     ]
     if ranges and chance(author.draw, 60):
         name = pick(author.draw, ranges)
@@ -297,7 +297,7 @@ def training(author: Author, data: Mapping[str, Any]) -> dict[str, Any]:
         del drawn["replay"]
     if not model.on_policy and "learning_starts" in fields:
         drawn["learning_starts"] = 200
-    if model.imitates and data.get("scripts") and chance(author.draw, 20):
+    if model.imitates and data.get("scripts") and not author.has_copies and chance(author.draw, 20):
         drawn["teacher"] = next(iter(data["scripts"]))
     return drawn
 
@@ -311,7 +311,8 @@ def self_play(author: Author, first: Mapping[str, Any]) -> dict[str, Any]:
     else:
         drawn["turns"] = 1000
     ranges = [name for name, action in first["action"].items() if "choices" not in action]
-    if ranges and chance(author.draw, 50):
+    learns_alone = any("train" in agent for agent in author.data["agents"].values())
+    if ranges and not learns_alone and chance(author.draw, 50):
         drawn["symmetry"] = {"flip": ranges[:1]}
     return drawn
 

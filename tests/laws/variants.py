@@ -222,7 +222,7 @@ def masses_of(program: Program) -> dict[str, float]:
 
 # Tests of a case
 
-_VERSION = re.compile(r"^in case `other`, ")
+_VERSION = re.compile(r"^in (case|stage) `other`, ")
 
 
 def with_setting(data: dict[str, Any], path: str, value: Any) -> None:
@@ -309,10 +309,15 @@ def a_test_of_a_case_is_a_test_of_its_settings(case: Case) -> None:
     for section in ("evaluation", "curriculum", "tests", "tune", "solved", "train"):
         base.pop(section, None)
     test = test_of(case, base)
-    cased = base | {
-        "evaluation": {"cases": {"other": {"set": drawn}}},
-        "tests": {"one": test | {"case": "other"}},
-    }
+    if chance(case.draw, 50):
+        variant = {
+            "evaluation": {"cases": {"other": {"set": drawn}}},
+            "tests": {"one": test | {"case": "other"}},
+        }
+    else:
+        stages = [{"name": "other", "set": drawn, "until": "50_000 steps"}, {"name": "whole"}]
+        variant = {"curriculum": stages, "tests": {"one": test | {"stage": "other"}}}
+    cased = base | variant
     plain = copy.deepcopy(base)
     for path, value in drawn.items():
         with_setting(plain, path, value)

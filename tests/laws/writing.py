@@ -437,8 +437,13 @@ def parts(draw: Draw, data: Data) -> Files:
     for number, path in enumerate(sorted(chosen, key=len, reverse=True)):
         holder: Any = holder_of(files["scenario.yaml"], path) if path else files
         step = path[-1] if path else "scenario.yaml"
-        name = f"part{number}.yaml"
+        # Files of one name in several folders are several files.
+        is_inside = chance(draw, 50)
+        name = f"folder{number}/part.yaml" if is_inside else f"part{number}.yaml"
         files[name], own = Cutter(draw, data).cut(holder[step], path)
+        for inner, value in [*walk(files[name])] if is_inside else ():
+            if inner[-1] == "include":
+                holder_of(files[name], inner)["include"] = f"../{value}"
         holder[step] = {"include": name, **own} if chance(draw, 50) else {**own, "include": name}
     return files
 

@@ -32,7 +32,6 @@ Array = np.ndarray[Any, Any]
 G = 9.81
 PORT = ("pybullet", "mujoco", "batch")
 ALL = (*PORT, "webots")
-MUJOCO = ("mujoco", "batch", "webots")
 FOLDER = tempfile.TemporaryDirectory(prefix="physics-")
 """Files of scenarios and meshes, until the process ends."""
 

@@ -14,12 +14,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+from shapely import MultiPoint
 
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, contact_points, patch_distance
@@ -282,6 +286,39 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
                 assert (
                     abs(at) + reach + (clearances[name] if name in ("hunter", "prey") else 0.0) <= half + 1e-6
                 ), name
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_boxes_and_meshes_do_not_overlap_wherever_the_origin_of_a_mesh_is(
+    make: Make, tmp_path: Path, seed: int
+) -> None:
+    """The second implementation is shapely: the hulls of the vertices, seen from above."""
+    generator, solids = np.random.default_rng(seed), {}
+    world: dict[str, Any] = {"reset": {"attempts": 200, "place": {}}, "objects": {}}
+    for name in ("first", "second", "third", "fourth"):
+        sides = generator.uniform(0.1, 0.3, 3).round(6)
+        solids[name] = trimesh.creation.box(sides)
+        world["objects"][name] = {"shape": "box", "size": "{} {} {} m".format(*sides), "fixed": True}
+        if name in ("first", "second"):
+            points = generator.uniform(-0.15, 0.15, (9, 3)) + generator.uniform(-0.3, 0.3, 3)
+            points[:, 2] -= points[:, 2].min() * (name == "first")  # its origin is at its base
+            solids[name] = trimesh.convex.convex_hull(points)
+            solids[name].export(tmp_path / f"{name}.stl")
+            world["objects"][name] = {"shape": "mesh", "file": f"{name}.stl", "fixed": True}
+        tilt = {} if name == "first" else {"roll": "uniform(-3 .. 3 rad)", "pitch": "uniform(-1 .. 1 rad)"}
+        region = {"x": "-0.6 .. 0.6 m", "y": "-0.6 .. 0.6 m"}
+        world["reset"]["place"][name] = {"region": region, "yaw": "any", **tilt}
+    rest = yaml.safe_load(WORLD) | {"augment": {}, "observation": {"time": "0 .. 1 s"}, "reward": {"a": 1}}
+    environment = make(yaml.safe_dump(rest | world))
+    for episode in range(10):
+        environment.reset(seed=episode)
+        outlines = []
+        for name, solid in solids.items():
+            position, turn = environment.engine.pose(name)()
+            vertices = Rotation.from_quat(turn).apply(solid.vertices) + position
+            assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+            outlines.append(MultiPoint(vertices[:, :2]).convex_hull)
+        assert all(a.intersection(b).area < 1e-9 for a, b in combinations(outlines, 2))
 
 
 def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
@@ -714,6 +751,15 @@ def test_a_scenario_measures_ways_between_bodies(make: Make) -> None:
     for _ in range(20):
         observation, *_ = environment.step(np.array([-1.0]))
     assert path(observation) > before
+
+
+@pytest.mark.parametrize("origin", [0.0, 0.1], ids=["in its middle", "at its base"])
+def test_a_way_leads_around_a_mesh_wherever_its_origin_is(make: Make, tmp_path: Path, origin: float) -> None:
+    raised = trimesh.transformations.translation_matrix((0.0, 0.0, origin))
+    trimesh.creation.box((0.02, 0.6, 0.2), raised).export(tmp_path / "wall.stl")
+    of_box = path(make(MAZE).reset(seed=0)[0])
+    text = MAZE.replace("{shape: box, size: 2 60 20 cm,", "{shape: mesh, file: wall.stl,")
+    assert path(make(text).reset(seed=0)[0]) == pytest.approx(of_box, rel=1e-6)
 
 
 def test_what_moves_changes_the_ways(make: Make) -> None:

@@ -248,6 +248,15 @@ def test_an_automatic_inertia_needs_a_shape_and_a_mass(tmp_path: Path):
     assert [(finding.code, "has no shape" in finding.headline) for finding in findings] == [("DB105", True)]
 
 
+def test_the_error_of_missing_meshes_is_at_one_that_the_robot_needs(tmp_path: Path):
+    """The mesh of `base` alone is a warning: the link has a box to touch."""
+    first, second = (
+        f'<{tag}><geometry><mesh filename="{tag}.stl"/></geometry></{tag}>' for tag in ("visual", "collision")
+    )
+    _, findings = opened(tmp_path, robot(link("base", first + BOX), link("arm", second), ARM[2]))
+    assert [finding.span.text for finding in findings if finding.severity == "error"] == ["collision.stl"]
+
+
 # Commands
 
 
@@ -263,12 +272,14 @@ def test_a_robot_file_is_linted_alone(deepbots: Deepbots, tmp_path: Path):
 
 
 ORIGIN = '<origin xyz="0 0 0"/>'
+COLOR = '<color rgba="0 1 0 1"/>'
 FIXES = {
     "a misspelled element": ("</collision>", "</colision>", ("<collision>", "<colision>")),
     "a misspelled attribute": ('lower="-1"', 'lowr="-1"'),
     "a misspelled type": ('type="revolute"', 'type="revolut"'),
     "a misspelled link": ('<child link="arm"/>', '<child link="amr"/>'),
     "two materials": ("</visual>", '<material name="a"/>\n  <material name="b"></material></visual>'),
+    "two colors": ("</visual>", f'<material name="a">{2 * COLOR}</material></visual>'),
     "limits of minus one": ('effort="5" velocity="5"', 'effort="-1" velocity="-1.0"'),
     "crossed limits": ('lower="-1" upper="1"', 'lower="1" upper="-1"'),
     "one scale": ('"m.obj"', '"m.obj" scale="0.5"'),

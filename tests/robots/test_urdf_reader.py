@@ -335,6 +335,12 @@ def test_a_joint_without_usable_limits_is_unlimited_and_warned_about(read_text, 
     assert (robot.model.joint("elbow").limit.lower, robot.model.joint("elbow").limit.upper) == (None, None)
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_joint_that_slides_is_not_advised_to_turn_without_limits(read_text, kind):
+    finding = warning(read_text, broken('"-1" upper="2"', '"2" upper="-1"').replace("revolute", kind))
+    assert ("continuous" in finding.help) == (kind == "revolute")
+
+
 def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
     robot, findings = read_text(broken('lower="-1" ', ""))
     assert (findings, robot.model.joint("elbow").limit.lower) == ([], 0.0)
@@ -356,9 +362,15 @@ def test_limits_of_a_continuous_joint_that_have_no_effect_are_warned_about(read_
     assert finding.help == 'write type="revolute" to limit the joint, or remove lower and upper'
 
 
-def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text):
-    robot, _ = read_text(broken("revolute", "continuous"))
+@pytest.mark.parametrize("limit", ['"-1" upper="2"', '"-1e300" upper="2"', '"-1" upper="inf"'])
+def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text, limit):
+    robot, _ = read_text(broken("revolute", "continuous").replace('"-1" upper="2"', limit))
     assert robot.model.joint("elbow").limit == Limit(effort=5.0)
+
+
+def test_a_color_inside_a_visual_is_one_warning_and_not_one_more_in_the_same_line(read_text):
+    own = '<material name="x"><color rgba="0 200 0 1"/></material>'
+    assert warning(read_text, broken('<material name="red"/>', own)).notes == ()
 
 
 def test_a_further_element_of_the_same_kind_is_not_read(read_text):

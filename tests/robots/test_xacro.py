@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -22,7 +22,6 @@ from deepbots_cli.robots.xacro import expand
 from deepbots_cli.robots.xacro_expressions import Budget, Evaluator, XacroError
 from tests.robots.meshes import block
 
-Expanded = Callable[..., str]
 NAMESPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 LINK = """<link name="{name}"><inertial><mass value="1"/>
   <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>

@@ -11,16 +11,22 @@ once.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain, count
 from typing import Any
 
 import numpy as np
 
+from deepbots_cli import frames
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.insight.export.actuators import linear, output
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Command, Motor, Robot, Sensor
 from deepbots_cli.program.task import Observation
+from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.scenario.training import ALGORITHMS
 
 _TERMS = {
@@ -30,6 +36,8 @@ _TERMS = {
     "joint_velocity": "joint_vel_rel",
 }
 """The names that runners have for the value of a sensor."""
+_OF_BASE = ("gyro", "projected_gravity")
+"""The kinds of sensors that have such a name at the root link only."""
 _ROUNDING = 1e-9
 
 
@@ -67,12 +75,16 @@ def deploy_settings(program: Program) -> dict[str, Any]:
     commands: dict[str, Any] = {}
     observations: dict[str, Any] = {}
     parameters = {value.name: value for value in program.parameters}
+    analysis = Analysis(program)
     for entry in program.agent.observation:
-        name, term = _term(entry, robot, motor, offset)
+        term = _term(entry)
         if entry.name in parameters:
             term["params"] = {"command_name": entry.name}
-            commands[entry.name] = {"ranges": {entry.name: [entry.low[0], entry.high[0]]}}
-        observations[name] = term
+            commands[entry.name] = {"ranges": _command_ranges(entry, analysis)}
+        plain_name = entry.name.replace(".", "_")
+        numbered = (f"{plain_name}_{number}" for number in count(2))
+        names = chain((_term_name(entry, robot, motor, model, offset) or plain_name, plain_name), numbered)
+        observations[next(name for name in names if name not in observations)] = term
     return {
         "joint_names": [*motor.joints],
         "joint_ids_map": [in_file.index(joint) for joint in motor.joints],
@@ -135,11 +147,18 @@ def _only_command(program: Program) -> tuple[Robot, Command]:
     return commands[0]
 
 
-def _term(
-    entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]
-) -> tuple[str, dict[str, Any]]:
-    """Return the name that runners have for an entry of the observation, or its own name, and the settings of
-    the term."""
+def _command_ranges(entry: Observation, analysis: Analysis) -> dict[str, list[float]]:
+    """Return the range of the values that the policy has seen, for each component of a parameter."""
+    return {
+        f"{entry.name}_{number.component}" if number.component else entry.name: [
+            *iv.clamp(analysis.ranges.of(number.scalar), iv.single(number.low), iv.single(number.high))
+        ]
+        for number in entry.numbers
+    }
+
+
+def _term(entry: Observation) -> dict[str, Any]:
+    """Return the settings of the term of an entry of the observation."""
     size = len(entry.numbers)
     term: dict[str, Any] = {
         "params": {},
@@ -157,10 +176,13 @@ def _term(
             )
         ((low, high),) = ends
         term |= {"scale": [1.0 / high] * size, "clip": [low, high] if entry.clip else None}
-    return _term_name(entry, robot, motor, offset), term
+    return term
 
 
-def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]) -> str:
+def _term_name(
+    entry: Observation, robot: Robot, motor: Motor, model: RobotModel, offset: Sequence[float]
+) -> str | None:
+    """Return the name that runners have for an entry of the observation; None if they have none."""
     if entry.name == "previous_action":
         return "last_action"
     sent = next((value.scalars for value in robot.emitted if f"{robot.name}.{value.name}" == entry.name), ())
@@ -171,34 +193,24 @@ def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[
         for leaf, _ in pairs
         if leaf is not None and leaf.name in sensors
     }
-    plain_name = entry.name.replace(".", "_")
     if len(sensors_read) != 1 or any(leaf is None for leaf, _ in pairs):
-        return plain_name
-    ((_, sensor),) = sensors_read.items()
+        return None
+    (sensor,) = sensors_read.values()
     shifts = [shift for _, shift in pairs]
-    if [leaf.component for leaf, _ in pairs if leaf is not None] != [
-        *sensor.components
-    ] or sensor.kind not in _TERMS:
-        return plain_name
-    if sensor.kind.startswith("joint"):
-        return _of_joints(sensor, shifts, motor, offset, plain_name)
-    if any(shifts):
-        return plain_name
-    return _TERMS[sensor.kind]
+    if [leaf.component for leaf, _ in pairs if leaf is not None] != [*sensor.components]:
+        return None
+    if sensor.kind == "joint_position" and any(shifts):
+        is_of_pose = np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING)
+        return "joint_pos_rel" if is_of_pose and sensor.subjects == motor.joints else None
+    is_of_runner = _is_of_base(sensor, model) if sensor.kind in _OF_BASE else sensor.subjects == motor.joints
+    return _TERMS.get(sensor.kind) if is_of_runner and not any(shifts) else None
 
 
-def _of_joints(
-    sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], plain_name: str
-) -> str:
-    if sensor.subjects != motor.joints:
-        return plain_name
-    if (
-        sensor.kind == "joint_position"
-        and np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING)
-        and any(shifts)
-    ):
-        return "joint_pos_rel"
-    return plain_name if any(shifts) else _TERMS[sensor.kind]
+def _is_of_base(sensor: Sensor, model: RobotModel) -> bool:
+    """Return whether a sensor turns with the root link and has its axes."""
+    link, frame = rigid_root(model, sensor.subjects[0])
+    _, (x, y, z, _) = frames.compose(frame, frames.frame(sensor.mount))
+    return link == model.root and max(abs(x), abs(y), abs(z)) <= _ROUNDING
 
 
 def _sensed(tree: Scalar) -> tuple[Name | None, float]:

@@ -171,8 +171,13 @@ class ColorValue(FieldType):
 
     def check(self, value: Any) -> None:
         for word in color_options(value):
+            if not word:
+                raise error(
+                    "DB104", "a choice without a color", "write its colors, as in `choice(red | green)`"
+                )
             if word not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                help = f"{choices_help(word, tuple(COLORS))}, or write `'#ffa500'`"
+                help = choices_help(word, tuple(COLORS))
+                help = help if help.endswith("?") else f"{help}, or write `'#ffa500'`"
                 near = suggest_replacement(word, tuple(COLORS), of_language=True) if word == value else None
                 raise error("DB104", f"unknown color `{word[:40]}`", help, replacement=near)
 
