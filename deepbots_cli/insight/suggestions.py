@@ -3,7 +3,9 @@
     suggestions(checked, "make the cart faster")
     # [Suggestion(text="...", path="parameters.wheel_speed", value="7.5 rad/s")]
 
-The words are matched with the names of links, joints and parameters; comparatives give the factor.
+The words are matched with the names of links, joints and parameters. One comparative and at most one number
+give the change. A phrase with more of them, a difference such as `20 cm longer`, and a change that would not
+compile get no value.
 """
 
 from __future__ import annotations
@@ -11,28 +13,49 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.document.nodes import ScalarNode, entries_at, node_at
+from deepbots_cli import frames
+from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.document.load import load, setting_path
+from deepbots_cli.document.nodes import MappingNode, ScalarNode, entries_at, node_at
 from deepbots_cli.insight.inspection import Row, link_rows
-from deepbots_cli.robots.model import Joint
+from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides
+from deepbots_cli.robots.model import Joint, Link
 from deepbots_cli.scenario.fields.base import with_article
+from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 
 _MAX_SUGGESTIONS = 4
-_TIMES = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3})?(?= times\b|x\b)")
 _PLAIN = re.compile(
-    r"((?:urdf \* |[\d.]+ +[\d.]+ +)?[-+]?)(\d[\d_]*(?:\.\d+)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
+    r"((?:urdf \* )?[-+]?)(\d+(?:_\d+)*(?:\.\d+(?:_\d+)*)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
 )
-"""A number with its unit, a factor of the value in the robot file, or a vector of three numbers. Formulas and
-draws are not multiplied."""
-_QUANTITY = re.compile(r"(?<![\w.])(\d{1,4}(?:\.\d{1,4})?) ?(m|cm|mm|kg|g)\b")
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "kg": 1.0, "g": 0.001}
-"""The units of a size and of a mass, in m and kg."""
-_LONG_SHAPE = re.compile(r"(?:box|cylinder|capsule) .*?([\d.]+)")
-"""A shape whose last number is its size along z, in m."""
+"""A number with its unit, or a factor of the value in the robot file. Formulas and draws are not multiplied."""
+_UNITS = {
+    "m": ("length", 1.0),
+    "cm": ("length", 0.01),
+    "mm": ("length", 0.001),
+    "kg": ("mass", 1.0),
+    "g": ("mass", 0.001),
+}
+"""The property that has a unit, and the unit in m or kg."""
+_AMOUNT = re.compile(
+    r"(?<![\w.,/+-])((?:\d{1,3}(?:[,_]\d{3})+|\d{1,6})(?:\.\d{1,6})?) ?"
+    rf"(times\b|x\b|percent\b|%|(?:{'|'.join(_UNITS)})(?![\w/*^]))"
+)
+"""A number with its unit."""
+_USUAL = ("1.5", "times")
+"""The amount of a phrase without one; `shorter` takes `longer` back."""
+_NUMBERS = {"half": "0.5 times", "twice": "2 times", "double": "2 times", "triple": "3 times"} | {
+    name: str(number)
+    for number, name in enumerate(["two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"], 2)
+}
+_NUMBER_WORD = re.compile(rf"\b(?:{'|'.join(_NUMBERS)})\b(?! an?\b)")
 _WORD = re.compile(r"[^\W_]+")
-_LARGER, _SMALLER = 1.5, 2 / 3  # so that `shorter` takes `longer` back
+_LONGEST = 0.95
+"""The second side of a link over its longest one, above which the link has no length."""
 _PROPERTIES = {
+    "long": "length",
+    "short": "length",
     "longer": "length",
     "shorter": "length",
     "heavier": "mass",
@@ -45,12 +68,32 @@ _PROPERTIES = {
     "quicker": "speed",
     "fast": "speed",
     "slow": "speed",
+    "length": "length",
+    "mass": "mass",
+    "speed": "speed",
 }
 """The property that a word is about."""
-_TIMES_WORDS = {"half": 0.5, "twice": 2.0, "double": 2.0}
-_LARGER_WORDS = {"longer", "larger", "bigger", "heavier", "faster", "quicker", "higher"}
-_SMALLER_WORDS = {"shorter", "smaller", "lighter", "slower", "lower"}
-_QUESTIONS = {"what", "when", "where", "which", "who", "why"}
+_OF_SIZE = {"larger", "bigger", "smaller"}
+_LARGER_WORDS = {
+    *("longer", "larger", "bigger", "heavier", "faster", "quicker"),
+    *("higher", "more", "increase", "raise"),
+}
+_SMALLER_WORDS = {"shorter", "smaller", "lighter", "slower", "lower", "less", "reduce", "decrease"}
+_LOW = {"light", "slow", "short", "small", "low"}
+"""A part that is twice as light has half the mass."""
+_FRACTIONS = {"third", "quarter", "fifth", "tenth", "hundred", "thousand", "dozen"}
+_OF_OTHER_KEYS = {
+    *("wide", "wider", "width", "thick", "thicker", "thin", "thinner", "radius", "diameter", "depth"),
+    *(
+        word
+        for model in (LinkOverride, JointOverride)
+        for key in model.model_fields
+        for word in key.split("_")
+    ),
+} - {"mass", "scale"}
+"""The words about a link that are neither about its mass nor about its length."""
+_FILL_WORDS = {"a", "an", "make", "of", "please", "the", "with"}
+_QUESTIONS = {"what", "when", "where", "which", "who", "why", "no", "not", "don", "never", "without"}
 """The words of a phrase that asks for no change."""
 _OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
 
@@ -76,76 +119,147 @@ def properties(phrase: str) -> set[str]:
     return {_PROPERTIES[word] for word in _words(phrase) & _PROPERTIES.keys()}
 
 
+class _Change(NamedTuple):
+    """A change of a property.
+
+    Attributes:
+        amount: The factor, or the new value in m or kg.
+        unit: The property that a new value is of, `length` or `mass`; empty for a factor.
+        rest: The words of the phrase beside the amount.
+    """
+
+    amount: float
+    unit: str
+    rest: set[str]
+
+
 def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     """Return the changes of links, joints and parameters that a phrase names."""
-    words = _words(phrase)
-    is_smaller = bool(words & _SMALLER_WORDS)
-    times = [float(number) for number in _TIMES.findall(phrase)]
-    times += [_TIMES_WORDS[word] for word in sorted(words & _TIMES_WORDS.keys())]
-    # `2 times lighter` is half as heavy; `half` is so already.
-    factors = [1 / number if is_smaller and number > 1 else number for number in times if number > 0]
-    factors += [_SMALLER] * is_smaller + [_LARGER] * bool(words & _LARGER_WORDS)
-    factor = factors[0] if factors else _LARGER
-    quantity = _QUANTITY.search(phrase)
-    named = list(_parts(checked, words | properties(phrase), factor, quantity))
-    if words & _OF_LEARNING:
-        named += _length_of_training(checked, words, factor)
-    elif factors and quantity is None:
-        named += _parameters(checked, words, properties(phrase), factor)
-    if words & _QUESTIONS or not (factors or quantity):
-        named = [replace(suggestion, value="") for suggestion in named]
-    return named[:_MAX_SUGGESTIONS]
+    words, asked = _words(phrase), properties(phrase)
+    change = _change(phrase)
+    named = list(_parts(checked, words | asked, change))
+    if change is not None and not change.unit:
+        named += (
+            _length_of_training(checked, words, change.amount)
+            if words & _OF_LEARNING
+            else _parameters(checked, words, asked, change.amount)
+        )
+    rest = change.rest if change is not None else set[str]()
+    numbers = {word for word in rest if word[0].isdigit() or word in _FRACTIONS}  # those of names
+    return [
+        suggestion
+        if not words & _QUESTIONS and numbers <= _words(suggestion.path) and _compiles(checked, suggestion)
+        else replace(suggestion, value="")
+        for suggestion in named[:_MAX_SUGGESTIONS]
+    ]
+
+
+def _compiles(checked: CheckedScenario, suggestion: Suggestion) -> bool:
+    """Return whether the scenario with the value of a suggestion has no further errors."""
+    document, value = checked.document, suggestion.value
+    if document.root is None or not value:
+        return False
+    keys = setting_path(document.root, suggestion.path)
+    depth = max(n for n in range(len(keys)) if isinstance(node_at(document.root, *keys[:n]), MappingNode))
+    for key in reversed(keys[depth + 1 :]):
+        value = f"{{{key}: {value}}}"
+    other = load(
+        document.path,
+        [*document.overrides, f"{'.'.join(map(str, keys[: depth + 1]))}={value}"],
+        permissions=document.permissions,
+        drafts={document.path: document.source.text.encode("utf-8", "surrogatepass")},
+    )
+    return len(check(other).findings.errors) <= len(checked.findings.errors)
+
+
+def _change(phrase: str) -> _Change | None:
+    """Return the change that a phrase asks for; None if it asks for none or several, or is not clear."""
+    words, asked = _words(phrase), properties(phrase)
+    text = _NUMBER_WORD.sub(lambda number: _NUMBERS[number[0]], phrase.lower())
+    amounts = _AMOUNT.findall(text)
+    is_larger, is_smaller, is_low = (bool(words & some) for some in (_LARGER_WORDS, _SMALLER_WORDS, _LOW))
+    is_compared = is_larger or is_smaller
+    if (
+        is_larger + is_smaller + is_low > 1
+        or len(asked) > 1
+        or len(amounts) + is_compared == 0
+        or amounts[1:]
+    ):
+        return None
+    number, unit = amounts[0] if amounts else _USUAL
+    amount, rest = float(number.replace(",", "")), _words(_AMOUNT.sub(" ", text))
+    if unit in _UNITS:
+        name, size = _UNITS[unit]
+        return None if is_compared or is_low or asked - {name} else _Change(amount * size, name, rest)
+    if unit in ("%", "percent"):
+        amount = 1 + (is_larger - is_smaller) * amount / 100 if is_compared else 0.0
+    elif is_larger and amount < 1:
+        amount = 0.0
+    elif amount and (is_low or (is_smaller and amount > 1)):  # `half` is smaller already
+        amount = 1 / amount
+    return _Change(amount, "", rest) if amount > 0 else None
 
 
 def _words(text: str) -> set[str]:
     return {word.lower() for word in _WORD.findall(text)}
 
 
-def _parts(
-    checked: CheckedScenario, words: set[str], factor: float, quantity: re.Match[str] | None
-) -> Iterator[Suggestion]:
-    """Yield the links and joints that the words name; a `quantity` is the size or the mass of a link."""
+def _parts(checked: CheckedScenario, words: set[str], change: _Change | None) -> Iterator[Suggestion]:
+    """Yield the links and joints that the words name, with the change of the mass or the size of a link."""
     root = checked.document.root
     for robot in (checked.robots or {}).values():
-        for row in link_rows(robot.model):
-            if _words(str(row["link"])) <= words:
-                is_mass = "mass" in words if quantity is None else quantity[2] in ("kg", "g")
-                key, default = ("mass", "urdf * 1") if is_mass else ("scale", "1 1 1")
-                path = ("robots", robot.name, "links", str(row["link"]), key)
+        for link, row in zip(robot.model.links, link_rows(robot.model), strict=True):
+            if _words(link.name) <= words:
+                key = "mass" if "mass" in words or (change and change.unit == "mass") else "scale"
+                path = ("robots", robot.name, "links", link.name, key)
                 node = node_at(root, *path)
                 written = node.text if isinstance(node, ScalarNode) else ""
                 text = _link_text(robot.name, row, f"{key}: {written}" if written else "")
-                value = _multiplied(written or default, factor)
-                if quantity is not None:
-                    value = quantity[0] if is_mass else _scaled_to(written or default, row, quantity)
+                value = (
+                    ""
+                    if change is None or (words - _words(link.name)) & _OF_OTHER_KEYS
+                    else _value_of_link(link, key, written, words, change)
+                )
                 yield Suggestion(text, ".".join(path), value)
         for joint in robot.model.moving_joints:
             if _words(joint.name) <= words:
-                unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
-                path_of_joint = f"robots.{robot.name}.joints.{joint.name}.damping"
-                yield Suggestion(_joint_text(robot.name, joint), path_of_joint, f"0.01 {unit}")
+                yield Suggestion(
+                    _joint_text(robot.name, joint), f"robots.{robot.name}.joints.{joint.name}", ""
+                )
+
+
+def _value_of_link(link: Link, key: str, written: str, words: set[str], change: _Change) -> str:
+    """Return the changed `mass` or `scale` of a link, along its longest side or, of a `larger` link, along all
+    sides. It is empty if the words name no size, or the link has no longest side."""
+    if key == "mass":
+        return f"{change.amount:.6g} kg" if change.unit else _multiplied(written or "urdf * 1", change.amount)
+    ratio, axes = change.amount, {0, 1, 2}
+    if change.unit or "length" in words or not words & _OF_SIZE:
+        parts = link.visuals or link.collisions
+        boxes = [bounds_of_shape(part.shape, frames.frame(part.origin)) for part in parts]
+        sides = box_sides(box_around(boxes))
+        axes = {sides.index(max(sides))}
+        ratio = change.amount / max(sides) if change.unit else change.amount
+        is_size = "length" in words or change.rest - _words(link.name) <= _FILL_WORDS
+        if not is_size or sorted(sides)[1] > _LONGEST * max(sides):
+            return ""
+    factors = (written or "1 1 1").split()
+    if len(factors) != 3 or not all(map(_PLAIN.fullmatch, factors)):
+        return written
+    return " ".join(
+        _multiplied(factor, ratio) if axis in axes else factor for axis, factor in enumerate(factors)
+    )
 
 
 def _parameters(
     checked: CheckedScenario, words: set[str], asked: set[str], factor: float
 ) -> Iterator[Suggestion]:
-    """Yield the parameters of one number whose names have the property that is asked for or, without one, a
-    word of the phrase."""
+    """Yield the parameters of one number that are in the phrase, or have the property that is asked for."""
     for name, entry in entries_at(checked.document.root, "parameters").items():
-        node = entry.value
-        if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and _words(name) & (asked or words):
+        node, own = entry.value, _words(name)
+        if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and (own & asked or own <= words):
             text = f"`{name}` is a parameter of this scenario: {node.text}."
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
-
-
-def _scaled_to(scale: str, row: Row, quantity: re.Match[str]) -> str:
-    """Return the scale with which a link has this size along z; empty if its shape has no such size."""
-    shapes = row["seen_as"] or row["collides_as"]
-    assert isinstance(shapes, list)
-    shape = _LONG_SHAPE.fullmatch(shapes[0]) if shapes else None
-    if shape is None:
-        return ""
-    return _multiplied(scale, float(quantity[1]) * _UNITS[quantity[2]] / float(shape[1]))
 
 
 def _length_of_training(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:
@@ -154,16 +268,17 @@ def _length_of_training(checked: CheckedScenario, words: set[str], factor: float
     node = node_at(checked.document.root, "train", "total_timesteps")
     if isinstance(node, ScalarNode) and words & {"longer", "shorter"}:
         text = f"`total_timesteps` is the length of the training, in timesteps: {node.text}."
-        yield Suggestion(text, "train.total_timesteps", _multiplied(node.text, factor))
+        yield Suggestion(text, "train.total_timesteps", _multiplied(node.text, factor, whole=True))
 
 
-def _multiplied(text: str, factor: float) -> str:
+def _multiplied(text: str, factor: float, *, whole: bool = False) -> str:
     """Return a value whose last number is multiplied; the value itself if it is not plain."""
     plain = _PLAIN.fullmatch(text)
     if plain is None:
         return text
     number = float(plain[2]) * factor
-    return f"{plain[1]}{number:_.0f}" if "_" in plain[2] else f"{plain[1]}{number:.6g}{plain[3] or ''}"
+    digits = f"{number:_.0f}" if whole or number >= 1e5 else f"{number:_.6g}"
+    return f"{plain[1]}{digits if '_' in plain[2] else digits.replace('_', '')}{plain[3] or ''}"
 
 
 def _link_text(robot: str, row: Row, written: str) -> str:

@@ -57,6 +57,18 @@ def difference(before: str, after: str) -> TextEdit:
     return TextEdit(start, len(before) - tail, after[start : len(after) - tail])
 
 
+def changed_lines(before: str, after: str) -> list[int]:
+    """Return the lines of `after` that are new or changed, and one at each place where lines were removed,
+    from 0."""
+    lines = after.split("\n")
+    return [
+        min(line, len(lines) - 1)
+        for kind, _, _, first, last in SequenceMatcher(None, before.split("\n"), lines).get_opcodes()
+        if kind != "equal"
+        for line in range(first, max(first + 1, last))
+    ]
+
+
 def edited(text: str, edits: Sequence[TextEdit]) -> str:
     """Return the text after edits that do not overlap, and whose offsets are those of `text`."""
     for edit in sorted(edits, reverse=True):

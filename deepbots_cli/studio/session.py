@@ -19,7 +19,7 @@ from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
-from deepbots_cli.studio.files import Drafts, OpenFile, difference, read_text
+from deepbots_cli.studio.files import Drafts, OpenFile, changed_lines, difference, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
 from deepbots_cli.studio.shown import Shown, Topic
@@ -228,7 +228,7 @@ class Session:
         Comments and layout stay.
 
         Returns:
-            The changed lines, from 0.
+            The changed lines of the new text, from 0.
 
         Raises:
             UsageError: There is no scenario, or a value has no place in its file.
@@ -236,16 +236,17 @@ class Session:
         file = self.files.get(self.current) if self.current is not None else None
         if file is None:
             raise UsageError("open a scenario first")
-        draft, lines = OpenFile(file.path, file.text), list[int]()  # all values are written, or none
+        draft = OpenFile(file.path, file.text)  # all values are written, or none
         for path, value in values.items():
             edit = self.language.assignment(draft, path, value)
             if edit is None:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
-            lines += draft.edit([edit])
+            draft.edit([edit])
         if "train.total_timesteps" in values:
             self.training_options["--timesteps"] = ""
         if draft.text == file.text:
             raise UsageError(f"{file.path.name} has these values already")
+        lines = changed_lines(file.text, draft.text)
         file.edit([difference(file.text, draft.text)])
         self.edited(file)
         return lines
@@ -263,7 +264,8 @@ class Session:
             return await asyncio.to_thread(path.read_bytes) if code == 0 else b""
 
     def saved_name(self) -> str:
-        """Return the current scenario as commands get it: saved, and without errors.
+        """Return the current scenario as commands get it: without errors, and saved with the files that it
+        extends or includes.
 
         Raises:
             UsageError: There is none, or it has errors.
@@ -274,8 +276,9 @@ class Session:
         is_checked = self.language.checked_revision(self.current) == self.files[self.current].revision
         if is_checked and self.language.has_errors(self.current):
             raise UsageError(HAS_ERRORS)
-        for file in self.files.values():
-            if file.is_modified and not file.read_only:
+        for path in (self.current, *self.language.files_of(self.current)):
+            file = self.files.get(path)
+            if file is not None and file.is_modified and not file.read_only:
                 self.save(file)
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name

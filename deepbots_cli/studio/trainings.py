@@ -4,7 +4,6 @@ train."""
 from __future__ import annotations
 
 import time
-from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -88,7 +87,8 @@ def result_text(run: ListedRun) -> str:
     verdict = {True: "solved", False: "not solved", None: run.state}[run.solved]
     steps = run.solved_after if run.solved and run.solved_after else run.steps
     after = f" after {steps:,} steps" if steps else ""
-    stopped = "so it stopped" if run.solved and (run.steps or 0) < (run.total_timesteps or 0) else ""
+    is_early = run.stopped_as_solved and (run.steps or 0) < (run.total_timesteps or 0)
+    stopped = "so it stopped" if run.solved and is_early else ""
     return ", ".join(filter(None, (verdict + after, stopped, score_text(run))))
 
 
@@ -96,7 +96,7 @@ def score_text(run: ListedRun) -> str:
     """Return the mean return and the success rate of a run, and of which episodes they are; empty without."""
     if run.mean_return is None:
         return ""
-    success = "" if run.success_rate is None else f" and success {run.success_rate:.0%}"
+    success = "" if run.success_rate is None else f" and success {100 * run.success_rate:.4g}%"
     return f"mean return {run.mean_return:.4g}{success} in {run.score}"
 
 
@@ -113,7 +113,8 @@ def _points(curve: Any) -> tuple[Point, ...]:
     if curve is None:
         return ()
     steps, values = curve
-    indices = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int))
+    evenly = np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int)
+    indices = np.union1d(evenly, np.flatnonzero(~np.isfinite(values)))  # with all breaks
     return tuple(
         (float(steps[at]), float(f"{values[at]:.6g}") if np.isfinite(values[at]) else None) for at in indices
     )
@@ -134,7 +135,7 @@ class WatchedTraining:
         self.listed: ListedRun | None = None
         self.curves = Curves()
         self.problem = ""
-        self._steps: deque[tuple[float, int]] = deque()
+        self._steps: tuple[tuple[float, int], ...] = ()  # replaced as a whole: another thread reads it
         self._due, self._took = 0.0, 0.0
         self._ended = False
 
@@ -146,10 +147,10 @@ class WatchedTraining:
     @property
     def seconds_left(self) -> float | None:
         """The time until the last timestep at the present speed, in s; None while it is unknown."""
-        run = self.listed
-        if run is None or run.state != "training" or not run.total_timesteps or len(self._steps) < 2:
+        run, steps = self.listed, self._steps
+        if run is None or run.state != "training" or not run.total_timesteps or len(steps) < 2:
             return None
-        (begin, first), (end, last) = self._steps[0], self._steps[-1]
+        (begin, first), (end, last) = steps[0], steps[-1]
         if last <= first or end - begin < _STILL_S:
             return None
         return max(0.0, (run.total_timesteps - last) * (end - begin) / (last - first))
@@ -157,10 +158,8 @@ class WatchedTraining:
     @property
     def stands_still(self) -> bool:
         """Whether the training has made no step for some seconds: it evaluates models, or compares them."""
-        if not self._steps:
-            return False
-        now, steps = self._steps[-1]
-        return any(now - at >= _STILL_S and before == steps for at, before in self._steps)
+        steps = self._steps
+        return any(steps[-1][0] - at >= _STILL_S and before == steps[-1][1] for at, before in steps)
 
     def read(self) -> None:
         """Read the files; call it in a thread."""
@@ -178,9 +177,8 @@ class WatchedTraining:
         self.listed = listed
         self._ended = listed.state != "training"
         if listed.steps:  # before the first step, the training starts
-            self._steps.append((began, listed.steps))
-        while self._steps and self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
-            self._steps.popleft()
+            recent = (each for each in self._steps if began - each[0] <= _SPEED_WINDOW_S)
+            self._steps = (*recent, (began, listed.steps))
         took = time.thread_time() - used
         # A single read may import a package, or compile the scenario; the next one does not.
         usual, self._took = min(took, self._took), took

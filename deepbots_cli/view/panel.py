@@ -77,7 +77,7 @@ def training_rows(
     yield _head("evaluations during the training" if evaluations else "no evaluation yet")
     for evaluation in list(reversed(evaluations))[:_MAX_ROWS]:
         stage = f", stage {evaluation['stage']}" if evaluation["stage"] else ""
-        rate = f", success {fmean(evaluation['successes']):.0%}" if success else ""
+        rate = f", success {100 * fmean(evaluation['successes']):.4g}%" if success else ""
         yield _wide_row(
             f"{evaluation['steps']:,.0f} steps{stage}", f"return {fmean(evaluation['returns']):.4g}{rate}"
         )

@@ -39,6 +39,7 @@ _EPISODE_COLUMNS = [
 # The limits of the kept drawn values, in episodes and in letters.
 _MAX_DRAWN = 2_500
 _MAX_DRAWN_LETTERS = 1 << 23
+_EVENT_FILES = "events.out.tfevents.*"
 _MAX_EVENT_BYTES, _MAX_TAGS = 1 << 20, 2_000
 _LEAST_VALUE_BYTES = 30
 """The smallest event of one scalar has 41 bytes."""
@@ -102,16 +103,15 @@ def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool 
         RunError: A path is neither, is damaged, or has no episode yet.
         MissingExtraError: TensorBoard is not installed.
     """
-    logs = [
-        _read_run(path, window) if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
-        for path in run_folders(paths)
-    ]
+    logs = list[TrainingLog]()
+    for path in run_folders(paths):
+        logs += [_read_run(path, window)] if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
     first = {log.group: log.path for log in reversed(logs)}  # the first run of each scenario
     # Scenarios of one name that differ are called after the folder of their first run or group, or its path
     # if folders share a name.
     folders = {
         group: path.parent if folder_kind(path.parent) is SourceKind.GROUP else path
-        for group, path in first.items()
+        for group, path in ((group, path.resolve()) for group, path in first.items())
     }
     candidates = (
         {group: group.rpartition(" ")[0] for group in first},
@@ -166,7 +166,10 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
     endings = episodes.endings  # as objects, because each text of numpy would take the memory of the longest
     common = [name for name, _ in Counter(endings).most_common(_MAX_ENDINGS)]
-    shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
+    # These two names have a space, unlike that of an ending.
+    shares = {name or "unknown ending": endings == name for name in common} | {
+        "other endings": ~np.isin(endings, common)
+    }
     log.endings = {
         name: _averaged(episodes, share.astype(float), window, log.stages)
         for name, share in shares.items()
@@ -234,23 +237,22 @@ def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
     return starts
 
 
-def _read_tensorboard(path: Path) -> TrainingLog:
-    """Read the scalars that the learner writes."""
+def _read_tensorboard(path: Path) -> list[TrainingLog]:
+    """Read the scalars that a learner writes; of each folder with files, because it is a training."""
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
-    scalars = scalars_of(path)
-    names = {
-        "returns": "rollout/ep_rew_mean",
-        "successes": "rollout/success_rate",
-        "evaluations": "eval/mean_reward",
-    }
-    if not scalars.keys() & names.values():
-        raise RunError(
-            f"{path} is not a run, and its TensorBoard files hold none of {', '.join(names.values())}"
-        )
-    log = TrainingLog(path, f"{path.name} ")
-    log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
-    return log
+    tags = ("rollout/ep_rew_mean", "rollout/success_rate", "eval/mean_reward")
+    logs = []
+    for folder in sorted({file.parent for file in path.glob(f"**/{_EVENT_FILES}")}):
+        scalars = scalars_of(folder, _EVENT_FILES)
+        if scalars.keys() & set(tags):
+            place = folder.resolve()
+            log = TrainingLog(folder, f"{place.name} {place.as_uri()}")
+            log.returns, log.successes, log.evaluations = map(scalars.get, tags)
+            logs.append(log)
+    if not logs:
+        raise RunError(f"{path} is not a run, and its TensorBoard files hold none of {', '.join(tags)}")
+    return logs
 
 
 def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
@@ -296,14 +298,15 @@ def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
     return table.view(np.recarray), read_evaluations(run, agent)
 
 
-def scalars_of(path: Path) -> dict[str, Curve]:
-    """Return the scalars of the TensorBoard files in a folder and those below, by tag.
+def scalars_of(path: Path, pattern: str = f"**/{_EVENT_FILES}") -> dict[str, Curve]:
+    """Return the scalars of the TensorBoard files of a pattern in a folder, by tag; by default of all files
+    in the folder and those below.
 
     Raises:
         RunError: A file is not a regular file, damaged, or has more tags or values than a logger writes.
         MissingExtraError: TensorBoard is not installed.
     """
-    files = sorted(path.glob("**/events.out.tfevents.*"))
+    files = sorted(path.glob(pattern))
     if not files:
         return {}
     for file in files:

@@ -18,10 +18,12 @@ from deepbots_cli.webots.syntax import Node, Parameter, Proto, parse_interface
 
 
 class Entry(NamedTuple):
-    """A PROTO: the lines of its interface, and the function that builds its body."""
+    """A PROTO: the lines of its interface, and the function that builds its body. Other values than the
+    defaults of the fields `missing` are not implemented."""
 
     interface: str
     build: Callable[[Fields], str]
+    missing: tuple[str, ...] = ()
 
 
 class Fields:
@@ -79,8 +81,11 @@ field MFFloat battery []
 """
 _ROBOT_BODY = """
 controller IS controller controllerArgs IS controllerArgs customData IS customData supervisor IS supervisor
-synchronization IS synchronization
+synchronization IS synchronization window IS window battery IS battery
 """
+
+
+_PLAIN = "baseColor 0.8 0.8 0.8 roughness 1 metalness 0"
 
 
 def _box(size: tuple[float, float, float], color: str = "0.8 0.8 0.8") -> str:
@@ -125,21 +130,29 @@ def _floor(fields: Fields) -> str:
       boundingObject Plane {{ size {x!r} {y!r} }} }}"""
 
 
-def _wooden_box(fields: Fields) -> str:
-    return _solid_box(fields, "0.6 0.45 0.3")
+def _solid_box(fields: Fields) -> str:
+    x, y, z = fields.positive("size")
+    bounds = fields.is_true("enableBoundingObject")
+    outline = f"boundingObject Box {{ size {x!r} {y!r} {z!r} }}" if bounds else ""
+    return f"""Solid {{ translation IS translation rotation IS rotation name IS name
+      contactMaterial IS contactMaterial recognitionColors IS recognitionColors physics IS physics {outline}
+      children [ Shape {{ appearance IS appearance castShadows IS castShadows
+        geometry Box {{ size {x!r} {y!r} {z!r} }} }} ] }}"""
 
 
-def _solid_box(fields: Fields, color: str = "0.8 0.8 0.8") -> str:
+def _container(fields: Fields) -> str:
     x, y, z = fields.positive("size")
     mass = fields.number("mass")
     physics = f"physics Physics {{ density -1 mass {mass!r} }}" if mass > 0 else ""
-    return f"""Solid {{ translation IS translation rotation IS rotation name IS name
-      children [ {_box((x, y, z), color)} ] boundingObject Box {{ size {x!r} {y!r} {z!r} }} {physics} }}"""
+    return f"""Solid {{ translation IS translation rotation IS rotation name IS name locked IS locked
+      contactMaterial IS contactMaterial immersionProperties IS immersionProperties
+      children [ {_box((x, y, z), "0.6 0.45 0.3")} ]
+      boundingObject Box {{ size {x!r} {y!r} {z!r} }} {physics} }}"""
 
 
-_BOX_INTERFACE = f"""{_POSE} field SFString name "%s" field SFVec3f size %s field SFFloat mass 0
-field MFNode immersionProperties [] field SFBool locked FALSE field SFString contactMaterial "default"
-field SFNode appearance NULL"""
+_CONTAINER = """field SFVec3f translation 0 0 0.3 field SFRotation rotation 0 0 1 0 field SFString name "%s"
+field SFVec3f size 0.6 0.6 0.6 field SFFloat mass 0 field MFNode immersionProperties []
+field SFBool locked FALSE field SFString contactMaterial "default\""""
 
 
 _PIT_ROUGHNESS = 0.094
@@ -218,13 +231,18 @@ _EPUCK_RESPONSE = (
     "0 4095 0.002, 0.005 2133.33 0.003, 0.01 1465.73 0.007, 0.015 601.46 0.0406, 0.02 383.84 0.0147,"
     " 0.03 234.93 0.0241, 0.04 158.03 0.0287, 0.05 120 0.0423, 0.06 104.09 0.0307, 0.07 67.19 0.049"
 )
+_EPUCK_TOF = (
+    "0 19.8 0.126, 0.05 58.5 0.032, 0.1 111 0.019, 0.2 218.9 0.009, 0.5 531.9 0.007, 1 1052 0.01,"
+    " 1.7 1780.5 0.013, 2 2000 0"
+)
+"""The response of the time-of-flight sensor of the e-puck2: distance (m), value (mm), share of noise."""
 _EPUCK_EYE_HEIGHT = 0.033  # m
 
 
 def _epuck(fields: Fields) -> str:
     """Return a disc on two wheels with eight proximity sensors, lights, a camera and an accelerometer."""
-    speed = 7.536 if fields.word("version") == "2" else 6.28
-    mass = 0.13 if fields.word("version") == "2" else 0.15
+    is_second = fields.word("version") == "2"
+    speed, mass = (7.536, 0.13) if is_second else (6.28, 0.15)
     rays = max(1, int(fields.number("distance_sensor_numberOfRays")))
 
     def wheel(side: str, y: float) -> str:
@@ -236,21 +254,29 @@ def _epuck(fields: Fields) -> str:
               children [ Shape {{ geometry Cylinder {{ height 0.005 radius 0.02 }} }} ] }} ]
             boundingObject USE WHEEL physics Physics {{ density -1 mass 0.005 }} }} }}"""
 
-    eyes = ""
+    eyes = (
+        f"""DistanceSensor {{ translation 0.034 -0.0018 0.033 name "tof" numberOfRays {rays} aperture 0.44
+          lookupTable [ {_EPUCK_TOF} ] }} """
+        if is_second
+        else ""
+    )
     for number, (x, y, yaw) in enumerate(_EPUCK_EYES):
         pose = f"translation {x} {y} {_EPUCK_EYE_HEIGHT} rotation 0 0 1 {yaw}"
         eyes += f"""DistanceSensor {{ {pose} name "ps{number}" type "infra-red" numberOfRays {rays}
           aperture 1.57 lookupTable [ {_EPUCK_RESPONSE} ] }}
-          LightSensor {{ {pose} name "ls{number}" lookupTable [ 0 4095 0, 0.05 3600 0.05, 1 0 0 ] }} """
+          LightSensor {{ {pose} name "ls{number}" lookupTable [ 1 4095 0.01, 2 0 0.01 ] }} """
     lights = "".join(f'LED {{ name "led{number}" }} ' for number in range(10))
     return f"""Robot {{ translation IS translation rotation IS rotation name IS name {_ROBOT_BODY}
       children [ {wheel("left", 0.026)} {wheel("right", -0.026)} {eyes} {lights}
-        Camera {{ translation 0.03 0 0.028 fieldOfView IS camera_fieldOfView width IS camera_width
+        Camera {{ translation 0.03 0 0.028 rotation IS camera_rotation
+          antiAliasing IS camera_antiAliasing motionBlur IS camera_motionBlur
+          fieldOfView IS camera_fieldOfView width IS camera_width
           height IS camera_height noise IS camera_noise }}
         Accelerometer {{ lookupTable [ -100 -100 0.003 100 100 0.003 ] }}
         Gyro {{ lookupTable [ -13.315805 -100000 0.003 13.315805 100000 0.003 ] }}
         Emitter {{ channel IS emitter_channel }} Receiver {{ channel IS receiver_channel }} Speaker {{ }}
-        Pose {{ translation 0 0 0.034 children IS turretSlot }} Group {{ children IS groundSensorsSlot }}
+        Pose {{ translation -0.0095 0 0.0486 children IS turretSlot }}
+        Pose {{ translation 0.03 0 0.0003 children IS groundSensorsSlot }}
         Shape {{ appearance PBRAppearance {{ baseColor 0.2 0.6 0.2 roughness 0.4 metalness 0 }}
           geometry Cylinder {{ height 0.045 radius 0.037 }} }} ]
       boundingObject Group {{ children [
@@ -269,9 +295,6 @@ def _sky(fields: Fields) -> str:
     if not fields.is_true("skybox"):
         return "Background { skyColor IS skyColor }"
     return "Background { skyColor [ 0.7 0.82 0.92 ] }"
-
-
-_PLAIN = "baseColor 0.8 0.8 0.8 roughness 1 metalness 0"
 
 
 def _plain_appearance(fields: Fields) -> str:
@@ -311,14 +334,22 @@ LIBRARY: dict[str, Entry] = {
         field SFVec2f size 10 10 field SFVec2f tileSize 0.5 0.5 field SFNode appearance Parquetry {{ }}""",
         _floor,
     ),
-    "SolidBox": Entry(_BOX_INTERFACE % ("box", "1 1 1"), _solid_box),
-    "WoodenBox": Entry(_BOX_INTERFACE % ("wooden box", "0.6 0.6 0.6"), _wooden_box),
-    "CardboardBox": Entry(_BOX_INTERFACE % ("cardboard box", "0.6 0.6 0.6"), _wooden_box),
+    "SolidBox": Entry(
+        f"""field SFVec3f translation 0 0 1 field SFRotation rotation 0 0 1 0 field SFString name "box"
+        field SFVec3f size 2 2 2 field SFString contactMaterial "default"
+        field SFNode appearance PBRAppearance {{ {_PLAIN} }} field SFNode physics NULL
+        field SFBool enableBoundingObject TRUE field SFBool castShadows TRUE
+        field MFColor recognitionColors []""",
+        _solid_box,
+    ),
+    "WoodenBox": Entry(_CONTAINER % "wooden box", _container),
+    "CardboardBox": Entry(_CONTAINER % "cardboard box", _container),
     "Pit": Entry(
         f"""{_POSE} field SFVec3f size 20 20 5 field SFInt32 xDimension 50 field SFInt32 yDimension 50
         field SFNode appearance SandyGround {{ }} field SFInt32 randomSeed 1 field SFInt32 perlinNOctaves 3
         field SFFloat noiseAmplitude 0.15 field SFFloat pitRadius 3""",
         _pit,
+        ("perlinNOctaves",),
     ),
     "BB-8": Entry(
         f"""{_POSE} field SFString name "BB-8" {_ROBOT} field SFString contactMaterial "bb-8"
@@ -337,6 +368,7 @@ LIBRARY: dict[str, Entry] = {
         field SFInt32 receiver_channel 1 field MFNode turretSlot [] field MFNode groundSensorsSlot []
         field SFBool kinematic FALSE""",
         _epuck,
+        ("kinematic",),
     ),
     "BrushedAluminium": Entry(_APPEARANCE, _plain_appearance),
     **{

@@ -192,6 +192,10 @@ class Expander:
 
     def _body(self, node: Node, proto: Proto) -> Node | None:
         if isinstance(proto, library.LibraryProto):
+            for name in proto.entry.missing:
+                value = node.fields.get(name)
+                if value is not None and value.items != proto.interface[name].default.items:
+                    self.findings.warning(value.span, f"{node.type}.{name} is not implemented")
             text = proto.build(node)
             self._add_length(len(text), node.span)
             if text not in self._library_bodies:

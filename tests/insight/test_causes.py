@@ -15,11 +15,13 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 pytest.importorskip("stable_baselines3")
 
@@ -796,8 +798,9 @@ def _suggestions(phrase: str, *overrides: str) -> list[Suggestion]:
 
 
 def _override(path: str, value: str) -> str:
-    section, _, key = path.partition(".links.pole.")
-    return f"{section}.links={{pole: {{{key}: {value}}}}}" if key else f"{path}={value}"
+    section, _, place = path.partition(".links.")
+    link, _, key = place.partition(".")
+    return f"{section}.links={{{link}: {{{key}: {value}}}}}" if key else f"{path}={value}"
 
 
 @pytest.mark.parametrize(
@@ -820,6 +823,9 @@ def _override(path: str, value: str) -> str:
         ("a pole of 0.5 kg", _MASS, "0.5 kg"),
         ("how do I make the training longer", "train.total_timesteps", "150_000"),
         ("make the training half as long, shorter", "train.total_timesteps", "50_000"),
+        ("make the training 3 times shorter", "train.total_timesteps", "33_333"),
+        ("make the pole 1,000 g", _MASS, "1 kg"),
+        ("make the wheels twice as slow", "parameters.wheel_speed", "2.5 rad/s"),
     ],
 )
 def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, path, value):
@@ -828,31 +834,54 @@ def test_a_phrase_names_a_part_or_a_parameter_and_how_much_it_changes(phrase, pa
     assert not api.load("cartpole", overrides=[_override(path, value)]).findings.errors
 
 
-def test_the_same_phrase_once_more_changes_what_is_written():
-    (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, "1 1 1.5"))
-    assert suggestion.value == "1 1 2.25"
-    assert "The file has `scale: 1 1 1.5`." in suggestion.text
-    (suggestion,) = _suggestions("make the pole 2 m long", _override(_SCALE, "1 1 1.5"))
-    assert suggestion.value == "1 1 2"
-    (suggestion,) = _suggestions("make the pole shorter", _override(_SCALE, "1 1 1.5"))
-    assert suggestion.value == "1 1 1"
+@pytest.mark.parametrize(
+    ("phrase", "written", "value"),
+    [
+        ("make the pole longer", "1 1 1.5", "1 1 2.25"),
+        ("make the pole 2 m long", "1 1 1.5", "1 1 2"),
+        ("make the pole shorter", "1 1 1.5", "1 1 1"),
+        ("make the pole longer", "1 1 stretch", "1 1 stretch"),
+        ("make the pole longer", "1 1 uniform(1 .. 2)", "1 1 uniform(1 .. 2)"),
+    ],
+)
+def test_a_phrase_changes_the_written_size_unless_it_is_drawn_or_a_formula(phrase, written, value):
+    (suggestion,) = _suggestions(phrase, _override(_SCALE, written))
+    assert suggestion.value == value
+    assert f"The file has `scale: {written}`." in suggestion.text
 
 
-@pytest.mark.parametrize("phrase", ["why does the pole fall", "reset the pole", "pole"])
+@pytest.mark.parametrize(
+    "phrase",
+    [
+        "why does the pole fall",
+        "reset the pole",
+        "pole",
+        "make the pole 20 cm longer",
+        "make the pole 100 g heavier",
+        "make the pole 0,5 kg",
+        "make the pole 0.5 longer",
+        "make the pole a third longer",
+        "make the pole 2 and a half times longer",
+        "make the pole 2 m wide",
+        "make the pole longer and heavier",
+        "make the pole lighter and the cart faster",
+        "more friction of the pole",
+        "make the pole hinge 2 times stiffer",
+        "the pole no longer falls",
+    ],
+)
 def test_a_phrase_without_a_clear_change_has_what_it_is_about(phrase):
-    (suggestion,) = _suggestions(phrase)
-    assert suggestion.text.startswith("`pole` is a link")
+    suggestion, *others = _suggestions(phrase)
+    assert not any(other.value for other in others)
+    assert suggestion.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
     assert suggestion.value == ""
 
 
-@pytest.mark.parametrize("phrase", ["fall_angle", "what is a policy", "how does it learn faster", ""])
-def test_a_phrase_that_asks_for_no_change_of_the_world_has_no_suggestion(phrase):
-    assert _suggestions(phrase) == []
-
-
-def test_a_link_says_what_it_is():
-    (suggestion,) = _suggestions("pole")
-    assert suggestion.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
+@pytest.mark.parametrize(
+    "phrase", ["fall_angle", "what is a policy", "how does it learn faster", "", "a larger drawn"]
+)
+def test_a_phrase_that_asks_for_no_change_or_that_of_a_drawn_value_has_no_suggestion(phrase):
+    assert _suggestions(phrase, "parameters.drawn=uniform(0.3 .. 0.4 m)") == []
 
 
 @pytest.mark.parametrize(
@@ -861,6 +890,8 @@ def test_a_link_says_what_it_is():
         ("-1e-3 m", "-0.0015 m"),
         ("2 m/s^2", "3 m/s^2"),
         ("50 %", "75 %"),
+        ("1_000 ms", "1_500 ms"),
+        ("0.000_5 m", "0.00075 m"),
     ],
 )
 def test_a_value_of_one_number_keeps_its_sign_and_unit(written, value):
@@ -868,11 +899,35 @@ def test_a_value_of_one_number_keeps_its_sign_and_unit(written, value):
     assert suggestion.value == value
 
 
-@pytest.mark.parametrize("written", ["1 1 stretch", "1 1 uniform(1 .. 2)"])
-def test_a_size_that_is_drawn_or_a_formula_stays(written):
-    (suggestion,) = _suggestions("make the pole longer", _override(_SCALE, written))
-    assert suggestion.value == written
+def _mass_and_sizes(checked, name):
+    link = next(iter(checked.robots.values())).model.link(name)
+    return np.hstack([link.inertial.mass, *astuple(link.visuals[0].shape)])
 
 
-def test_a_drawn_parameter_is_left_alone():
-    assert _suggestions("a larger track", "parameters.track=uniform(0.3 .. 0.4 m)") == []
+@settings(max_examples=40)
+@given(
+    st.sampled_from([("cartpole", "body"), ("quadruped", "FR_toe"), ("balancer", "left_wheel")]),
+    st.sampled_from(
+        [
+            ("longer", "long", "shorter", "short", (1, 1)),
+            ("heavier", "heavy", "lighter", "light", (1, 0)),
+            ("bigger", "big", "smaller", "small", (3, 1)),
+        ]
+    ),
+    st.sampled_from([("", 1.5), ("2 times ", 2), ("three times ", 3), ("twice as ", 2), ("half as ", 0.5)]),
+    st.booleans(),
+)
+def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_phrase(
+    part, words, amount, grows
+):
+    scenario, link = part
+    word = words[2 * (not grows) + amount[0].endswith("as ")]
+    before = api.load(scenario)
+    for suggestion in suggestions(before, f"make the {link} {amount[0]}{word}"):
+        if suggestion.value:
+            after = api.load(scenario, overrides=[_override(suggestion.path, suggestion.value)])
+            old, new = (_mass_and_sizes(checked, link) for checked in (before, after))
+            ratios = (new / old)[[0, 1 + np.argmax(old[1:])]]  # of the mass, and of the longest side
+            expected = (amount[1] if grows else 1 / amount[1]) ** np.array(words[4], float)
+            assert not after.findings.errors
+            assert ratios == pytest.approx(expected, rel=1e-4)

@@ -42,6 +42,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.charts import comparison_chart, training_chart
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
@@ -49,7 +50,7 @@ from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.language import Language
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
-from deepbots_cli.studio.trainings import Curves
+from deepbots_cli.studio.trainings import Curves, result_text
 from deepbots_cli.view import access
 
 TOKEN = "a-token-of-22-letters-"
@@ -871,6 +872,16 @@ def test_a_file_of_another_project_is_not_written(tmp_path):
     with pytest.raises(UsageError, match="belongs to deepbots or another project"):
         file.save()
     assert path.read_text("utf-8") == "a: 1\n"
+
+
+@pytest.mark.parametrize(("stopped", "reason"), [(True, ", so it stopped"), (False, "")])
+def test_a_run_stopped_as_solved_only_if_its_record_says_so_and_not_each_episode_succeeded(stopped, reason):
+    run = ListedRun(
+        Path("run"), "interrupted", steps=600, total_timesteps=1_000, solved=True, solved_after=500
+    )
+    run = replace(run, stopped_as_solved=stopped, mean_return=5.0, success_rate=0.996, score="evaluation")
+    text = f"solved after 500 steps{reason}, mean return 5 and success 99.6% in evaluation"
+    assert result_text(run) == text
 
 
 def _axis(curves: Curves) -> dict[str, Any]:

@@ -137,7 +137,14 @@ def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
             assert finding.message.endswith("; used here: line 21")
             with pytest.raises(UsageError, match="the scenario has errors"):
                 session.saved_name()
-            _writes(session, text)
+            (folder / "other.yaml").write_text(SCENARIO, encoding="utf-8")
+            base, other = (session.open(Path(name)) for name in ("base.yaml", "other.yaml"))
+            for each, typed in ((file, text), (base, "reward:\n  alive: 2\n"), (other, "# typed\n")):
+                session.change(each, each.revision, typed)
+            other.path.unlink()
+            session.saved_name()
+            assert [each.path.read_text() for each in (file, base)] == [text, base.text]
+            assert not other.path.exists()
             # Another program damages the file that the scenario reads.
             (folder / "base.yaml").write_text("reward:\n  alive: 1 parsec\n", encoding="utf-8")
             await running.until(lambda: session.language.has_errors(file.path))
@@ -188,8 +195,9 @@ def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
             session = running.session
             session.show(Path("mine.yaml"))
             file = session.files[session.current]
-            session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
-            assert "  bonus: 0.1\n" in file.text
+            lines = session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
+            written = [file.text.split("\n")[line] for line in lines]
+            assert written == ["    links: {pole: {scale: 1 1 2}}", "  bonus: 0.1"]
             session.write_values({"reward.bonus": "", "robots.cart.links.pole": ""})
             assert file.text == SCENARIO
             with pytest.raises(UsageError, match="these values already"):

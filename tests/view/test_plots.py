@@ -34,6 +34,7 @@ from deepbots_cli.port import View
 from deepbots_cli.robots.kinematics import bounds_of_shape, robot_bounds
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.overview import overview
+from deepbots_cli.studio.trainings import read_curves
 from deepbots_cli.view import plots, training_logs, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.panel import training_rows
@@ -284,6 +285,12 @@ def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
     assert len(endings.collections[0].get_paths()) == 2
 
 
+def test_a_curve_of_more_points_than_the_page_shows_has_its_breaks(tmp_path):
+    stages = ["open"] * 600 + ["crowded"] * 401
+    _run(tmp_path / "a", "x", [0.0] * 1_001, endings=["crashed"] * 1_001, stages=stages)
+    assert [at for at, value in read_curves(tmp_path / "a").returns if value is None] == [6_010.0]
+
+
 def test_an_evaluation_shows_the_stage_it_was_made_in(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
     returns = plots.plot(training_logs.read_logs([tmp_path / "a"])).axes[0]
@@ -456,6 +463,20 @@ def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
     )
 
 
+def test_trainings_of_other_programs_are_not_joined_by_a_folder_or_its_name(tmp_path, monkeypatch):
+    for value, folder in enumerate(["a/PPO_1", "a/PPO_2", "b/PPO_1"]):
+        _events(tmp_path / folder, rollout__ep_rew_mean=[(0, value), (100, value)])
+    monkeypatch.chdir(tmp_path / "b")
+    logs = training_logs.read_logs(["../a", "PPO_1"])
+    assert [(log.name, *log.returns[1]) for log in logs] == [
+        ("../a/PPO_1", 0, 0),
+        ("PPO_2", 1, 1),
+        ("PPO_1", 2, 2),
+    ]
+    monkeypatch.chdir("PPO_1")
+    assert [log.name for log in training_logs.read_logs(["."])] == ["PPO_1"]
+
+
 def test_runs_that_cannot_be_plotted_are_an_error(tmp_path, runs):
     with pytest.raises(RunError, match="neither a run nor a folder"):
         training_logs.read_logs([tmp_path / "nothing"])
@@ -567,11 +588,12 @@ def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
 def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     log = runs / "a0" / "monitor.csv"
     rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
+    rows[0] = rows[0].replace("ending 1", "others")
     log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
     assert main(["plot", str(runs / "a0"), "--output", str(tmp_path / "plot.png")]) == 0
     labels = plots.plot(training_logs.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
     assert len(labels) == 21
-    assert "others" in labels
+    assert {"others", "other endings"} < set(labels)
 
 
 @pytest.mark.slow

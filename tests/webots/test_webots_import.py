@@ -12,6 +12,7 @@ The tables of docs/webots.md name every node and every class with missing functi
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import os
 import re
 import textwrap
@@ -35,7 +36,7 @@ from deepbots_cli.scenario.fields.names import Name
 from deepbots_cli.webots.findings import WorldError, WorldFindings
 from deepbots_cli.webots.imports import hints
 from deepbots_cli.webots.imports.world import scenario_name
-from deepbots_cli.webots.library import LIBRARY
+from deepbots_cli.webots.library import LIBRARY, definition
 from deepbots_cli.webots.nodes import child, children, node_types, number, numbers, real, text, vector, walk
 from deepbots_cli.webots.project import Files, World, read_world, world_of_source
 from deepbots_cli.webots.protos import MAX_LEVELS, Expander, Scope
@@ -1427,6 +1428,26 @@ APPEARANCES = {"Parquetry", "ChequeredParquetry", "SandyGround", "BrushedAlumini
 @pytest.mark.parametrize("name", sorted(node_types()))
 def test_each_node_is_in_a_table(name: str):
     assert name in WORDS
+
+
+OF_LOOKS = {
+    *("texture", "luminosity", "castShadows", "skyColor", "colorOverride", "textureTransform", "IBLStrength"),
+    *("type", "tileSize", "floorTileSize", "wallTileSize", "wallAppearance", "wallColor"),
+}
+
+
+@pytest.mark.parametrize("name", sorted(LIBRARY))
+def test_each_field_of_an_equivalent_has_an_effect_or_is_named_as_missing(name: str):
+    proto = definition(name, LIBRARY[name])
+    (node,) = read(f"{HEADER}Group {{ }}").nodes
+    used = set(re.findall(r"\bIS (\w+)", proto.build(node)))
+    used |= set(re.findall(r'"(\w+)"', inspect.getsource(proto.entry.build)))
+    assert set(proto.interface) - used <= {*proto.entry.missing, *OF_LOOKS}
+
+
+def test_a_field_that_is_missing_is_a_warning_where_it_has_another_value():
+    text = "E-puck { kinematic TRUE } Pit { perlinNOctaves 3 } SolidBox { physics Physics { } }"
+    assert [each.headline for each in read(HEADER + text).findings] == ["E-puck.kinematic is not implemented"]
 
 
 @pytest.mark.parametrize("name", sorted(set(LIBRARY) - APPEARANCES))

@@ -71,9 +71,9 @@ class ListedRun:
     then; None if there is none. `settings` are the assignments of `--set`, `teacher` is that of the
     `TaskRecord`. `success_rate` is None if the scenario defines no success, and `mean_return` if its agents
     compete. `solved` is that of `run_verdict`; for a group, True if it is True for every seed, and False if
-    it is False for one. While a run trains, `mean_return`, `success_rate` and `cpu_seconds` are as old as
-    its last checkpoint. `updated` is a time in UTC, and `problem` is the reason why the files cannot be
-    read.
+    it is False for one; `stopped_as_solved` is that of the `RunRecord`, of a group for all its runs. While
+    a run trains, `mean_return`, `success_rate` and `cpu_seconds` are as old as its last checkpoint.
+    `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
     """
 
     path: Path
@@ -95,6 +95,7 @@ class ListedRun:
     evaluated_episodes: int | None = None
     solved: bool | None = None
     solved_after: int | None = None
+    stopped_as_solved: bool = False
     best_steps: int | None = None
     mean_level: float | None = None
     chosen_by: ChosenBy | None = None
@@ -176,6 +177,7 @@ def _listed_run(path: Path) -> ListedRun:
         remarks=evaluation.remarks if evaluation else (),
         solved=verdict.solved,
         solved_after=verdict.solved_after,
+        stopped_as_solved=record.stopped_as_solved,
         best_steps=steps_of_best,
         mean_level=result.levels.mean if result and result.levels else None,
         chosen_by=best.chosen_by if best else None,
@@ -215,6 +217,7 @@ def _listed_group(path: Path) -> ListedRun:
             (run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None
         ),
         solved=False if False in verdicts else solved,
+        stopped_as_solved=bool(runs) and all(run.stopped_as_solved for run in runs),
     )
 
 
