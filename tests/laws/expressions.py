@@ -238,27 +238,33 @@ class Expressions:
     def changing(self, functions: Sequence[Function] = ()) -> tuple[str, Dimension]:
         """Draw a value that may be another one in every step, and its dimension: a name, or one of these
         functions (default: all functions of the world)."""
-        ways: list[tuple[Callable[[int], str], Dimension]] = []
-        world = functions or [
+        values = {name: kind for name, kind in self.names.values.items() if kind.known is Known.STEP}
+        named = Expressions(self.draw, Names(self.names.context, values))
+        leaves = [(way, d) for d in SCALARS for way in named._leaves(ValueType(d))[1:]]
+        world = [*functions] or [
             function for function in self.names.functions if function.family is Family.WORLD
         ]
-        for dimension in SCALARS:
-            kind = ValueType(dimension)
-            names = Names(
-                self.names.context, {n: v for n, v in self.names.values.items() if v.known is Known.STEP}
-            )
-            calls = [way for function in world for way in self._calls_of(function, kind)]
-            named = Expressions(self.draw, names)._leaves(kind)[1:]
-            ways += [(way, dimension) for way in (*named, *calls)]
-        way, dimension = pick(self.draw, ways)
+        # Functions with many subjects are not drawn more often than others.
+        first = self.draw(st.integers(0, max(0, len(world) - 1)))
+        for function in () if leaves and chance(self.draw, 40) else (*world[first:], *world[:first]):
+            calls = [(way, d) for d in SCALARS for way in self._calls_of(function, ValueType(d))]
+            if calls:
+                leaves = calls
+                break
+        way, dimension = pick(self.draw, leaves)
         return way(1), dimension
 
     def condition(self) -> str:
         """Draw a condition that may be true or false, as far as anyone knows without a simulation."""
-        text, dimension = self.changing()
-        sign = ">" if text in ("time", "step") else pick(self.draw, (">", "<"))
-        low, high = (0.01, 2.0) if sign == ">" else (-2.0, -0.01)
-        first = f"{text} {sign} {literal(self.draw, dimension, low=low, high=high)}"
+        truths = [function for function in self.names.functions if function.family is Family.WORLD]
+        calls = [way for function in truths for way in self._calls_of(function, CONDITION)]
+        if calls and chance(self.draw, 20):
+            first = pick(self.draw, calls)(1)
+        else:
+            text, dimension = self.changing()
+            sign = ">" if text in ("time", "step") else pick(self.draw, (">", "<"))
+            low, high = (0.01, 2.0) if sign == ">" else (-2.0, -0.01)
+            first = f"{text} {sign} {literal(self.draw, dimension, low=low, high=high)}"
         return f"{first} and {self.operand(CONDITION, 1)}" if chance(self.draw, 40) else first
 
     # Leaves

@@ -139,15 +139,7 @@ def names_of(case: Case, data: Mapping[str, Any]) -> Names:
         for name, robot in data["robots"].items()
     }
     author.groups = {name: {} for name in author.bodies}
-    names = author.names(Context.SIGNAL)
-    walls = data["world"].get("walls", {})
-    several = [name for name in walls if walls[name].get("closed") or len(walls[name]["points"]) > 2]
-    subjects = {
-        **names.subjects,
-        Kind.WALLS: several,
-        Kind.WALL: [name for name in walls if name not in several],
-    }
-    return replace(names, subjects=subjects)
+    return author.names(Context.SIGNAL)
 
 
 def _number_of_action(actions: Mapping[str, Any]) -> str:

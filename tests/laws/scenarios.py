@@ -303,7 +303,8 @@ class Author(Values):
             subjects.setdefault(Kind.OBJECTS if "count" in entry else Kind.OBJECT, []).append(name)
         subjects[Kind.LINE] = list(self.data.get("world", {}).get("lines", {}))
         for name, wall in self.data.get("world", {}).get("walls", {}).items():
-            subjects.setdefault(Kind.WALL if len(wall["points"]) == 2 else Kind.WALLS, []).append(name)
+            is_one = len(wall["points"]) == 2 and not wall.get("closed")
+            subjects.setdefault(Kind.WALL if is_one else Kind.WALLS, []).append(name)
         return subjects
 
     def _joints(self) -> dict[str, Dimension]:
