@@ -22,7 +22,7 @@ from stable_baselines3 import PPO
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.insight.export.parity import Comparison
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.learning import load_policy, resume, train
@@ -109,14 +109,21 @@ def with_training(case: Case) -> api.Compiled:
 
 def printed(*words: str) -> Any:
     """Return what a command prints as JSON."""
-    return json.loads(printed_lines(*words, "--json"))
-
-
-def printed_lines(*words: str) -> str:
-    with redirect_stdout(io.StringIO()) as text, redirect_stderr(io.StringIO()):
-        code = main([*words])
+    with redirect_stdout(io.StringIO()) as text:
+        code = main([*words, "--json"])
     assert code in (0, 1), (words, code, text.getvalue())
-    return text.getvalue()
+    return json.loads(text.getvalue())
+
+
+def record(path: str, *options: str) -> None:
+    """Record an episode of the scenario.
+
+    Raises:
+        EvaluationError: It cannot be played.
+    """
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as problem:
+        if main(["render", "scenario.yaml", "--driver", "random", *options, "-o", path]):
+            raise EvaluationError(problem.getvalue())
 
 
 def rows_of(run: Path) -> list[Played]:
@@ -304,7 +311,7 @@ def a_recording_is_its_episode(case: Case) -> None:
     options = [*(("--case", name) if name else ()), *(("--stage", stage) if stage else ())]
     with chdir(case.folder):
         with closing(api.build(program.variant(name, stage))) as world, reference(*OF_TRAININGS):
-            printed_lines("render", "scenario.yaml", "--driver", "random", *options, "-o", "one.mcap")
+            record("one.mcap", *options)
             recording = Recording.read(Path("one.mcap"))
             recorded = recording.episodes[0]
             world.reset(seed=recorded.seed)
