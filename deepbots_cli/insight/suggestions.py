@@ -106,7 +106,7 @@ class Suggestion:
         text: What it is, and how the scenario changes it, as Markdown.
         path, value: A change of it that fits the phrase: the keys to a value, and the value, which is that of
             the scenario if deepbots cannot change it. The value is empty if the phrase asks for no change, or
-            for one that is not clear.
+            for one that is not clear or does not compile.
     """
 
     text: str

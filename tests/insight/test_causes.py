@@ -920,13 +920,12 @@ def _mass_and_sizes(checked, name):
 def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_phrase(
     part, words, amount, grows
 ):
-    scenario, link = part
     word = words[2 * (not grows) + amount[0].endswith("as ")]
-    before = api.load(scenario)
-    for suggestion in suggestions(before, f"make the {link} {amount[0]}{word}"):
+    before = api.load(part[0])
+    for suggestion in suggestions(before, f"make the {part[1]} {amount[0]}{word}"):
         if suggestion.value:
-            after = api.load(scenario, overrides=[_override(suggestion.path, suggestion.value)])
-            old, new = (_mass_and_sizes(checked, link) for checked in (before, after))
+            after = api.load(part[0], overrides=[_override(suggestion.path, suggestion.value)])
+            old, new = (_mass_and_sizes(checked, part[1]) for checked in (before, after))
             ratios = (new / old)[[0, 1 + np.argmax(old[1:])]]  # of the mass, and of the longest side
             expected = (amount[1] if grows else 1 / amount[1]) ** np.array(words[4], float)
             assert not after.findings.errors

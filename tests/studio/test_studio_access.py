@@ -711,59 +711,53 @@ def test_line_ends_and_the_byte_order_mark_are_kept(tmp_path, mark, newline):
     assert not OpenFile.open(path).is_modified
 
 
-def test_a_save_does_not_overwrite_what_another_program_wrote(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "mine.yaml").write_text("a: 1\n", encoding="utf-8")
+    return OpenFile.open(tmp_path / "mine.yaml")
+
+
+def test_a_save_does_not_overwrite_what_another_program_wrote(file):
     file.change(file.revision, "a: 2\n")
-    path.write_text("a: 33\n", encoding="utf-8")  # since the studio last looked
+    file.path.write_text("a: 33\n", encoding="utf-8")  # since the studio last looked
     with pytest.raises(UsageError, match=r"another program has changed mine\.yaml"):
         file.save()
-    assert (path.read_text("utf-8"), file.text, file.outside) == ("a: 33\n", "a: 2\n", "a: 33\n")
+    assert (file.path.read_text("utf-8"), file.text, file.outside) == ("a: 33\n", "a: 2\n", "a: 33\n")
     file.keep_own()
     file.save()
-    assert path.read_text("utf-8") == "a: 2\n"
+    assert file.path.read_text("utf-8") == "a: 2\n"
 
 
-def test_a_file_that_returns_to_its_text_is_no_change(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_file_that_returns_to_its_text_is_no_change(file):
     file.change(file.revision, "a: 2\n")
     for number, text in enumerate(("a: 33\n", "a: 1\n")):
-        path.write_text(text, encoding="utf-8")
-        os.utime(path, ns=(number, number))
+        file.path.write_text(text, encoding="utf-8")
+        os.utime(file.path, ns=(number, number))
         assert file.read_outside()
     assert file.outside is None
     assert file.text == "a: 2\n"
 
 
-def test_a_file_that_was_removed_can_be_saved_again(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
-    path.unlink()
+def test_a_file_that_was_removed_can_be_saved_again(file):
+    file.path.unlink()
     assert file.read_outside()
     assert not file.read_outside()
     assert file.is_modified
     file.save()
-    assert path.read_text("utf-8") == "a: 1\n"
+    assert file.path.read_text("utf-8") == "a: 1\n"
     assert file.is_modified is False
-    path.unlink()
+    file.path.unlink()
     file.read_outside()
-    path.write_text("a: 1\n", encoding="utf-8")
+    file.path.write_text("a: 1\n", encoding="utf-8")
     assert file.read_outside()
     assert not file.is_modified
 
 
-def test_a_draft_survives_until_it_is_saved(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_draft_survives_until_it_is_saved(tmp_path, file):
     file.change(file.revision, "a: 2 # \N{GRINNING FACE}\n")
     Drafts(tmp_path / "drafts").keep(file)
 
-    again = OpenFile.open(path)
+    again = OpenFile.open(file.path)
     drafts = Drafts(tmp_path / "drafts")
     drafts.restore(again)
     assert (again.text, again.saved) == (file.text, "a: 1\n")
@@ -774,15 +768,12 @@ def test_a_draft_survives_until_it_is_saved(tmp_path):
     assert not list((tmp_path / "drafts").iterdir())
 
 
-def test_a_draft_of_a_file_that_was_changed_since_offers_both(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_draft_of_a_file_that_was_changed_since_offers_both(tmp_path, file):
     file.change(file.revision, "a: 2\n")
     Drafts(tmp_path / "drafts").keep(file)
-    path.write_text("a: 1\nb: 1\n", encoding="utf-8")
+    file.path.write_text("a: 1\nb: 1\n", encoding="utf-8")
 
-    again = OpenFile.open(path)
+    again = OpenFile.open(file.path)
     Drafts(tmp_path / "drafts").restore(again)
     assert (again.text, again.outside) == ("a: 2\n", "a: 1\nb: 1\n")
     with pytest.raises(UsageError, match="another program"):
@@ -790,15 +781,12 @@ def test_a_draft_of_a_file_that_was_changed_since_offers_both(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b"{", b"[" * 100_000, b'{"text": 1, "saved": 2}', b"\xff"])
-def test_a_damaged_draft_is_ignored(tmp_path, content):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_damaged_draft_is_ignored(tmp_path, file, content):
     file.change(file.revision, "a: 2\n")
     Drafts(tmp_path / "drafts").keep(file)
     (draft,) = (tmp_path / "drafts").iterdir()
     draft.write_bytes(content)
-    again = OpenFile.open(path)
+    again = OpenFile.open(file.path)
     Drafts(tmp_path / "drafts").restore(again)
     assert again.text == "a: 1\n"
 
@@ -826,10 +814,7 @@ def test_a_text_that_grows_too_large_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
-def test_a_read_only_folder_is_one_sentence(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_read_only_folder_is_one_sentence(tmp_path, file):
     file.change(file.revision, "a: 2\n")
     tmp_path.chmod(0o500)
     try:
@@ -840,10 +825,7 @@ def test_a_read_only_folder_is_one_sentence(tmp_path):
     assert file.is_modified
 
 
-def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
-    file = OpenFile.open(path)
+def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path, file):
     file.change(file.revision, "a: 1\n" * 100)
     drafts = Drafts(tmp_path / "drafts")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -855,13 +837,13 @@ def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path):
             drafts.keep(file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert path.read_text("utf-8") == "a: 1\n"
+    assert file.path.read_text("utf-8") == "a: 1\n"
     assert file.is_modified is True
     drafts.keep(file)
     (draft,) = (tmp_path / "drafts").glob("*.json")
     assert json.loads(draft.read_text("utf-8"))["text"] == file.text
     file.save()
-    assert path.read_text("utf-8") == "a: 1\n" * 100
+    assert file.path.read_text("utf-8") == "a: 1\n" * 100
 
 
 def test_a_file_of_another_project_is_not_written(tmp_path):
@@ -877,9 +859,17 @@ def test_a_file_of_another_project_is_not_written(tmp_path):
 @pytest.mark.parametrize(("stopped", "reason"), [(True, ", so it stopped"), (False, "")])
 def test_a_run_stopped_as_solved_only_if_its_record_says_so_and_not_each_episode_succeeded(stopped, reason):
     run = ListedRun(
-        Path("run"), "interrupted", steps=600, total_timesteps=1_000, solved=True, solved_after=500
+        Path("run"),
+        "interrupted",
+        steps=600,
+        total_timesteps=1_000,
+        solved=True,
+        solved_after=500,
+        mean_return=5.0,
+        success_rate=0.996,
+        score="evaluation",
+        stopped_as_solved=stopped,
     )
-    run = replace(run, stopped_as_solved=stopped, mean_return=5.0, success_rate=0.996, score="evaluation")
     text = f"solved after 500 steps{reason}, mean return 5 and success 99.6% in evaluation"
     assert result_text(run) == text
 
@@ -898,11 +888,13 @@ def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before()
     assert merged["boundaryGap"][1] != 0
 
 
-def test_the_axis_reaches_up_to_the_goal():
+def test_the_axis_reaches_up_to_the_goal_which_a_comparison_has_once():
     curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
     options = training_chart(curves, has_successes=False, dark=False)
     assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
     assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
+    options = comparison_chart({"a": curves, "b": curves}, dark=True)
+    assert [entry["name"] for entry in options["legend"]["data"]] == ["a", "b", "solved: 50"]
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():
@@ -910,16 +902,6 @@ def test_the_axis_of_a_running_training_reaches_to_its_last_step():
     assert training_chart(curves, has_successes=False, dark=False)["xAxis"]["max"] == 1000.0
     ended = replace(curves, planned=0.0)
     assert training_chart(ended, has_successes=False, dark=False)["xAxis"]["max"] == 100.0
-
-
-def test_a_comparison_has_the_goal_of_both_runs_once():
-    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    options = comparison_chart({"a": curves, "b": curves}, dark=True)
-    assert [entry["name"] for entry in options["legend"]["data"]] == [
-        "a",
-        "b",
-        "solved: 50",
-    ]
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])

@@ -271,7 +271,9 @@ def test_a_log_with_a_stage_for_each_episode_is_plotted_in_time(tmp_path):
     assert len(training_logs.read_logs([tmp_path / "a"])[0].stages) <= 100
 
 
-def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
+def test_a_curve_does_not_join_the_stages_of_a_curriculum_and_an_evaluation_has_the_mark_of_its_stage(
+    tmp_path,
+):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
     logs = training_logs.read_logs([tmp_path / "a"])
     assert [list(part) for part in logs[0].returns] == [
@@ -283,19 +285,14 @@ def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
         at, values = panel.lines[0].get_data()
         assert np.isnan(values[at == 22.0]).all()
     assert len(endings.collections[0].get_paths()) == 2
+    marks = {line.get_label(): (line.get_marker(), line.get_xydata().tolist()) for line in returns.lines}
+    assert marks["evaluations in stage crowded"] == ("s", [[30.0, 2.0]])
 
 
 def test_a_curve_of_more_points_than_the_page_shows_has_its_breaks(tmp_path):
     stages = ["open"] * 600 + ["crowded"] * 401
     _run(tmp_path / "a", "x", [0.0] * 1_001, endings=["crashed"] * 1_001, stages=stages)
     assert [at for at, value in read_curves(tmp_path / "a").returns if value is None] == [6_010.0]
-
-
-def test_an_evaluation_shows_the_stage_it_was_made_in(tmp_path):
-    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
-    returns = plots.plot(training_logs.read_logs([tmp_path / "a"])).axes[0]
-    marks = {line.get_label(): (line.get_marker(), line.get_xydata().tolist()) for line in returns.lines}
-    assert marks["evaluations in stage crowded"] == ("s", [[30.0, 2.0]])
 
 
 def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
@@ -434,22 +431,17 @@ def _evaluated(run, **further):
     (run / "evaluations" / "0001.json").write_text(evaluation.model_dump_json())
 
 
-def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_there_are_some(runs):
+@pytest.mark.parametrize(("further", "at"), [({}, 40), ({"model_steps": 17}, 17)])  # of the best model
+def test_an_evaluation_after_the_training_is_a_diamond_at_its_step_and_dots_are_named(runs, further, at):
     figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
     (runs / "a0" / "evaluations" / "training.jsonl").unlink()
-    _evaluated(runs / "a0")
+    _evaluated(runs / "a0", **further)
     figure = plots.plot(training_logs.read_logs([runs / "a0"]))
     returns, successes = figure.axes[:2]
     assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
-    assert returns.lines[-1].get_xydata().tolist() == [[40, 3.5]]
-    assert successes.lines[-1].get_xydata().tolist() == [[40, 0.5]]
-
-
-def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(runs):
-    _evaluated(runs / "a0", model_steps=17)
-    figure = plots.plot(training_logs.read_logs([runs / "a0"]))
-    assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
+    assert returns.lines[-1].get_xydata().tolist() == [[at, 3.5]]
+    assert successes.lines[-1].get_xydata().tolist() == [[at, 0.5]]
 
 
 def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
@@ -466,14 +458,13 @@ def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
 def test_trainings_of_other_programs_are_not_joined_by_a_folder_or_its_name(tmp_path, monkeypatch):
     for value, folder in enumerate(["a/PPO_1", "a/PPO_2", "b/PPO_1"]):
         _events(tmp_path / folder, rollout__ep_rew_mean=[(0, value), (100, value)])
-    monkeypatch.chdir(tmp_path / "b")
-    logs = training_logs.read_logs(["../a", "PPO_1"])
+    logs = training_logs.read_logs([tmp_path / "a", tmp_path / "b" / "PPO_1"])
     assert [(log.name, *log.returns[1]) for log in logs] == [
-        ("../a/PPO_1", 0, 0),
+        (str(tmp_path / "a" / "PPO_1"), 0, 0),
         ("PPO_2", 1, 1),
-        ("PPO_1", 2, 2),
+        (str(tmp_path / "b" / "PPO_1"), 2, 2),
     ]
-    monkeypatch.chdir("PPO_1")
+    monkeypatch.chdir(tmp_path / "b" / "PPO_1")
     assert [log.name for log in training_logs.read_logs(["."])] == ["PPO_1"]
 
 
@@ -545,7 +536,6 @@ def test_evaluations_in_a_training_that_take_gigabytes_are_refused(runs):
 @pytest.mark.parametrize("name", ["tags", "values", "broken"])
 def test_tensorboard_files_of_many_tags_or_values_are_refused(tmp_path, name):
     """Two megabytes of tags took 480 MB."""
-    pytest.importorskip("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.summary.writer.record_writer import RecordWriter
 
@@ -587,8 +577,7 @@ def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
 
 def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     log = runs / "a0" / "monitor.csv"
-    rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
-    rows[0] = rows[0].replace("ending 1", "others")
+    rows = [f"1,10,0.1,{n},{10 * n},0.1,0,{f'ending {n}' if n > 1 else 'others'}," for n in range(1, 100)]
     log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
     assert main(["plot", str(runs / "a0"), "--output", str(tmp_path / "plot.png")]) == 0
     labels = plots.plot(training_logs.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
