@@ -776,7 +776,7 @@ def with_defaults(draw: Draw, data: Data) -> Shown:
     whole = copy.deepcopy(data)
     for path, value in [((), data), *walk(data)]:
         model = shape_at(Scenario, data, path)
-        if not isinstance(value, dict) or not isinstance(model, type):
+        if not isinstance(value, dict) or not isinstance(model, type) or _is_inherited(data, path):
             continue
         for key, info in model.model_fields.items():
             default = info.default if isinstance(info.default, bool | int | float | str) else ""
@@ -788,6 +788,14 @@ def with_defaults(draw: Draw, data: Data) -> Shown:
 _NO_DEFAULT = {"Observed": ("noise",), "Measured": ("noise",)}
 """Keys that are refused in some places, though they have a default: a truth value and a picture have no
 noise."""
+
+
+def _is_inherited(data: Data, path: Path) -> bool:
+    """Return whether an absent key has the value of another section: of the agent that this one is like, or of
+    the common training."""
+    if path[:1] != ("agents",) or len(path) < 2:
+        return False
+    return "like" in data["agents"][path[1]] or ("train" in data and path[2:3] == ("train",))
 
 
 def _may_be_added(model: type[Section], data: Data, key: str) -> bool:
