@@ -14,8 +14,11 @@ _IF = re.compile(
     r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
     r"(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
 )
-_TERNARY = re.compile(r"\s*(?P<open>[^?:]+?)\s*\?\s*(?P<value>[^?:]+?)\s*:\s*(?P<otherwise>[^?:]+?)\s*")
-_ENCLOSED = re.compile(rf"\s*\({_GROUP}\)\s*")
+_SIDE = r"(?:[^?:()]|\((?:[^?:()]|\([^?:()]*\))*\))+?"
+_TERNARY = re.compile(
+    rf"\s*(?P<left>\()?\s*(?P<open>{_SIDE})\s*\?\s*(?P<value>{_SIDE})\s*:\s*(?P<otherwise>{_SIDE})\s*"
+    r"(?P<right>(?(left)\)))\s*"
+)
 _BARS = re.compile(r"\|([^|]+)\|")
 _MAX_LENGTH = 200
 
@@ -25,17 +28,12 @@ def conditional(text: str) -> str | None:
     text."""
     if len(text) > _MAX_LENGTH:
         return None
-    if _ENCLOSED.fullmatch(text):
-        inner = conditional(text.strip()[1:-1])
-        return inner and f"({inner})"
     match = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
     if match is None:
         return None
     condition = match.groupdict().get("group") or match["open"]
-    parts = (match["value"], condition.strip(), match["otherwise"])
-    if any(part.count("(") != part.count(")") for part in parts):
-        return None
-    return "{} if {} else {}".format(*parts)
+    left, right = (match.groupdict().get(side) or "" for side in ("left", "right"))
+    return f"{left}{match['value']} if {condition.strip()} else {match['otherwise']}{right}"
 
 
 def without_bars(text: str) -> str | None:

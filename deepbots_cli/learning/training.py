@@ -56,6 +56,7 @@ from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import number_text
 
 
 def train(
@@ -484,5 +485,5 @@ def _check_teacher(
     ends = ", ".join(
         f"{name} {count}" for name, count in Counter(episode.ended_by for episode in played).most_common()
     )
-    problem += f" (mean return {Summary.of_episodes(played).mean_return:.3g}, ended by {ends})"
+    problem += f" (mean return {number_text(Summary.of_episodes(played).mean_return, 3)}, ended by {ends})"
     raise UsageError(f"{problem}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")

@@ -532,7 +532,7 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(
     results = (
         "success 0% (needs 90%)",
         "return 26.6 (needs 195)",
-        "best evaluation 10% success at 12,000 steps",
+        "best evaluation success rate 10% at 12,000 steps",
     )
     assert all(part in text for part in (*results, "crowded (2 of 3)", "so far"))
 
