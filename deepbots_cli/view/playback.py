@@ -228,7 +228,6 @@ class Playback:
     def seek(self, index: int) -> None:
         """Pause at a frame of a recording."""
         self.paused = True
-        self.ended_at = 0.0
         for world in self.worlds:
             if isinstance(world.player, ReplayPlayer):
                 world.player.seek(index)
@@ -237,6 +236,7 @@ class Playback:
                 for frame in frames[1:]:
                     world.scene.set_frame(frame)
                 world.frames[:] = frames
+        self.ended_at = time.monotonic() if all(world.has_ended for world in self.worlds) else 0.0
         self._on_change()
 
     def pass_time(self, period: float, *, continues: bool) -> None:

@@ -14,6 +14,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ from deepbots_cli.learning.runs.confirmation_rule import (
 )
 from deepbots_cli.learning.runs.decline import find_decline, paired
 from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Candidate, Shortlist
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
@@ -1014,3 +1016,13 @@ def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, 
     assert "155.8" not in deepbots("runs", run_copy).out
     assert run_verdict(run_copy, run.record).text.startswith("mean return 0 (95 % interval -155.8")
     assert interval_text((200.0, 200.0)) == "200"
+
+
+def test_a_confirmed_model_stays_the_best_one_when_its_training_goes_on(tmp_path: Path) -> None:
+    shortlist = Shortlist(SimpleNamespace(model=lambda name: tmp_path / f"{name}.zip"), "success_rate")
+    for steps, rate in ((100, 1.0), (200, 0.97)):
+        candidate = Candidate(steps=steps, episodes=20, success_rate=rate, mean_return=0.0)
+        save = shortlist.put_first if steps == 200 else shortlist.add
+        save(candidate, lambda path, name=str(steps): path.write_text(name))
+    shortlist.restore(shortlist.candidates)
+    assert (tmp_path / "best.zip").read_text() == "200"

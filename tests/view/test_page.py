@@ -595,6 +595,9 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
         assert page.playback.episode == 1
         page.playback.begin(1)
         assert page.playback.episode == 0
+        page.seek(page.player.length - 1)
+        page.playback.step_once()
+        assert page.playback.episode == 1
 
 
 @pytest.mark.slow

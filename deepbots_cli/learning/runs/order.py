@@ -17,6 +17,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -207,7 +208,10 @@ class Shortlist:
         remaining = [model for model in self.candidates if model.steps != candidate.steps]
         if self.keeps_newest:
             remaining = []
-        self.candidates = self._ordered([*remaining, candidate])[:SHORTLIST]
+        # A model that `put_first` has put there stays before those of a higher rank.
+        better = takewhile(lambda model: model.rank(self.measure) > candidate.rank(self.measure), remaining)
+        count = len([*better])
+        self.candidates = [*remaining[:count], candidate, *remaining[count:]][:SHORTLIST]
         if candidate in self.candidates:
             save(self.model(candidate))
         self._remove_others()
@@ -232,9 +236,7 @@ class Shortlist:
 
     def restore(self, candidates: Sequence[Candidate]) -> None:
         """Restore the candidates of a checkpoint, without those whose file is missing."""
-        self.candidates = self._ordered(
-            [candidate for candidate in candidates if self.model(candidate).is_file()]
-        )
+        self.candidates = [candidate for candidate in candidates if self.model(candidate).is_file()]
         self._remove_others()
         if self.best is not None:
             self._copy(self.best)
@@ -257,9 +259,6 @@ class Shortlist:
         )
         self._copy(self.candidates[0])
         return steps
-
-    def _ordered(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        return ordered(candidates, self.measure)
 
     def _copy(self, candidate: Candidate) -> None:
         """Make a candidate the best model."""
