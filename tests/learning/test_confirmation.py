@@ -729,8 +729,9 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
 
 
 def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path) -> None:
-    build = Worlds(good, confirmation=good, choice=good)
-    result = learned(tmp_path, build, total=1_000, stop_when_solved=False)
+    result = learned(
+        tmp_path, Worlds(good, confirmation=good, choice=good), total=1_000, stop_when_solved=False
+    )
     assert result.steps >= 1_000
     assert result.solved_at is not None
     assert result.solved_at.steps < result.steps

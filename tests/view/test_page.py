@@ -503,8 +503,7 @@ def test_a_saved_file_leaves_the_actions_that_drive_the_page(tmp_path, driver):
 
 def test_a_page_goes_on_with_its_default_driver_when_a_script_goes(tmp_path):
     file = tmp_path / "mine.yaml"
-    script = CARTPOLE + "scripts: {onward: {drive: forward}}\n"
-    file.write_text(script)
+    file.write_text(CARTPOLE + "scripts: {onward: {drive: forward}}\n")
     with closing(Page(Showing(str(file)), port=0, driver="onward")) as page:
         file.write_text(CARTPOLE)
         page.reload()

@@ -211,8 +211,10 @@ def test_foxglove_finds_its_types(find_ball):
         names = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
         assert names["/tf"].name == "foxglove.FrameTransforms"
         assert names["/scan/epuck.proximity"].name == "foxglove.PointCloud"
-        data = json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"]
-        assert data == {"type": "string", "contentEncoding": "base64"}
+        assert json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"] == {
+            "type": "string",
+            "contentEncoding": "base64",
+        }
         first = next(
             json.loads(message.data)
             for _, channel, message in reader.iter_messages()
@@ -462,8 +464,9 @@ def test_a_frame_has_the_values_of_the_engine():
 def test_returns_and_endings_are_those_of_the_episode():
     with closing(Player(Showing("find_ball").open(), "around")) as player:
         frames = list(player.episode(0, 0))
-    rewards = [frame.agents["agent"].reward for frame in frames[1:]]
-    assert frames[-1].agents["agent"].episode_return == pytest.approx(sum(rewards))
+    assert frames[-1].agents["agent"].episode_return == pytest.approx(
+        sum(frame.agents["agent"].reward for frame in frames[1:])
+    )
     assert frames[-1].ending == "success: found"
     assert [frame.step for frame in frames] == list(range(len(frames)))
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
@@ -601,8 +604,9 @@ SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "tra
 
 def _trained(folder, name, *overrides):
     pytest.importorskip("sb3_contrib")
-    compiled = deepbots_cli.compile(name, overrides=[*SMALL, *overrides])
-    return learning.train(compiled, run=folder / "run", total_timesteps=64).run
+    return learning.train(
+        deepbots_cli.compile(name, overrides=[*SMALL, *overrides]), run=folder / "run", total_timesteps=64
+    ).run
 
 
 @pytest.mark.parametrize(

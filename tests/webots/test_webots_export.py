@@ -186,8 +186,9 @@ def test_no_link_falls_off_a_link_without_physics(base: str, heavy: set[str], tm
 )
 def test_a_joint_stops_at_its_limits(type: str, limits: str, stops: str, tmp_path: Path):
     exported(arm(tmp_path, type=type, limits=limits), tmp_path / "out")
-    text = (tmp_path / "out" / "worlds" / "arm.wbt").read_text()
-    assert stops in "\n".join(" " + line.strip() for line in text.splitlines())
+    assert stops in "\n".join(
+        " " + line.strip() for line in (tmp_path / "out" / "worlds" / "arm.wbt").read_text().splitlines()
+    )
 
 
 @pytest.mark.parametrize("name", ["train", "supervisor"])
