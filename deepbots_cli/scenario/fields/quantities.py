@@ -62,6 +62,14 @@ def number_replacement(value: object) -> Replacement | None:
     return None
 
 
+def _whole_replacement(value: object) -> str | None:
+    """Return the whole number that `200k`, `100,000` or a text `1e5` was meant to be."""
+    if isinstance(value, str) and re.fullmatch("[0-9]{1,3}(,[0-9]{3}){1,4}", value):
+        return value.replace(",", "_")
+    near = number_replacement(value)
+    return count_replacement(float(near.text) if near and "e" in near.text.lower() else value)
+
+
 def number_help(value: object) -> str | None:
     near = number_replacement(value)
     if near is None:
@@ -176,13 +184,13 @@ class WholeNumber(Number):
         return (int,)
 
     def help_for(self, value: object) -> str | None:
-        near = count_replacement(value)
-        return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
+        if near := _whole_replacement(value):
+            return f"write `{near}`; digits are grouped as in `100_000`"
+        return (super() if self.replacement_for(value) else super(Number, self)).help_for(value)
 
     def replacement_for(self, value: object) -> Replacement | None:
-        near = count_replacement(value)
-        if near:
-            return Replacement(near, safe=isinstance(value, str))
+        if near := _whole_replacement(value):
+            return Replacement(near, safe=isinstance(value, str) and "," not in value)
         replacement = super().replacement_for(value)
         return replacement if replacement and re.fullmatch(r"[-+]?[0-9_]+", replacement.text) else None
 
