@@ -357,7 +357,7 @@ def _goal_reached(goal: Goal) -> Expression:
     """Return the definition of `goal_reached`, as if it had been written out. It has no place in the
     scenario: its owner is empty."""
     distance_text = "norm(achieved - desired)"
-    limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
+    limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".removesuffix(" 1")
     text = f"{distance_text} <= {limit}"
     end = len(distance_text)
     size = ValueType(goal.achieved.typed.type.dimension, known=Known.STEP)
