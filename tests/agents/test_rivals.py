@@ -585,8 +585,7 @@ def test_a_rival_that_got_better_is_not_a_fall_of_the_policy(hopeless: Path) -> 
     planted = replace(training, rivals={"left": (~wins).astype(float)})
     causes = {cause.cause: cause for cause in diagnose(planted)}
     begin, since = (int(training.all_episodes.steps[index]) for index in np.flatnonzero(wins)[[0, -1]])
-    text = f"`right` succeeded in 100% of the episodes from {begin:,} to {since:,} steps"
-    assert text in causes["rival_improved"].text
+    assert f"in 100% of the episodes from {begin:,} to {since:,} steps" in causes["rival_improved"].text
     assert "`left` went from 0% to 100%" in causes["rival_improved"].text
     assert "fell_apart" not in causes
 

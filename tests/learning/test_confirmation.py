@@ -1021,9 +1021,8 @@ def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, 
 
 def test_a_confirmed_model_stays_the_best_one_when_its_training_goes_on(tmp_path: Path) -> None:
     shortlist = Shortlist(SimpleNamespace(model=lambda name: tmp_path / f"{name}.zip"), "success_rate")
-    for steps, rate in ((100, 1.0), (200, 0.97)):
+    for steps, rate, save in ((100, 1.0, shortlist.add), (200, 0.97, shortlist.put_first)):
         candidate = Candidate(steps=steps, episodes=20, success_rate=rate, mean_return=0.0)
-        save = shortlist.put_first if steps == 200 else shortlist.add
         save(candidate, lambda path, name=str(steps): path.write_text(name))
     shortlist.restore(shortlist.candidates)
     assert (tmp_path / "best.zip").read_text() == "200"

@@ -16,7 +16,7 @@ import random
 import re
 import shutil
 from contextlib import closing
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, SensorRays, WorldFrame, action_fields, observation_fields
 from deepbots_cli.view.players import open_player
-from deepbots_cli.view.replay import ReplayPlayer, verify
+from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 from tests.few import few
 
 pytest.importorskip("mcap")
@@ -99,6 +99,13 @@ def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
     assert all(map(_is_same, frames, replayed))
     with closing(Player(opened, "zero")) as player:
         assert verify(opened.recording, player) is None
+
+
+def test_a_package_that_was_not_there_is_not_called_none(tmp_path):
+    recording = replace(Showing(str(_recorded(tmp_path, "cartpole")[0])).open().recording, metadata={})
+    assert f"numpy was not installed when this was recorded, and is {np.__version__} now" in version_changes(
+        recording
+    )
 
 
 def _changed(path: Path, out: Path, **change) -> Path:

@@ -127,6 +127,7 @@ def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path
     assert (heights["BALL"], heights["BOX"]) == (pytest.approx(0.07), pytest.approx(0.15))
 
 
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 ARM = """<robot name="arm">
   <link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>
   <link name="mount"/>
@@ -143,8 +144,7 @@ def arm(
     folder: Path, *, type: str = "revolute", limits: str = 'lower="-1" upper="1"', name: str = "arm"
 ) -> str:
     """Write a scenario with a robot that has a link without mass between links with mass."""
-    inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
-    (folder / "arm.urdf").write_text(ARM.format(inertia=inertia, type=type, limits=limits))
+    (folder / "arm.urdf").write_text(ARM.format(inertia=INERTIA, type=type, limits=limits))
     path = folder / "arm.yaml"
     unit = "m" if type == "prismatic" else "rad"
     path.write_text(

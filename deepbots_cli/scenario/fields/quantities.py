@@ -186,7 +186,7 @@ class WholeNumber(Number):
     def help_for(self, value: object) -> str | None:
         if near := _whole_replacement(value):
             return f"write `{near}`; digits are grouped as in `100_000`"
-        return (super() if self.replacement_for(value) else super(Number, self)).help_for(value)
+        return super().help_for(value) if self.replacement_for(value) else FieldType.help_for(self, value)
 
     def replacement_for(self, value: object) -> Replacement | None:
         if near := _whole_replacement(value):
