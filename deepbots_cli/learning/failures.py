@@ -223,8 +223,13 @@ class BatchFailureRecorder:
         if not again_and_again and self._files == MAX_LOST_EPISODES:
             return
         self._files += 1
-        error = f"step {loss.step}: {loss.error}"
-        text = _failure_text(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
+        text = _failure_text(
+            f"step {loss.step}: {loss.error}",
+            number,
+            history,
+            run=self._run,
+            stage=self._curriculum.name_of(stage),
+        )
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
             raise EngineError(
@@ -342,10 +347,11 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
     guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
-    for step in islice(
-        steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1
-    ):
-        yield step.number
+    again = steps(guarded, sequence_driver(actions), start._replace(state=None))
+    try:
+        yield from (step.number for step in islice(again, len(actions) + 1))
+    except UsageError as error:  # an action does not fit
+        raise RunError(f"{path} is damaged, or of another scenario ({error})") from error
 
 
 def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[Failure, str | None]:

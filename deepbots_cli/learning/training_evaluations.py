@@ -262,8 +262,9 @@ class TrainingEvaluations:
 
     def share(self, *, has_teacher: bool) -> float:
         """Return the largest ratio of the steps of evaluations to the steps of the training so far."""
-        share = URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
-        return self._active.off_policy_factor * share
+        return self._active.off_policy_factor * (
+            URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
+        )
 
     def _seems_solved(self) -> bool:
         """Return whether the recent episodes of the training, with exploration, meet `solved`, and no

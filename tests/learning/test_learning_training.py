@@ -1038,7 +1038,13 @@ def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> N
     whole = (
         '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
     )
-    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"'), whole % ("-1", "0")):
+    for content in (
+        "{",
+        whole % ('{"root": "x"}', "0"),
+        whole % ("0", '"x"'),
+        whole % ("-1", "0"),
+        whole % ("0", "7"),
+    ):
         (folder / "0001.json").write_text(content)
         with pytest.raises(RunError, match="damaged"):
             reproduce(folder / "0001.json")
