@@ -13,7 +13,7 @@ from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, is_drawn, walk
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import (
     ComponentSelection,
@@ -187,6 +187,18 @@ class Analysis:
                 break
             node = definition
         return node
+
+    @cached_property
+    def redrawn(self) -> frozenset[Scalar]:
+        """The draws of parameters that are drawn again within an episode, with their arguments."""
+        return frozenset(
+            node
+            for value in self.program.parameters
+            if value.redraw is not None
+            for tree in value.scalars
+            for node in walk(tree)
+            if is_drawn(node)
+        )
 
     def is_noisy(self, name: str) -> bool:
         """Return whether a name is a measurement with noise, which is not followed."""

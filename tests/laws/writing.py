@@ -730,6 +730,8 @@ def a_name_is_any_name(case: Case) -> None:
     data = with_plain_names(case.drawn.data)
     expected = Meaning.of(case.write(data))
     words = [word for word in _WORDS if word not in RESERVED]
+    if "agents" in data:  # whose names and those of their parts are joined by `__`
+        words = [word for word in words if "__" not in f"{word}_"]
     renaming = case.draw(renamings(defined_names(data), words))
     path = case.write(renaming.applied(data))
     actual = Meaning.of(path)
