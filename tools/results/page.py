@@ -168,14 +168,16 @@ def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
 
 
 def _link(experiment: Experiment) -> str:
-    return f"[{experiment.title}](scenarios/{_base(experiment.scenario)}.md)"
+    return f"[{experiment.title}]({_page_of(experiment.scenario)})"
 
 
-def _base(scenario: str) -> str:
-    """Return the scenario that it extends, whose page has its results, or itself."""
+def _page_of(scenario: str) -> str:
+    """Return the page about a scenario, or about the one that it extends: its results are there on the
+    site."""
     text = (ROOT / "scenarios" / f"{scenario}.yaml").read_text(encoding="utf-8")
     extended = re.search(r"^extends: (\w+)", text, re.MULTILINE)
-    return extended[1] if extended else scenario
+    page = f"scenarios/{extended[1] if extended else scenario}.md"
+    return page if (ROOT / "docs" / page).is_file() else "worlds.md"
 
 
 def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
