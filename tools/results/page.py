@@ -55,8 +55,7 @@ METHOD = """\
 - **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count all environments.
-- **CPU** covers training and evaluation on two cores, ± a fifth.
-- [**Webots**](webots.md#measured): projects. [**Studio**](studio.md#measured).\
+- **CPU** covers training and evaluation on two cores, ± a fifth.\
 """
 
 
@@ -161,7 +160,7 @@ def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
 def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
     names = [_link(standing.experiment) for standing in standings if Headline.of(standing) is None]
     by_matches = [f"[`{name}`](scenarios/{name}.md)" for name in REASONS]
-    text = f"[Match-ups](several-agents.md#measured): {', '.join(by_matches)}."
+    text = f"Match-ups: {', '.join(by_matches)}."
     if names:
         text = f"Not measured: {', '.join(names)}. {text}"
     yield from (*wrapped(text), "")
