@@ -167,7 +167,7 @@ def recording(draw: Draw, draws: list[Any]) -> Draw:
     return drawn
 
 
-OF_THE_WORLD = ("no start was found", "is not stable", "infinite or NaN", "no value for")
+OF_THE_WORLD = ("no start was found", "is not stable", "infinite or NaN", "is not finite", "no value for")
 """Problems that only a simulation shows: no room at the start, an unstable motor, no value of a function."""
 
 
