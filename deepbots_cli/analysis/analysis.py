@@ -13,7 +13,7 @@ from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, is_drawn, walk
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import (
     ComponentSelection,
@@ -78,8 +78,13 @@ class Analysis:
         """The types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
         self._robots = {robot.name: robot for robot in program.robots}
-        self.intangible = frozenset(body.name for body in program.world.objects if not body.solid)
-        """The objects that nothing touches."""
+        self.intangible = {body.name for body in program.world.objects if not body.solid} | {
+            f"{robot.name}.{link.name}"
+            for robot in program.world.robots
+            for link in robot.model.links
+            if not link.collisions
+        }
+        """The objects that are not solid, and links without a collision shape: nothing touches them."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._defined: dict[str, tuple[Expression, str]] = {
             value.name: (value, "") for value in (*program.parameters, *program.signals)
@@ -187,6 +192,18 @@ class Analysis:
                 break
             node = definition
         return node
+
+    @cached_property
+    def redrawn(self) -> frozenset[Scalar]:
+        """The draws of parameters that are drawn again within an episode, with their arguments."""
+        return frozenset(
+            node
+            for value in self.program.parameters
+            if value.redraw is not None
+            for tree in value.scalars
+            for node in walk(tree)
+            if is_drawn(node)
+        )
 
     def is_noisy(self, name: str) -> bool:
         """Return whether a name is a measurement with noise, which is not followed."""

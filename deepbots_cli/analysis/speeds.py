@@ -17,7 +17,7 @@ from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, Interval
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
 from deepbots_cli.footprint import contact_points
 from deepbots_cli.frames import cross, dot, rotate
 from deepbots_cli.program.robots import Motor
@@ -184,11 +184,8 @@ def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
     if pair is not None and (not exact or isinstance(node, Op)):
         return sum(_speed_of(analysis, body) for body in pair)
     match node:
-        case Const() | Draw():
+        case Const() | Draw() if node not in analysis.redrawn:
             return 0.0
-        case Name(name):
-            parameter = next((value for value in analysis.program.parameters if value.name == name), None)
-            return 0.0 if parameter is not None and parameter.redraw is None else INF
         case EngineRead("joint_position", (subject, *_)):
             robot, _, joint = subject.partition(".")
             return joint_speed(analysis, robot, joint)
@@ -233,14 +230,13 @@ class SpeedRanges(Ranges):
     """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
 
     def _world(self, node: EngineRead) -> Interval:
-        interval = super()._world(node)
         limit = INF
         if node.function == "velocity":
             limit = _speed_of(self.analysis, node.subjects[0])
         elif node.function == "joint_velocity":
             robot, _, joint = node.subjects[0].partition(".")
             limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
-        return _clipped(interval, limit)
+        return _clipped(super()._world(node), limit)
 
     def _state(self, node: State) -> Interval:
         interval = super()._state(node)

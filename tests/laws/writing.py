@@ -695,10 +695,10 @@ class Renaming(dict[str, str]):
     names: Sequence[str] = ()
 
     def word(self, word: str) -> str:
-        """Return a name, or two joined by deepbots (`drive_left`), with their new names."""
+        """Return a name, or two joined by deepbots (`drive_left`, `gyro_age`), with their new names."""
         for match in re.finditer("_+", word):
             first, second = word[: match.start()], word[match.end() :]
-            if word not in self and first in self.names and second in self.names:
+            if word not in self and first in self.names and second in (*self.names, "age"):
                 return f"{self.get(first, first)}{match[0]}{self.get(second, second)}"
         return self.get(word, word)
 
@@ -730,6 +730,8 @@ def a_name_is_any_name(case: Case) -> None:
     data = with_plain_names(case.drawn.data)
     expected = Meaning.of(case.write(data))
     words = [word for word in _WORDS if word not in RESERVED]
+    if "agents" in data:  # whose names and those of their parts are joined by `__`
+        words = [word for word in words if "__" not in f"{word}_"]
     renaming = case.draw(renamings(defined_names(data), words))
     path = case.write(renaming.applied(data))
     actual = Meaning.of(path)
