@@ -265,7 +265,13 @@ def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedSce
     report_role_alone(document)
     invalid = invalid_names(document.root, spec.pruned, (finding.span for finding in findings.errors))
     namespace = Namespace(
-        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid),
+        ValueReader(
+            document.root,
+            findings,
+            {path: kind for path, kind, _ in visit_values(spec)},
+            invalid,
+            spec.pruned,
+        ),
         document,
         spec,
         sent,
