@@ -72,7 +72,7 @@ class Playback:
         waiting: Whether an episode waits for the first key of the person who drives.
         speed: Seconds of the episode per second of real time.
         stopped: The title and the text (HTML) of an error that ended the episode.
-        ended_at: The time (`time.monotonic`, s) at which the episode ended; 0 before.
+        ended_at: The time (`time.monotonic`, s) from which an episode that has ended is shown; 0 before.
         played, successes, best_return, last_return: The results of the page so far, with the present driver.
         last_ending: How the last episode ended, such as `failure: fallen`; empty before.
     """
@@ -121,6 +121,11 @@ class Playback:
     @property
     def _players(self) -> list[Player]:
         return [*(world.player for world in self.worlds), *([self.rival] if self.rival else [])]
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the episodes of all shown worlds have ended."""
+        return all(world.has_ended for world in self.worlds)
 
     def close_players(self) -> None:
         for player in self._players:
@@ -180,6 +185,7 @@ class Playback:
             if isinstance(world.player, BatchPlayer):
                 world.player.choose(number)
         self.show_first_frame()
+        self.ended_at = time.monotonic()  # its episode may have ended
 
     def record(self) -> Path | None:
         """Write the episode so far as a recording. It is repeated, because the same actions from the same
@@ -218,7 +224,7 @@ class Playback:
     def step_once(self) -> None:
         """Pause, and make one step."""
         self.paused = True
-        if self.ended_at:
+        if self.has_ended:
             self.begin(1)
             return
         for world in self.worlds:
@@ -248,7 +254,7 @@ class Playback:
         self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not is_pressed
         if self.paused or self.waiting or self.stopped:
             return
-        if self.ended_at:
+        if self.has_ended:
             if continues and time.monotonic() - self.ended_at > _PAUSE_AT_END_S:
                 self.begin(1)
             return
@@ -272,7 +278,7 @@ class Playback:
         if self.rival is not None and self.rival.frame.ended_by is None:
             self.rival.step()
         world.show_newest()
-        if world.has_ended and all(shown_world.has_ended for shown_world in self.worlds):
+        if self.has_ended:
             frame = self.worlds[0].player.frame
             self.ended_at = time.monotonic()
             self.played, self.successes = self.played + 1, self.successes + frame.is_success
