@@ -2,7 +2,7 @@
 sections.
 
 A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the
-compiled scenarios. Results are the cards of docs/results. Nothing is simulated or trained here. Paths are
+compiled scenarios. Results are the cards of tools.results. Nothing is simulated or trained here. Paths are
 relative to the root of the repository.
 """
 
@@ -20,13 +20,13 @@ from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.inspection import Tables, scenario_tables
 from deepbots_cli.program import Program
+from tools.results.card import card
 from tools.results.experiment import experiments
 from tools.results.measure import Places, read
 from tools.results.standing import Headline, Standing
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTES = "docs/scenarios"
-CARDS = "docs/results"
 INDEX = "docs/worlds.md"
 CLIPS = "docs/images/policies"
 _CARDS = re.compile(r"<!-- cards -->.*<!-- end of cards -->", re.DOTALL)
@@ -130,15 +130,12 @@ def world(name: str) -> World:
 
 
 def merged() -> dict[str, str]:
-    """Pages that are sections of the page of a scenario: about its variants, and cards of results."""
-    found = {}
-    for base, variants in families().items():
-        paths = [
-            *(f"{NOTES}/{variant}.md" for variant in variants),
-            *(f"{CARDS}/{name}.md" for name in (base, *variants)),
-        ]
-        found |= dict.fromkeys(paths, f"{NOTES}/{base}.md")
-    return found
+    """Return the pages about variants, which are sections of the page of their scenario."""
+    return {
+        f"{NOTES}/{variant}.md": f"{NOTES}/{base}.md"
+        for base, variants in families().items()
+        for variant in variants
+    }
 
 
 def listed() -> list[tuple[str, str, str]]:
@@ -393,7 +390,7 @@ def _results(name: str, *, level: str = "##") -> Iterator[str]:
     """The card of its results, below a heading of the level; nothing for a scenario that has no experiment."""
     if name not in experiments():
         return
-    text = (ROOT / CARDS / f"{name}.md").read_text(encoding="utf-8")
+    text = card(Standing.of(experiments()[name], read(Places().record(name))))
     yield from ("", text[text.index("# Results") :].rstrip().replace("#", level, 1), "")
 
 

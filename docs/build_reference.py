@@ -1,6 +1,4 @@
-"""Writes docs/reference/ from the tables of the language, so that the reference cannot go stale.
-
-    python docs/build_reference.py
+"""The reference of the site, from the tables of the language, so that it cannot go stale.
 
 keys.md      every key of a scenario, from the schema
 functions.md units, functions and built-in names, from the expression language
@@ -9,7 +7,7 @@ commands.md  every command with its options, from the help of the commands
 glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots
 explain`
 
-It also writes the table of `deepbots_cli/scenario/isaac_lab.py` from docs/isaac-lab.md.
+The page isaac-lab.md has the terms of `deepbots_cli/scenario/isaac_lab.json`.
 """
 
 from __future__ import annotations
@@ -50,20 +48,20 @@ from deepbots_cli.scenario.isaac_lab import TERMS_FILE
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
 
-FOLDER = Path(__file__).parent / "reference"
-_NOTE = "<!-- Written by docs/build_reference.py; change the tables in the code and run it again. -->"
+DOCS = Path(__file__).parent
 Route = tuple[str, ...]
 
 
 def pages() -> dict[str, str]:
-    """The text of each page by its file name."""
-    texts = {
-        "functions.md": _functions(),
-        "rules.md": _rules(),
-        "commands.md": _commands(),
-        "glossary.md": _glossary(),
+    """Return the text of each page by its path in the repository; only the site has them."""
+    return {
+        "docs/reference/keys.md": _Keys().text(),
+        "docs/reference/functions.md": _functions(),
+        "docs/reference/rules.md": _rules(),
+        "docs/reference/commands.md": _commands(),
+        "docs/reference/glossary.md": _glossary(),
+        "docs/isaac-lab.md": _isaac_lab(),
     }
-    return {"keys.md": _Keys().text(), **texts}
 
 
 # Keys
@@ -78,8 +76,6 @@ class _Keys:
     def text(self) -> str:
         head = [
             "# Every key of a scenario",
-            "",
-            _NOTE,
             "",
             "`NAME` stands for a name of your choice. The column *known* says when deepbots knows a value:"
             " *fixed* values are"
@@ -323,8 +319,6 @@ def _functions() -> str:
     lines = [
         "# Units and functions",
         "",
-        _NOTE,
-        "",
         "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples"
         " are about one scenario: a"
         " small two-wheeled `rover` with a camera `eye` and rays `near`, its actions `gas` and `turn`, a"
@@ -392,8 +386,6 @@ def _commands() -> str:
     lines = [
         "# Every command",
         "",
-        _NOTE,
-        "",
         "`deepbots COMMAND --help` prints the same. A SCENARIO is the path of a file, or the name of a"
         " [shipped scenario](../worlds.md)."
         " A RUN is the folder of a training. All commands use the same [exit"
@@ -459,8 +451,6 @@ def _rules() -> str:
     lines = [
         "# Every finding",
         "",
-        _NOTE,
-        "",
         "Errors keep a scenario from being compiled; warnings do not, and can be suppressed."
         " [Findings](../diagnostics.md) describes"
         " the format of findings and the exit codes. A rule in preview may still give false positives, and"
@@ -522,8 +512,6 @@ def _glossary() -> str:
     lines = [
         "# Glossary",
         "",
-        _NOTE,
-        "",
         "Terms of reinforcement learning and robotics, with the keys and commands of deepbots for each."
         " `deepbots explain` prints the same"
         ' texts, and finds British and American spellings: `deepbots explain "time limit"`.',
@@ -546,38 +534,32 @@ def _glossary() -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """Write the pages."""
-    FOLDER.mkdir(exist_ok=True)
-    for name, text in pages().items():
-        (FOLDER / name).write_text(text, encoding="utf-8")
-    TERMS_FILE.write_text(isaac_lab_terms(), encoding="utf-8")
+def _isaac_lab() -> str:
+    """Return the page about Isaac Lab with the terms of each section."""
+    parts = re.split(r"^(?=## )", (DOCS / "isaac-lab.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    sections = json.loads(TERMS_FILE.read_text(encoding="utf-8"))
+    for index, part in enumerate(parts):
+        rows = sections.get(part.partition("\n")[0].removeprefix("## "), ())
+        parts[index] = part.replace("<!-- terms -->", "\n".join(_terms(rows)))
+    return "".join(parts)
 
 
-def isaac_lab_terms() -> str:
-    """Return the table of terms as JSON, a row a line."""
-    page = (FOLDER.parent / "isaac-lab.md").read_text(encoding="utf-8")
-    rows = ",\n".join(json.dumps(row) for row in _isaac_lab_rows(page))
-    return f"[\n{rows}\n]\n"
-
-
-def _isaac_lab_rows(page: str) -> Iterator[dict[str, Any]]:
-    """The rows of all tables with a column `under`; a row without a name continues the one above."""
-    for table in re.findall(r"^\| \w+ \| under .*\n\|[-|]+\n((?:\|.*\n)+)", page, re.MULTILINE):
-        rows: list[dict[str, Any]] = []
-        for text in table.splitlines():
-            head, under, line, *observed = [
-                cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", text)[1:-1]
-            ]
-            if head:
-                rows.append({"names": re.findall(r"`([^`]+)`", head), "lines": [], "reason": ""})
-            if line.startswith("`"):
-                rows[-1]["lines"].append([under.strip("`"), line.strip("`")])
+def _terms(rows: Iterable[dict[str, Any]]) -> Iterator[str]:
+    """Yield a table of terms; the observation of a line is in its row."""
+    yield from ("| term | under | line | under `observation` |", "|---|---|---|---|")
+    for row in rows:
+        name = ", ".join(f"`{name}`" for name in row["names"])
+        if row["reason"]:
+            yield f"| {name} | | {row['reason']} | |"
+        cells: list[list[str]] = []
+        for section, line in row["lines"]:
+            text = f"`{line}`".replace("|", r"\|")
+            if section == "observation" and cells and not cells[-1][2]:
+                cells[-1][2] = text
+            elif section == "observation":
+                cells.append(["", "", text])
             else:
-                rows[-1]["reason"] = line.replace("`", "")
-            rows[-1]["lines"] += [["observation", entry.strip("`")] for entry in observed if entry]
-        yield from rows
-
-
-if __name__ == "__main__":
-    main()
+                cells.append([f"`{section}`" if section else "", text, ""])
+        for under, text, observed in cells:
+            yield f"| {name} | {under} | {text} | {observed} |"
+            name = ""

@@ -2,7 +2,8 @@
 
     python docs/build_site.py
 
-`write_sources` copies the pages into build/docs-sources, with links that hold there, and writes the gallery.
+`write_sources` copies the pages into build/docs-sources, with links that hold there, and writes those that
+are not committed: the gallery, the reference and the measurements.
 Sphinx makes HTML of them (conf.py). Each page is in the site as Markdown too, beside llms.txt, rules.json and
 the JSON Schema.
 """
@@ -16,6 +17,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +26,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 import build_gallery  # noqa: E402
+import build_reference  # noqa: E402
 
 from deepbots_cli.cli.commands.explain import rules_data  # noqa: E402
+from tools.results import page as results  # noqa: E402
+from tools.results.experiment import experiments  # noqa: E402
+from tools.results.measure import Places  # noqa: E402
 
 SOURCES = ROOT / "build" / "docs-sources"
 SITE = ROOT / "build" / "docs"
@@ -74,14 +80,24 @@ def write_sources(target: Path) -> None:
 
 
 def _all_pages() -> Iterator[tuple[str, str]]:
-    """The path of each page in the repository, and its text; pages of the gallery are generated here."""
-    gallery = build_gallery.pages()
+    """Yield the path of each page in the repository, or the path that a built one would have, and its text."""
+    built = built_pages()
     paths = [*NAMES, *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md")))]
-    for path in dict.fromkeys([*paths, *gallery]):
+    for path in dict.fromkeys([*paths, *built]):
         if path in build_gallery.merged():
             continue
-        text = gallery.get(path) or (ROOT / path).read_text(encoding="utf-8")
+        text = built.get(path) or (ROOT / path).read_text(encoding="utf-8")
         yield path, f"{text}\n{_navigation()}" if path == "README.md" else text
+
+
+@cache
+def built_pages() -> dict[str, str]:
+    """Return the pages that are written from tables, records and scenarios, by their path."""
+    return {
+        **build_reference.pages(),
+        **results.built(Places(), experiments()),
+        **build_gallery.pages(),
+    }
 
 
 def place_of(path: str) -> str:

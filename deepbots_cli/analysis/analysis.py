@@ -78,8 +78,13 @@ class Analysis:
         """The types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
         self._robots = {robot.name: robot for robot in program.robots}
-        self.intangible = frozenset(body.name for body in program.world.objects if not body.solid)
-        """The objects that nothing touches."""
+        self.intangible = {body.name for body in program.world.objects if not body.solid} | {
+            f"{robot.name}.{link.name}"
+            for robot in program.world.robots
+            for link in robot.model.links
+            if not link.collisions
+        }
+        """The objects that are not solid, and links without a collision shape: nothing touches them."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._defined: dict[str, tuple[Expression, str]] = {
             value.name: (value, "") for value in (*program.parameters, *program.signals)

@@ -30,7 +30,11 @@ _NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 _BEYOND_LIMIT = (0.25, 0.05)
 """How far a joint passes each of its limits at most, in rad or m. A limit is a spring in engines: a hip of the
 biped, which is limited to 0.5 rad, was at 0.64 rad in PyBullet when the robot fell."""
-_CONTACTS = ("contact", "collided", "contact_force", "contact_force_vector")
+_UNTOUCHED = {
+    **dict.fromkeys(("contact", "collided", "contact_force", "contact_force_vector"), ZERO),  # also NEVER
+    "clearance": iv.single(INF),
+}
+"""The values of functions where nothing touches one of their subjects."""
 _PLANE_AXES = ("x", "y")
 _ROTATION_KEYS = ("roll", "pitch", "yaw")
 
@@ -136,8 +140,8 @@ class Ranges:
         if node.function == "joint_position":
             robot, _, name = node.subjects[0].partition(".")
             return self._positions(robot, name)
-        if node.function in _CONTACTS and not self.analysis.intangible.isdisjoint(node.subjects):
-            return ZERO  # which is NEVER
+        if node.function in _UNTOUCHED and not self.analysis.intangible.isdisjoint(node.subjects):
+            return _UNTOUCHED[node.function]
         function = FUNCTIONS.get(node.function)
         return TRUTH if function is None or function.boolean else function.interval()
 

@@ -230,14 +230,13 @@ class SpeedRanges(Ranges):
     """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
 
     def _world(self, node: EngineRead) -> Interval:
-        interval = super()._world(node)
         limit = INF
         if node.function == "velocity":
             limit = _speed_of(self.analysis, node.subjects[0])
         elif node.function == "joint_velocity":
             robot, _, joint = node.subjects[0].partition(".")
             limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
-        return _clipped(interval, limit)
+        return _clipped(super()._world(node), limit)
 
     def _state(self, node: State) -> Interval:
         interval = super()._state(node)

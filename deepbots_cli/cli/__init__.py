@@ -24,7 +24,7 @@ throughput.py          the speed of engines, as commands print it
 exploits.py            the output of `lint --exploits`: recordings, and a record of the searched tasks
 help/                  the text of `--help` of each command, without its options
 starters/              the scenarios that `new` writes
-glossary.yaml          the glossary, printed by `explain`, and the source of docs/reference/glossary.md
+glossary.yaml          the glossary, printed by `explain`, and a page of the site
 project/               templates of `compile --project`
 """
 

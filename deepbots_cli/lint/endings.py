@@ -71,9 +71,8 @@ def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
             touches[0].subjects, key=lambda name: name not in analysis.intangible
         )
         body = solid_bodies[0] if solid_bodies else "a"
-        return (
-            f"use a distance, as in `distance({body}, {intangible_body}) < 5 cm`, or remove `solid: false` of"
-            f" `{intangible_body}`"
+        return f"use a distance, as in `distance({body}, {intangible_body}) < 5 cm`" + (
+            "" if "." in intangible_body else f", or remove `solid: false` of `{intangible_body}`"
         )
     return "correct the condition, or remove the ending"
 
@@ -109,7 +108,10 @@ def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
     intangible = sorted(
         {name for part in touched for name in analysis.intangible.intersection(part.subjects)}
     )
-    yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
+    yield from (
+        f"nothing touches `{name}`, which {'has no collision shape' if '.' in name else 'is not solid'}"
+        for name in intangible
+    )
     if (
         not never
         and not intangible

@@ -53,6 +53,14 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
             singularity = search.pole(term)
             if singularity is not None:
                 yield _unbounded(context, term, singularity)
+            elif search.ranges.of(analysis.scalars(term)[0]).is_single:
+                yield Finding(
+                    "DB701",
+                    term.span,
+                    f"`{term.name}` is infinite in every step",
+                    "bound it, as in `min(x, 1)`, or use a `distance` in place of a `clearance` to what"
+                    " nothing touches",
+                )
 
 
 def _unbounded(context: RuleContext, term: Expression, singularity: Singularity) -> Finding:

@@ -1,6 +1,5 @@
-"""The terms of Isaac Lab with their lines in a scenario: the table `isaac_lab.json`, which
-`docs/build_reference.py` writes from docs/isaac-lab.md. And the advice for sections that are written as
-there."""
+"""The terms of Isaac Lab with their lines in a scenario, by sections of docs/isaac-lab.md: the table
+`isaac_lab.json`. And the advice for sections that are written as there."""
 
 from __future__ import annotations
 
@@ -43,7 +42,8 @@ def terms() -> Mapping[str, Term]:
     table = json.loads(TERMS_FILE.read_text(encoding="utf-8"))
     return {
         name: Term(tuple(Line(*line) for line in row["lines"]), row["reason"])
-        for row in table
+        for rows in table.values()
+        for row in rows
         for name in row["names"]
     }
 

@@ -14,9 +14,9 @@ LEFT, TOP, WIDTH, HEIGHT = 60.0, 56.0, 550.0, 170.0
 
 
 def draw() -> str:
-    record = json.loads((ROOT / "docs" / "results" / "find_ball_random.json").read_text(encoding="utf-8"))[
-        "trainings"
-    ]["main"][SEED]
+    record = json.loads(
+        (ROOT / "tools" / "results" / "records" / "find_ball_random.json").read_text(encoding="utf-8")
+    )["trainings"]["main"][SEED]
     names = [stage.name for stage in api.compile("find_ball_random").program.curriculum]
     hours, successes = record["curve"]["simulated_hours"], record["curve"]["success"]
     drawing = Drawing(640, 300, "The success rate of a training over the stages of its curriculum")

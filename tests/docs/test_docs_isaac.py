@@ -5,6 +5,8 @@ right.
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.scenario.isaac_lab import TERMS_FILE
 
 PAGE = Path(__file__).parents[2] / "docs" / "isaac-lab.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -46,37 +49,16 @@ class Row(NamedTuple):
         return "line" if self.lines else re.split("[:.]", self.reason)[0]
 
 
-def code(cell: str) -> list[str]:
-    return re.findall(r"`([^`]+)`", cell)
+def _row(entry: dict[str, Any]) -> Row:
+    lines = (Line(tuple(section.split(".")) if section else (), text) for section, text in entry["lines"])
+    return Row(tuple(entry["names"]), tuple(lines), entry["reason"])
 
 
-def cells(line: str) -> list[str]:
-    return [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", line.strip())[1:-1]]
-
-
-def rows(text: str = TEXT) -> Iterator[Row]:
-    """The rows of all tables of a text with a column `under`."""
-    for table in re.findall(r"^\| \w+ \| under .*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE):
-        names: tuple[str, ...] = ()
-        lines: list[Line] = []
-        reason = ""
-        for text in [*table.splitlines(), None]:
-            head, under, line, *observed = cells(text) if text else ("end", "", "")
-            if head and names:
-                yield Row(names, tuple(lines), reason)
-                lines = []
-                reason = ""
-            if head:
-                names = tuple(code(head)) or (head,)
-            if line.startswith("`"):
-                place = code(under)
-                lines.append(Line(tuple(place[0].split(".")) if place else (), line.strip("`")))
-            else:
-                reason = reason or line
-            lines += [Line(("observation",), entry.strip("`")) for entry in observed if entry]
-
-
-ROWS = list(rows())
+SECTIONS = {
+    title: [_row(entry) for entry in entries]
+    for title, entries in json.loads(TERMS_FILE.read_text(encoding="utf-8")).items()
+}
+ROWS = [row for rows in SECTIONS.values() for row in rows]
 WITH_LINES = [row for row in ROWS if row.lines]
 
 
@@ -184,6 +166,10 @@ def test_an_episode_begins_with_a_line(row: Row, tmp_path: Path) -> None:
         assert np.isfinite(environment.step(environment.action_space.sample())[1])
 
 
+def test_each_section_with_terms_has_a_place_for_them_on_the_page() -> None:
+    assert re.findall(r"^## (.+)\n(?:(?!## ).*\n)*?<!-- terms -->", TEXT, re.MULTILINE) == list(SECTIONS)
+
+
 def test_the_numbers_of_the_page_are_those_of_its_tables() -> None:
     counts = Counter(row.kind for row in ROWS for _ in row.names)
     assert set(counts) == {"line", "Not needed", "Not yet", "Left out"}
@@ -195,10 +181,11 @@ def test_the_numbers_of_the_page_are_those_of_its_tables() -> None:
 
 
 def test_the_terms_of_isaac_lab_alone_are_counted_without_base_classes_and_planners() -> None:
-    terms = TEXT[: TEXT.index("## Entries of velocity_env_cfg")]
+    own = itertools.takewhile(lambda title: title != "Entries of velocity_env_cfg", SECTIONS)
     counts = Counter(
         row.kind
-        for row in rows(terms)
+        for title in own
+        for row in SECTIONS[title]
         for _ in row.names
         if row.kind != "Left out" and "base classes" not in row.reason
     )

@@ -26,7 +26,11 @@ from PIL import Image
 from deepbots_cli.cli import main
 from deepbots_cli.diagnostics.registry import RULES
 from tests.view.browser import CHROMIUM, browser
+from tools.results.card import card
+from tools.results.experiment import experiments
 from tools.results.experiments.not_measured import REASONS
+from tools.results.measure import Places, read
+from tools.results.standing import Standing
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCENARIOS = sorted(path.stem for path in (DOCS.parent / "scenarios").glob("*.yaml"))
@@ -125,15 +129,11 @@ def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_t
     if name in REASONS:
         assert "\n## Results\n" in pages[f"scenarios/{name}.md"]
         return
-    card = (
-        without_code((DOCS / "results" / f"{name}.md").read_text(encoding="utf-8"))
-        .partition("\n# ")[2]
-        .rstrip()
-    )
-    assert sum(f"## {card}\n" in text or f"### {card}\n" in text for text in pages.values()) == 1
-    record = DOCS / "results" / f"{name}.json"
-    is_trained = record.is_file() and "trainings" in json.loads(record.read_text(encoding="utf-8"))
-    assert is_trained == (f"images/results/{name}.svg)" in card)
+    experiment = experiments()[name]
+    record = read(Places().record(name))
+    text = without_code(card(Standing.of(experiment, record))).partition("\n# ")[2].rstrip()
+    assert sum(f"## {text}\n" in page or f"### {text}\n" in page for page in pages.values()) == 1
+    assert bool(record.get("trainings")) == (f"images/results/{name}.svg)" in text)
 
 
 def test_every_page_of_the_gallery_has_a_moving_picture_of_a_trained_policy(site: ModuleType) -> None:

@@ -695,10 +695,10 @@ class Renaming(dict[str, str]):
     names: Sequence[str] = ()
 
     def word(self, word: str) -> str:
-        """Return a name, or two joined by deepbots (`drive_left`), with their new names."""
+        """Return a name, or two joined by deepbots (`drive_left`, `gyro_age`), with their new names."""
         for match in re.finditer("_+", word):
             first, second = word[: match.start()], word[match.end() :]
-            if word not in self and first in self.names and second in self.names:
+            if word not in self and first in self.names and second in (*self.names, "age"):
                 return f"{self.get(first, first)}{match[0]}{self.get(second, second)}"
         return self.get(word, word)
 

@@ -25,8 +25,10 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import mean_interval
 from tests.few import few
 from tools import gallery_pictures
+from tools.benchmarks import robot_files
 from tools.results import measure, page, picture
 from tools.results.__main__ import main
+from tools.results.card import card
 from tools.results.experiment import (
     FIRST_SEED,
     RANDOM,
@@ -52,12 +54,13 @@ CURRENT = "run: python -m tools.results --render"
 EXPERIMENTS = list(experiments().values())
 
 
-def test_the_pages_are_what_the_records_say():
-    pages = page.pages(PLACES, experiments())
-    assert [path.name for path, text in pages.items() if path.read_text(encoding="utf-8") != text] == [], (
-        CURRENT
-    )
-    assert {*PLACES.records.glob("*.md")} <= {*pages}, "a card of no experiment"
+def test_the_page_is_what_the_records_say():
+    assert PLACES.page.read_text(encoding="utf-8") == page.results(PLACES, experiments()), CURRENT
+
+
+def test_the_summary_of_robots_that_were_tried_is_that_of_the_record():
+    text = robot_files.PAGE.read_text(encoding="utf-8")
+    assert text == robot_files.filled(text, whole=False), "run: python -m tools.benchmarks.robot_files --page"
 
 
 def test_the_studio_shows_the_measured_times_of_trainings():
@@ -66,23 +69,17 @@ def test_the_studio_shows_the_measured_times_of_trainings():
     assert {"cartpole", "quadruped", "find_ball"} <= times.keys() <= {*shipped.scenario_names()}
 
 
-def test_the_pages_that_people_read_are_short():
-    words = {path.name: len(path.read_text(encoding="utf-8").split()) for path in (PLACES.page, page.BY_HAND)}
-    assert words["results.md"] <= 600
-    assert words["measured.md"] <= 3500
-
-
 def test_every_bar_that_is_measured_by_hand_has_a_verdict():
-    verdicts = page.verdicts_by_hand(page.BY_HAND.read_text(encoding="utf-8"))
+    verdicts = [row["verdict"] for row in page.by_hand()]
     assert len(verdicts) > 100
     assert [
-        row for row in verdicts if not re.match(r"(met|\*\*missed\*\*|not shown)($|[,;:] )", row[1])
+        text for text in verdicts if not re.match(r"(met|\*\*missed\*\*|not shown)($|[,;:] )", text)
     ] == []
 
 
 def test_readme_figures_equal_the_cards():
     rows = re.findall(
-        r"^\| \[(\w+)\]\(docs/results/(\w+)\.md#.*\| (.*) \|$",
+        r"^\| \[(\w+)\]\(docs/scenarios/(\w+)\.md\).*\| (.*) \|$",
         (ROOT / "README.md").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
@@ -189,20 +186,7 @@ def test_an_unknown_name_is_refused_with_the_names_that_exist(
 
 
 def places_in(folder: Path) -> Places:
-    return Places(
-        *(
-            folder / name
-            for name in (
-                "records",
-                "page.md",
-                "measurements.md",
-                "pictures",
-                "runs",
-                "benchmark.md",
-                "engines.md",
-            )
-        )
-    )
+    return Places(*(folder / name for name in ("records", "page.md", "pictures", "runs")))
 
 
 def test_what_is_missing_can_be_asked_for_without_measuring_it(
@@ -264,7 +248,6 @@ def test_a_stretch_bar_is_reached_or_not():
 
 def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
     places = places_in(tmp_path)
-    places.engines.touch()
     chosen = {
         "cartpole": Experiment(
             "cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),)
@@ -284,10 +267,11 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
     for digest, marked in ((request.digest, False), ("of another world", True)):
         entry = {"digest": digest, "command": request.command, **measure.circumstances(), **counts, **rest}
         measure.put(places.record("cartpole"), entry, "trainings", "main", "101")
-        texts = {path: " ".join(text.split()) for path, text in page.pages(places, chosen).items()}
+        standing = Standing.of(chosen["cartpole"], measure.read(places.record("cartpole")))
         warning = "**Measured on an earlier version of the scenario or of the experiment:** seed 101."
-        assert (warning in texts[places.card("cartpole")]) == marked
-        assert ("1 of these verdicts is of an earlier version of a scenario." in texts[places.page]) == marked
+        assert (warning in " ".join(card(standing).split())) == marked
+        old = "1 of these verdicts is of an earlier version of a scenario."
+        assert (old in page.write(places, chosen)) == marked
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
@@ -401,10 +385,9 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     assert entry["steps"] >= 6_000
     assert entry["evaluations"]["held_out"]["episodes"] == record["baselines"]["random"]["episodes"] == 3
 
-    places.engines.touch()
     page.write(places, {"rail": TINY})
-    text = places.card("rail").read_text(encoding="utf-8")
-    assert "| mean return, held out | at least 301 |" in text
+    text = card(Standing.of(TINY, record))
+    assert "| mean return, held out |" in text
     assert " s, resumed once |" in text
     assert f"state {picture.state(TINY, Standing.of(TINY, record).record)}" in places.picture(
         "rail"
@@ -413,7 +396,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     assert [piece.missing() for piece in measure.pieces(TINY, places)] == [False, True, False]
 
 
-# The tasks in docs/measured.md that a script teaches: they lint clean, and the scripts do them
+# Tasks that a script teaches: they lint clean, and the scripts do them
 
 
 TASKS = sorted((ROOT / "tools" / "results" / "teacher").glob("*.yaml"))

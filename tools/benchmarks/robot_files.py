@@ -1,9 +1,9 @@
 """What `new`, `lint --deep` and `try` make of well-known robots of public repositories, as data and as a
 table.
 
-    python -m tools.benchmarks.robot_files FOLDER WORK         # writes docs/results/robots.json
+    python -m tools.benchmarks.robot_files FOLDER WORK         # writes its record
     python -m tools.benchmarks.robot_files FOLDER WORK PART    # again for files whose path has PART
-    python -m tools.benchmarks.robot_files --page              # writes the table in docs/robots.md
+    python -m tools.benchmarks.robot_files --page              # writes the summary in docs/robots.md
 
 FOLDER has a clone of each repository of robot_files.yaml as OWNER+NAME; scenarios are written into WORK.
 Robots are tried with the script of their scenario, or with zero actions.
@@ -28,7 +28,8 @@ from tools.results.card import table
 
 ROBOTS = Path(__file__).with_suffix(".yaml")
 DOCS = Path(__file__).parents[2] / "docs"
-DATA, PAGE = DOCS / "results" / "robots.json", DOCS / "robots.md"
+DATA = DOCS.parent / "tools" / "results" / "records" / "robots.json"
+PAGE = DOCS / "robots.md"
 _TABLE = re.compile(r"(?<=<!-- robots -->\n).*?(?=<!-- end of robots -->)", re.DOTALL)
 _TIMEOUT_S = 300
 
@@ -82,8 +83,9 @@ def _run(work: Path, *words: str) -> tuple[subprocess.CompletedProcess[str], flo
     return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def page(text: str, data: dict[str, Any]) -> str:
-    """Return the page with the table of robots."""
+def filled(text: str, *, whole: bool = True) -> str:
+    """Return the page with a summary of the record, and with its table, which only the site has."""
+    data = json.loads(DATA.read_text(encoding="utf-8"))
     rows = data["robots"]
     right = sum(_is_right(row) for row in rows)
     clean = sum(not row["new"] and not row["errors"] and not row["try"] for row in rows)
@@ -91,15 +93,11 @@ def page(text: str, data: dict[str, Any]) -> str:
     lines = [
         "",
         f"`new`, `lint --deep` and `try` of {len(rows)} robots, {data['date']}: the kind is right for {right};"
-        f" {clean} have no error; {few} have at most three findings ([data](results/robots.json)).",
-        "",
-        *table(
-            ("robot", "repository", "`new` says", "findings", "tried with", "episodes end by"),
-            map(_cells, rows),
-        ),
-        "",
+        f" {clean} have no error; {few} have at most three findings ([data](../tools/results/records/robots.json)).",
         "",
     ]
+    head = ("robot", "repository", "`new` says", "findings", "tried with", "episodes end by")
+    lines += [*table(head, map(_cells, rows)), "", ""] if whole else [""]
     return _TABLE.sub(lambda _: "\n".join(lines), text)
 
 
@@ -119,9 +117,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 def main() -> None:
     if sys.argv[1:] == ["--page"]:
-        PAGE.write_text(
-            page(PAGE.read_text(encoding="utf-8"), json.loads(DATA.read_text())), encoding="utf-8"
-        )
+        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), whole=False), encoding="utf-8")
         return
     folder, work, *part = sys.argv[1:]
     rows = measure(Path(folder), Path(work), *part)

@@ -1,6 +1,6 @@
 """xacro files of public repositories, expanded here and by the package `xacro` of ROS, as JSON.
 
-    python -m tools.benchmarks.xacro_files FOLDER PYTHON > docs/results/xacro.json
+    python -m tools.benchmarks.xacro_files FOLDER PYTHON > tools/results/records/xacro.json
 
 FOLDER has a folder for each repository, and PYTHON is an interpreter with the packages `xacro` and `pyyaml`.
 Every file whose expansion by ROS has a link is compared: elements, attributes, and numbers to 1e-9. An

@@ -1,14 +1,14 @@
-"""Measures what is missing or stale of docs/results, and renders the pages: docs/results.md,
-docs/benchmark.md, docs/reference/measurements.md, docs/results/*.md and a table of docs/engines.md.
+"""Measures what is missing or stale of tools/results/records, and renders docs/results.md and the learning
+curves. The site has further pages of the records.
 
     python -m tools.results                     everything
     python -m tools.results pit_escape costs    a scenario and a part
     python -m tools.results benchmark           the algorithms on the tasks of the benchmark; benchmark/cartpole is one of them
     python -m tools.results --list              what there is, and how many pieces of it are missing
     python -m tools.results cartpole --anew     forget what was measured, and measure it again
-    python -m tools.results --render            only write the pages and pictures
+    python -m tools.results --render            only write the page and the pictures
 
-It may be stopped at any time, and goes on when it is called again: finished pieces are in docs/results, and
+It may be stopped at any time, and goes on when it is called again: finished pieces are in its records, and
 unfinished trainings in runs/results.
 """
 
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios and parts; all by default")
     parser.add_argument("--anew", action="store_true", help="forget what was measured before")
-    parser.add_argument("--render", action="store_true", help="only write the pages and pictures")
+    parser.add_argument("--render", action="store_true", help="only write the page and the pictures")
     parser.add_argument(
         "--list", action="store_true", help="what there is, and how many pieces of it are missing"
     )
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
         for name in chosen:
             code = code if code == INTERRUPTED else max(code, measured(subjects[name], places))
     print(page.write(places, experiments()), file=sys.stderr)
-    print(benchmark_page.write(places, benchmark.TASKS), file=sys.stderr)
+    print(benchmark_page.state(places, benchmark.TASKS), file=sys.stderr)
     return code
 
 

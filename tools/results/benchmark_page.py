@@ -1,4 +1,4 @@
-"""docs/benchmark.md, from the records of the benchmark alone."""
+"""The page docs/benchmark.md of the site, from the records of the benchmark alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from statistics import fmean, median
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.learning.runs.directories import write_text
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, mean_interval, wilson
 from tools.results import measure
 from tools.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
@@ -30,7 +29,7 @@ HEAD = f"""\
 Several algorithms learn the same tasks. Each task runs on the engine that steps it fastest, or on PyBullet, the default, if MuJoCo is
 not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]} to {SEEDS[-1]}, by which no value was chosen.
 `make results PART=benchmark` measures what is missing, continues an interrupted measurement, and writes this page from the records in
-`docs/results/benchmark`.
+`tools/results/records/benchmark`.
 
 - **Values.** Where the scenario names the algorithm, its `train` section is used as it is (marked with *). All others have the
   values of the [chosen learner](training.md#the-chosen-learner): PPO has the values of its row, and SAC, TD3, TQC and DQN have the
@@ -142,9 +141,8 @@ def _wider(together: Interval, means: Sequence[float], bounds: Interval = UNBOUN
 # The page
 
 
-def write(places: Places, tasks: Sequence[Task]) -> str:
-    """The page; returns how many cells are measured, in a sentence."""
-    write_text(places.benchmark, page(places, tasks))
+def state(places: Places, tasks: Sequence[Task]) -> str:
+    """Return how many cells are measured, in a sentence."""
     return _headline(
         [row for task in tasks for row in rows(task, measure.read(places.record(task.experiment.name)))]
     )

@@ -104,10 +104,8 @@ def card(standing: Standing) -> str:
         ]
     if any(standing.record["trainings"].values()):
         lines += [f"![Learning curves of {experiment.title}](../images/results/{experiment.name}.svg)", ""]
-    rows = [
-        (verdict.what, verdict.requirement, verdict.measured, verdict.word) for verdict in standing.verdicts()
-    ]
-    lines += [*table(("figure", "bar", "measured", ""), rows), ""]
+    rows = [(verdict.what, verdict.measured) for verdict in standing.verdicts()]
+    lines += [*table(("figure", "measured"), rows), ""]
     for training in experiment.trainings:
         lines += _seeds(standing, training)
     lines += _episodes(standing)

@@ -1,6 +1,6 @@
 """Measures what is missing of a scenario or a part, piece by piece, with the commands that the page shows.
 
-A piece is an entry of a record in docs/results. It counts as long as its command line and the digest of its
+A piece is an entry of a record in tools/results/records. It counts as long as its command line and the digest of its
 scenario are what is asked for now. A measurement may be stopped at any time: what is finished is in the
 record, and a training goes on from its last checkpoint.
 """
@@ -59,23 +59,17 @@ KEPT = (
 
 @dataclass(frozen=True)
 class Places:
-    """`records` holds a JSON file for each scenario and part, and a card for each scenario; `pictures` the
-    learning curves, `runs` what was trained.
+    """`records` has a JSON file for each scenario and part, `pictures` the learning curves, and `runs` what
+    was trained.
     """
 
-    records: Path = ROOT / "docs" / "results"
+    records: Path = ROOT / "tools" / "results" / "records"
     page: Path = ROOT / "docs" / "results.md"
-    measurements: Path = ROOT / "docs" / "reference" / "measurements.md"
     pictures: Path = ROOT / "docs" / "images" / "results"
     runs: Path = ROOT / "runs" / "results"
-    benchmark: Path = ROOT / "docs" / "benchmark.md"
-    engines: Path = ROOT / "docs" / "engines.md"
 
     def record(self, name: str) -> Path:
         return self.records / f"{name}.json"
-
-    def card(self, name: str) -> Path:
-        return self.records / f"{name}.md"
 
     def picture(self, name: str) -> Path:
         return self.pictures / f"{name}.svg"

@@ -1,28 +1,25 @@
-"""The pages of results: docs/results.md, docs/reference/measurements.md, docs/engines.md and a card for each scenario, from
-the records alone.
+"""The page docs/results.md, and the pages of measurements that only the site has, from the records alone.
 
 What is compiled anew is only compared by its digest.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from deepbots_cli.learning.runs.directories import write_text
-from tools.results import measure, physics_page, picture
+from tools.benchmarks import robot_files
+from tools.results import benchmark, benchmark_page, measure, physics_page, picture
 from tools.results.card import (
     NOTE,
-    card,
-    card_title,
     count,
     measured_on,
     number,
     outcome,
-    slug,
     table,
     wrapped,
 )
@@ -33,13 +30,14 @@ from tools.results.parts import PARTS, Holding, Part
 from tools.results.standing import Entry, Headline, Standing, quartiles
 
 Experiments = Mapping[str, Experiment]
-BY_HAND = ROOT / "docs" / "measured.md"
+BY_HAND = Places().record("by_hand")
 """Bars that no command measures."""
 
 HEAD = """\
 # Results
 
-Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves.
+Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). On the site, names link to
+seeds, curves and commands.
 
 ## Beside the paper
 """
@@ -57,8 +55,7 @@ METHOD = """\
 - **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count all environments.
-- **CPU** covers training and evaluation on two cores, ± a fifth.
-- [**Webots**](webots.md#measured): projects. [**Studio**](studio.md#measured).\
+- **CPU** covers training and evaluation on two cores, ± a fifth.\
 """
 
 
@@ -66,27 +63,30 @@ METHOD = """\
 
 
 def write(places: Places, experiments: Experiments) -> str:
-    """Write the pages, and the pictures whose data have changed; returns how many bars are met, in a
+    """Write the page, and the pictures whose data have changed; returns how many bars are met, in a
     sentence."""
-    for path, text in pages(places, experiments).items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text)
+    write_text(places.page, results(places, experiments))
     standings, tables = _measured(places, experiments)
     for standing in standings:
         picture.write(standing.experiment, standing.record, places.picture(standing.experiment.name))
     return _bars(standings, tables)
 
 
-def pages(places: Places, experiments: Experiments) -> dict[Path, str]:
-    """The text of each page by its path."""
-    standings, tables = _measured(places, experiments)
-    cards = {places.card(standing.experiment.name): card(standing) for standing in standings}
+def built(places: Places, experiments: Experiments) -> dict[str, str]:
+    """Return the pages that only the site has, by their path in the repository; nothing of them is
+    committed."""
+    _, tables = _measured(places, experiments)
     return {
-        places.page: _results(standings, tables),
-        places.measurements: _measurements(tables),
-        places.engines: physics_page.filled(places.engines.read_text(encoding="utf-8"), tables["physics"]),
-        **cards,
+        "docs/reference/measurements.md": _measurements(tables),
+        "docs/benchmark.md": benchmark_page.page(places, benchmark.TASKS),
+        **{page: fill((ROOT / page).read_text(encoding="utf-8")) for page, fill in _filled(tables)},
     }
+
+
+def _filled(tables: Mapping[str, Entry]) -> Iterator[tuple[str, Callable[[str], str]]]:
+    """Yield the pages whose tables only the site has."""
+    yield "docs/engines.md", lambda text: physics_page.filled(text, tables["physics"])
+    yield "docs/robots.md", robot_files.filled
 
 
 def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing], dict[str, Entry]]:
@@ -99,7 +99,9 @@ def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing],
 # The page of results
 
 
-def _results(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
+def results(places: Places, experiments: Experiments) -> str:
+    """Return the text of docs/results.md."""
+    standings, _ = _measured(places, experiments)
     lines = [
         HEAD,
         *table(("task", "figure", "paper", "median", "quartiles", "worst", "seeds"), _beside(standings)),
@@ -114,10 +116,7 @@ def _results(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
         *_unmeasured(standings),
         METHOD,
     ]
-    return (
-        "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}", indent="  ")])
-        + "\n"
-    )
+    return "\n".join(lines) + "\n"
 
 
 def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
@@ -161,35 +160,42 @@ def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
 def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
     names = [_link(standing.experiment) for standing in standings if Headline.of(standing) is None]
     by_matches = [f"[`{name}`](scenarios/{name}.md)" for name in REASONS]
-    text = f"[Match-ups](several-agents.md#measured): {', '.join(by_matches)}."
+    text = f"Match-ups: {', '.join(by_matches)}."
     if names:
         text = f"Not measured: {', '.join(names)}. {text}"
     yield from (*wrapped(text), "")
 
 
 def _link(experiment: Experiment) -> str:
-    return f"[{experiment.title}](results/{experiment.name}.md#{slug(card_title(experiment))})"
+    return f"[{experiment.title}]({_page_of(experiment.scenario)})"
 
 
-def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked: bool = False) -> str:
-    """How many bars are met; with links to those that are missed."""
+def _page_of(scenario: str) -> str:
+    """Return the page about a scenario, or about the one that it extends: its results are there on the
+    site."""
+    text = (ROOT / "scenarios" / f"{scenario}.yaml").read_text(encoding="utf-8")
+    extended = re.search(r"^extends: (\w+)", text, re.MULTILINE)
+    page = f"scenarios/{extended[1] if extended else scenario}.md"
+    return page if (ROOT / "docs" / page).is_file() else "worlds.md"
+
+
+def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
+    """Return how many bars are met, and which scenarios and parts miss one."""
     words: Counter[str] = Counter()
     missed = []
     for standing in standings:
         verdicts = [verdict.word for verdict in standing.verdicts()]
         words.update(verdicts)
-        missed += [_link(standing.experiment)] * ("**missed**" in verdicts)
+        missed += [standing.experiment.title] * ("**missed**" in verdicts)
     for part in PARTS:
         met = _met(tables[part.name])
         words.update("met" if one else "**missed**" for one in met)
-        missed += [f"[{part.title}]({part.page or 'reference/measurements.md'}#{slug(part.title)})"] * (
-            not all(met)
-        )
-    where = f" ({', '.join(missed)})" if linked and missed else ""
+        missed += [part.title] * (not all(met))
+    where = f" ({', '.join(missed)})" if missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
     text += f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
-    hand = _by_hand()
-    text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
+    hand = Counter(re.split(r"[,;:]", row["verdict"])[0].strip("*") for row in by_hand())
+    text += "measured by hand: "
     text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
     old = sum(
         verdict.status != "not measured"
@@ -209,17 +215,9 @@ def _met(tables: Entry) -> list[bool]:
     return [row["met"] for entry in tables.values() for row in entry["rows"] if row["met"] is not None]
 
 
-def verdicts_by_hand(text: str) -> list[tuple[str, str]]:
-    """What is measured by hand, and its verdict, which begins with a word."""
-    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in text.splitlines() if line.startswith("| ")]
-    return [(cells[0].strip(), cells[3].strip()) for cells in rows if cells[1].strip() not in ("", "bar")]
-
-
-def _by_hand() -> Counter[str]:
-    verdicts = [verdict for _, verdict in verdicts_by_hand(BY_HAND.read_text("utf-8"))]
-    return Counter(
-        "missed" if "missed" in verdict else re.split(r"[,;:]", verdict)[0] for verdict in verdicts
-    )
+def by_hand() -> list[dict[str, str]]:
+    """Return what is measured by hand; each verdict begins with a word."""
+    return [row for row in json.loads(BY_HAND.read_text(encoding="utf-8")) if row["bar"]]
 
 
 # The page of measurements
@@ -246,17 +244,8 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
         rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in entries]
         lines += table(("what", "measured", "command"), rows)
     else:
-        words = {None: "", True: "yes", False: "**no**"}
-        rows_of_bars = [
-            (
-                row["what"],
-                row["bar_words"].rstrip(),
-                f"{_value(row['measured'])} {row['unit']}".rstrip(),
-                words[row["met"]],
-            )
-            for _, row in entries
-        ]
-        lines += table(("what", "bar", "measured", "met"), rows_of_bars)
+        values = [(row["what"], f"{_value(row['measured'])} {row['unit']}".rstrip()) for _, row in entries]
+        lines += table(("what", "measured"), values)
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
         lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]

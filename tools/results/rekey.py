@@ -1,4 +1,4 @@
-"""Keys the records of docs/results anew after names in digests have changed.
+"""Keys the records of results anew after names in digests have changed.
 
     (cd OLD; PYTHONPATH=. python -P NEW/tools/results/rekey.py centred=centered) > known.json
     python -m tools.results.rekey centred=centered known.json
