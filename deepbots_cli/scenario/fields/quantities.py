@@ -52,19 +52,20 @@ def number_meant(value: object, *, whole: bool = False) -> tuple[str, Replacemen
     number = float(text) if is_number else value
     if match := re.fullmatch(r"([0-9]{1,6})([kKM])", text):
         number = float(match[1]) * (1e6 if match[2] == "M" else 1e3)
+    reading = syntax.comma_reading(text, whole=whole) if re.fullmatch(r"[-+\d.,eE]+", text) else None
+    near = reading[1] if reading else None
     if (
-        whole
-        and isinstance(number, float)
+        isinstance(number, float)
         and number.is_integer()
         and abs(number) < 1e15  # beyond 2**53, about 9e15, a float skips whole numbers
         # The point of `2.000`, which is read as 2.0, may be a thousands separator.
         and (abs(number) >= 1_000 or not re.fullmatch(r"[-+\d_]*\.\d*", str(value)))
     ):
         near = f"{int(number):_}"
+    if whole and near:
         help = f"write `{near}`; digits are grouped as in `100_000`"
         return help, Replacement(near, safe=isinstance(value, str))
-    reading = syntax.comma_reading(text, whole=whole) if re.fullmatch(r"[-+\d.,eE]+", text) else None
-    return reading and (reading[0], Replacement(reading[1], safe=True) if reading[1] else None)
+    return reading and (reading[0], Replacement(near, safe=True) if near else None)
 
 
 # Checks of numbers
