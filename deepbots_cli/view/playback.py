@@ -72,7 +72,7 @@ class Playback:
         waiting: Whether an episode waits for the first key of the person who drives.
         speed: Seconds of the episode per second of real time.
         stopped: The title and the text (HTML) of an error that ended the episode.
-        ended_at: The time (`time.monotonic`, s) from which an episode that has ended is shown; 0 before.
+        ended_at: The time (`time.monotonic`, s) from which an episode that has ended is shown.
         played, successes, best_return, last_return: The results of the page so far, with the present driver.
         last_ending: How the last episode ended, such as `failure: fallen`; empty before.
     """
@@ -104,11 +104,7 @@ class Playback:
         self.speed = 1.0
         self.stopped: tuple[str, str] | None = None
         self.ended_at = 0.0
-        self.played = 0
-        self.successes = 0
-        self.best_return = -math.inf
-        self.last_return: float | None = None
-        self.last_ending = ""
+        self._forget_results()
         self._on_begin = on_begin
         self._on_change = on_change
         self._recorded = 0
@@ -140,7 +136,8 @@ class Playback:
 
     def _forget_results(self) -> None:
         self.played = self.successes = 0
-        self.best_return, self.last_return, self.last_ending = -math.inf, None, ""
+        self.best_return, self.last_ending = -math.inf, ""
+        self.last_return: float | None = None
 
     # Episodes
 
@@ -155,8 +152,9 @@ class Playback:
         self.show_first_frame()
 
     def show_first_frame(self) -> None:
-        """Show the beginning of an episode that the players have begun."""
-        self.ended_at = 0.0
+        """Show the beginning of an episode that the players have begun, or another world, whose episode may
+        have ended."""
+        self.ended_at = time.monotonic()
         self.stopped = None
         self.waiting = self.by_hand or (self.player is not None and self.player.driver_name == HAND)
         for world in self.worlds:
@@ -185,7 +183,6 @@ class Playback:
             if isinstance(world.player, BatchPlayer):
                 world.player.choose(number)
         self.show_first_frame()
-        self.ended_at = time.monotonic()  # its episode may have ended
 
     def record(self) -> Path | None:
         """Write the episode so far as a recording. It is repeated, because the same actions from the same
@@ -248,10 +245,11 @@ class Playback:
     def pass_time(self, period: float, *, continues: bool) -> None:
         """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
         `continues`."""
-        is_pressed = (
-            self.manual_input.take_press()
-        )  # also a tap that is shorter than the time between two ticks
-        self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not is_pressed
+        self.waiting = (
+            not self.manual_input.take_press()  # also a tap that is shorter than the time between two ticks
+            and self.waiting
+            and self.worlds[0].player.driver_name == HAND
+        )
         if self.paused or self.waiting or self.stopped:
             return
         if self.has_ended:
