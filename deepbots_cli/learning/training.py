@@ -411,13 +411,6 @@ def training_of(program: Program, total_timesteps: int | None, callbacks: Sequen
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"total_timesteps must be at most {MAX_STEPS}, not {training.total_timesteps}")
-    of_several = {"self_play": training.self_play, "turns": training.turns}
-    for name, value in of_several.items():
-        if value is not None and program.others is None and not training.agents:
-            raise UsageError(
-                f"`{name}` needs a scenario with several `agents`; remove it from `train`, or see"
-                " docs/several-agents.md"
-            )
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:

@@ -632,6 +632,17 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
         assert "episode 5, step 0" in page.banner.content
 
 
+def test_time_does_not_stand_still_at_a_chosen_world_whose_episode_has_ended():
+    with closing(Page(Showing("cartpole", engine="mujoco", worlds=4), port=0, driver="random")) as page:
+        while "running 4" in page.player.note:
+            page.playback.step_once()
+        for world in range(4):
+            if page.player.frame.ended_by is None:
+                page.playback.choose_world(world)
+        page.playback.step_once()
+        assert page.playback.episode == 4
+
+
 def test_a_changed_parameter_counts_at_the_same_seed():
     with closing(Page(Showing("find_ball"), port=0)) as page:
         start, panel = page.player.frame.links, page.panel.values

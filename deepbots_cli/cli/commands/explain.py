@@ -104,6 +104,7 @@ def _lines(entry: Rule) -> Iterator[str]:
 def _suppression(rule: Rule) -> Iterator[str]:
     """Yield how to suppress a finding, or why it cannot be suppressed."""
     yield ""
+    is_about_linting = rule.family == "linting"
     if rule.preview:
         yield "The rule is in preview: it can report false findings, and runs only with --preview."
     if rule.deep == "only":
@@ -113,13 +114,14 @@ def _suppression(rule: Rule) -> Iterator[str]:
         yield f"A part of the rule needs a simulation, and runs only with {flags}."
     if rule.deep == "exploits":
         yield "The rule needs episodes of many drivers, and runs only with --exploits."
+    if rule.severity == "error" and rule.deep != "only" and not is_about_linting:
+        yield "A scenario with this error cannot be compiled."
+    if rule.severity == "error" and rule.deep == "too":
+        yield "If only --deep finds the error, the scenario can be compiled."
     if rule.severity == "error":
-        if rule.deep != "only":
-            yield "A scenario with this error cannot be compiled."
-        if rule.deep == "too":
-            yield "If only --deep finds the error, the scenario can be compiled."
-        if rule.deep:
-            yield "The finding cannot be suppressed."
+        yield "The finding cannot be suppressed."
+    elif is_about_linting:
+        yield f"No comment suppresses the finding; --ignore {rule.code} leaves it out."
     else:
         yield (
             "A comment on the line of the finding, or on the line above, suppresses it: # deepbots:"
