@@ -870,7 +870,7 @@ def test_a_run_stopped_as_solved_only_if_its_record_says_so_and_not_each_episode
         score="evaluation",
         stopped_as_solved=stopped,
     )
-    text = f"solved after 500 steps{reason}, mean return 5 and success 99.6% in evaluation"
+    text = f"solved after 500 steps{reason}, mean return 5 and success more than 99% in evaluation"
     assert result_text(run) == text
 
 
