@@ -436,9 +436,8 @@ def build(
         )
         builder = Builder(program, permissions, fixed)
         rebuild = partial(builder, engine=engine, render_mode=render_mode)
-        policies = _policies_of(program.others)
         # It has the interface of a supervisor, for one agent.
-        return cast("Supervisor", AgentEnvironment(world, program, rebuild, policies))
+        return cast("Supervisor", AgentEnvironment(world, program, rebuild, _policies_of(program.others)))
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(

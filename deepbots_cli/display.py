@@ -58,8 +58,9 @@ class Display:
             from rich.console import Console  # 60 ms, which only a terminal pays
             from rich.live import Live
 
-            console = Console(file=self._stream)
-            self._live = Live(console=console, auto_refresh=False, transient=self._transient)
+            self._live = Live(
+                console=Console(file=self._stream), auto_refresh=False, transient=self._transient
+            )
             self._live.start()
         self._live.update(content(self._live.console.height), refresh=True)
         self._drawn = now

@@ -170,8 +170,7 @@ def robot_footprint(model: RobotModel) -> Footprint:
 def half_width(model: RobotModel) -> float:
     """Return the reach of a robot's shapes from its origin, along x or y, whichever is less: its distance
     from a wall that it drives along."""
-    discs = _all_discs(model)
-    return min(max((abs(disc[axis]) + disc[2] for disc in discs), default=0.0) for axis in (0, 1))
+    return min(max((abs(disc[axis]) + disc[2] for disc in _all_discs(model)), default=0.0) for axis in (0, 1))
 
 
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:

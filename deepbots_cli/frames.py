@@ -82,8 +82,7 @@ def roll_pitch_yaw(q: Quaternion) -> Triple:
         return 0.0, copysign(pi / 2, sin_pitch), atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z))
     roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     # Rounding may take the sine beyond 1, where `asin` raises ValueError; `_VERTICAL` excludes that.
-    pitch = asin(sin_pitch)
-    return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, asin(sin_pitch), atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def normalized(q: Quaternion) -> Quaternion:

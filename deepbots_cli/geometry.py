@@ -67,8 +67,9 @@ class _Square(NamedTuple):
     @property
     def relief(self) -> Column:
         """1 between the margins of the edge and of the platform, and down to 0 at both."""
-        margin = np.minimum(self.half - self.distance, self.distance - self.platform)
-        return np.clip(margin / TILE_MARGIN_M, 0.0, 1.0)
+        return np.clip(
+            np.minimum(self.half - self.distance, self.distance - self.platform) / TILE_MARGIN_M, 0.0, 1.0
+        )
 
     @property
     def is_ring(self) -> NDArray[np.bool_]:
@@ -159,8 +160,9 @@ def tile_heights(tiles: Tiles, kind: int, level: int) -> Column:
     # `default_rng` does not fix its bit generator, and the terrain of a seed must not change with NumPy.
     random = np.random.Generator(np.random.PCG64([tiles.seed, kind, level]))
     square = _Square(x, y, np.maximum(np.abs(x), np.abs(y)), tiles.side / 2, tiles.platform / 2, random)
-    measures = {name: low + (high - low) * share for name, low, high in tile.measures}
-    return _SHAPES[tile.kind](square, **measures)
+    return _SHAPES[tile.kind](
+        square, **{name: low + (high - low) * share for name, low, high in tile.measures}
+    )
 
 
 def tile_terrain_heights(tiles: Tiles) -> Column:
@@ -451,8 +453,7 @@ def picture_pixels(data: bytes) -> NDArray[np.integer]:
 def _formula(formula: Formula) -> HeightGrid:
     """Return the heights of a formula, with the resolution of a pit along the longer side, and with square
     cells as far as possible."""
-    longer = max(formula.size)
-    columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)
+    columns, rows = (max(2, round(_PIT_CELLS * side / max(formula.size))) + 1 for side in formula.size)
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, columns) * formula.size[0], np.linspace(-0.5, 0.5, rows) * formula.size[1]
     )
@@ -541,8 +542,10 @@ def _placed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
 def _listed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
     import trimesh
 
-    loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True)
-    return np.asarray(loaded.triangles, np.float64)
+    return np.asarray(
+        trimesh.load_mesh(BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True).triangles,
+        np.float64,
+    )
 
 
 def with_masses(model: RobotModel) -> RobotModel:

@@ -47,8 +47,11 @@ def _packages_of_robot(requirement: str) -> list[str]:
     robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
     if robot is None:
         return []
-    extras = ("", *(robot[1] or "").split(","))
-    return [package for package, extra, _ in _requirements_of("deepbots-robot") if extra in extras]
+    return [
+        package
+        for package, extra, _ in _requirements_of("deepbots-robot")
+        if extra in ("", *(robot[1] or "").split(","))
+    ]
 
 
 def _is_for_this_machine(requirement: str) -> bool:

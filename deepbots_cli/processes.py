@@ -33,8 +33,7 @@ def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, st
 
     An empty entry of PYTHONPATH, which is the working directory, is left out.
     """
-    ours = str(Path(__file__).parents[1])
-    path = [ours, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    path = [str(Path(__file__).parents[1]), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path), _SAFE_PATH: "1", **(changes or {})}
 
 

@@ -10,6 +10,30 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
+def number_text(value: float, digits: int = 4, *, sign: str = "") -> str:
+    """Return a number with so many digits, or a larger one as a whole number: `12.35`, `12,346`. `sign` is
+    `+` for a sum or a difference."""
+    text = f"{value:{sign}.{digits}g}"
+    return f"{value:{sign},.0f}" if "e+" in text and abs(value) < 1e15 else text
+
+
+def rate_text(rate: float, decimals: int = 0) -> str:
+    """Return a rate or a share in percent, such as `52%`; `less than 1%` and `more than 99%` where rounding
+    would say none or all."""
+    text, step = f"{rate:.{decimals}%}", 10**-decimals
+    if not 0 < rate < 1 or float(text[:-1]) not in (0, 100):
+        return text
+    return f"less than {step:g}%" if rate < 0.5 else f"more than {100 - step:g}%"
+
+
+def beside(value: float, bar: float, digits: int = 4) -> tuple[str, str]:
+    """Return a value and the bar that it should reach as texts: the value with so many digits, or as many as
+    show on which side of the bar it lies."""
+    texts = [number_text(value, more) for more in range(digits, 18)]
+    apart = (text for text in texts if (value - bar) * (float(text.replace(",", "")) - bar) > 0)
+    return next(apart, number_text(value, 12)), number_text(bar, 12)
+
+
 def printable(text: str, kept: str = "") -> str:
     """Return a text, which may quote a file, with control and invisible characters escaped, but for those in
     `kept`."""

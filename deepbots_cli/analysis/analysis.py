@@ -220,16 +220,16 @@ class Analysis:
             return None
         if node.name not in self._components:
             value, robot = self._defined[node.name]
-            trees = self.value_on_robot(value, robot) if robot else self.scalars(value)
+            trees = self.value_on_robot(value.typed, value.owner, robot) if robot else self.scalars(value)
             names = value.components if len(trees) > 1 else (None,)
             self._components[node.name] = dict(zip(names, trees, strict=False))
         components = self._components[node.name]
         return components[node.component] if node.component in components else next(iter(components.values()))
 
-    def value_on_robot(self, value: Expression, robot: str) -> Scalars:
-        """Return a value of a robot controller, per component. Its leaves are called `robot:name`."""
+    def value_on_robot(self, typed: TypedNode, owner: str, robot: str) -> Scalars:
+        """Return a tree of a robot controller, per component. Its leaves are called `robot:name`."""
         met: dict[str, ValueType] = {}
-        trees = _CachedLowering(value.owner, met).scalars(value.typed)
+        trees = _CachedLowering(owner, met).scalars(typed)
         self.leaves.update((f"{robot}:{name}", typed) for name, typed in met.items())
         return tuple(self._on_robot(tree, robot) for tree in trees)
 
@@ -374,7 +374,7 @@ def _goal_reached(goal: Goal) -> Expression:
     """Return the definition of `goal_reached`, as if it had been written out. It has no place in the
     scenario: its owner is empty."""
     distance_text = "norm(achieved - desired)"
-    limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
+    limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".removesuffix(" 1")
     text = f"{distance_text} <= {limit}"
     end = len(distance_text)
     size = ValueType(goal.achieved.typed.type.dimension, known=Known.STEP)

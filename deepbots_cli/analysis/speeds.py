@@ -55,7 +55,7 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
             actuator = command.actuator
             if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
                 at = actuator.joints.index(joint)
-                trees = analysis.value_on_robot(command.target, robot)
+                trees = analysis.value_on_robot(command.target.typed, command.target.owner, robot)
                 speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
                 limit = actuator.max_velocity[at]
                 return speed if limit is None else min(speed, limit)

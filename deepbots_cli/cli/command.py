@@ -156,15 +156,10 @@ def _whole(text: str) -> int | None:
     try:
         return int(text)
     except ValueError:
-        from deepbots_cli.scenario.fields.quantities import count_replacement
+        from deepbots_cli.scenario.fields.quantities import number_meant
 
-        replacement = count_replacement(text)
-    try:
-        number = float(replacement or text)
-    except ValueError:
-        return None
-    # Beyond 2**53, about 9e15, a float skips whole numbers.
-    return int(number) if number.is_integer() and number < 1e15 else None
+        _, replacement = number_meant(text, whole=True) or ("", None)
+    return int(replacement.text) if replacement else None
 
 
 def seed_list(text: str) -> tuple[int, ...]:

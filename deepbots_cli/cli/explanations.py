@@ -290,7 +290,7 @@ def _unit_lines(word: str) -> Iterator[str]:
     if unit is not None:
         yield f"{word}: a unit"
         yield (
-            f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}."
+            f"1 {word} is {unit.scale / unit.divisor:.9g} {unit.dimension}".removesuffix(" 1") + "."
             if str(unit.dimension) != word
             else "It is the SI unit of its dimension."
         )

@@ -12,7 +12,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, gate_rate
-from deepbots_cli.words import counted
+from deepbots_cli.words import beside, counted
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult, GroupResult
@@ -133,10 +133,9 @@ class Gates:
             ("mean return", self.min_return, group.mean_return),
         ):
             if required is not None:
-                measured = f"{'' if name.startswith('mean') else 'mean '}{name} {mean:.4g} {over}"
-                requirements.append(
-                    Requirement(f"{name} of at least {required:g}", mean >= required, measured)
-                )
+                measured, bar = beside(mean, required)
+                words = f"{'' if name.startswith('mean') else 'mean '}{name} {measured} {over}"
+                requirements.append(Requirement(f"{name} of at least {bar}", mean >= required, words))
         remarks = in_parentheses(
             words for evaluation in group.evaluations for words in evaluation.circumstances
         )

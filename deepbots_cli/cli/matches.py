@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.cli import records
 from deepbots_cli.cli.tables import table
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.agents.matches import Match, MatchTable
@@ -50,11 +51,11 @@ def _cell(result: MatchTable, match: Match) -> str:
     if scores.success_rate is not None:
         return _with_interval(scores.success_rate, scores.success_interval)
     interval = records.interval_text(scores.return_interval)
-    return f"{scores.mean_return:.4g}{f' ({interval})' if interval else ''}"
+    return f"{number_text(scores.mean_return)}{f' ({interval})' if interval else ''}"
 
 
 def _with_interval(share: float, interval: tuple[float, float] | None) -> str:
-    return f"{share:.0%} ({records.interval_text(interval, '{:.0%}'.format)})"
+    return f"{rate_text(share)} ({records.interval_text(interval, rate_text)})"
 
 
 def _swapped(match: Match) -> Match:

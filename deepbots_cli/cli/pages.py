@@ -49,7 +49,10 @@ Open = Annotated[bool, option("--open", "Open the page in the browser.")]
 Episode = Annotated[
     int,
     integer(
-        "--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0, group=EPISODES
+        "--episode K",
+        "Begin with the start of held-out episode K of `deepbots eval`, counted from 0.",
+        0,
+        group=EPISODES,
     ),
 ]
 

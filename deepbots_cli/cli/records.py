@@ -23,7 +23,7 @@ from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResu
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
 from deepbots_cli.learning.runs.verdict import run_verdict
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
@@ -89,10 +89,10 @@ def number(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    return f"{share:.1%}"
+    return f"{rate_text(share, 1)}"
 
 
-def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = "{:.4g}".format) -> str:
+def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = number_text) -> str:
     """Return an interval as the text of a cell."""
     return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
 
@@ -176,7 +176,7 @@ def training_text(result: TrainingResult) -> str:
         mean = agents_text(result.agents) if result.agents else f"{result.mean_return:.1f}"
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
-        rows["success rate"] = f"{result.success_rate:.0%} of these episodes"
+        rows["success rate"] = f"{rate_text(result.success_rate)} of these episodes"
     at = result.confirmed_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"

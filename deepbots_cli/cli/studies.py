@@ -16,7 +16,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.campaigns.study import Study, StudyReporter, StudyTrial, TrialProgress
 from deepbots_cli.learning.campaigns.trials import run_study
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, rate_text
 
 _MAX_SHOWN = 10
 """The number of trials in the table; --json has all."""
@@ -134,7 +134,7 @@ def _row(study: Study, trial: StudyTrial) -> Row:
         "solved": f"{len(solved)} of {len(trial.seeds)}",
         "steps": round(fmean(solved)) if solved else None,
         "return": trial.mean_return,
-        "success": None if trial.success_rate is None else f"{trial.success_rate:.1%}",
+        "success": None if trial.success_rate is None else f"{rate_text(trial.success_rate, 1)}",
     }
 
 

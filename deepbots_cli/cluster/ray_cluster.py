@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -28,14 +29,15 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.processes import python_script
 
 _ADDRESS_TIMEOUT_S = 5.0
+_HOST = re.compile(r"[\w-]{1,63}(\.[\w-]{1,63})*\.?|\[[\da-f:.]+\]", re.ASCII | re.IGNORECASE)
 _EXCHANGE_INTERVAL_S = 0.3
 _EXCHANGE_TIMEOUT_S = 10.0
 _SILENT: Mapping[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
 _WITNESS = """
 import sys
-last = sys.stdin.read().splitlines()[-1]
-if last:
-    print(last, file=sys.stderr)
+last = sys.stdin.read().splitlines()[-1:]
+if any(last):
+    print(*last, file=sys.stderr)
 """
 
 
@@ -350,7 +352,7 @@ def _check_address(address: str) -> None:
     if address == "auto":
         return
     host, _, port = address.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
+    if not _HOST.fullmatch(host) or not port.isdecimal() or int(port) > 65535:
         raise UsageError(
             f"'{address}' is not an address of a Ray cluster; write HOST:PORT, such as 10.0.0.5:6379, or auto"
         )

@@ -43,8 +43,8 @@ from deepbots_cli.compiler.agents import (
     played_agent,
     program_among_others,
     report_foreign_values,
+    report_keys_of_several,
     report_own_names,
-    report_role_alone,
     with_sections,
 )
 from deepbots_cli.compiler.controllers import RobotBuilder, commanded
@@ -145,20 +145,24 @@ class CheckedScenario:
                 namespace.release()
 
 
-def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
+def check(document: Document, *, to_train: bool = False, is_alone: bool = True) -> CheckedScenario:
     """Run all passes that can run; every problem ends up in `findings`, unless they are too many.
 
-    `to_train` chooses the learner of a scenario without `train` too.
+    `to_train` chooses the learner of a scenario without `train` too. `is_alone` is False for the scenario of
+    one of several agents.
     """
     # Other texts of the document are not corrected in turn.
-    verify_fix(document, lambda other: len(_all_passes(other, to_train=to_train).findings.errors))
-    return _all_passes(document, to_train=to_train)
+    passes = partial(_all_passes, to_train=to_train, is_alone=is_alone)
+    verify_fix(document, lambda other: len(passes(other).findings.errors))
+    return passes(document)
 
 
-def _all_passes(document: Document, *, to_train: bool) -> CheckedScenario:
+def _all_passes(document: Document, *, to_train: bool, is_alone: bool) -> CheckedScenario:
     try:
         if has_several_agents(document):
             return _check_agents(document, to_train=to_train)
+        if is_alone:
+            report_keys_of_several(document)
         checked = _check(document)
         train = checked.spec.train if checked.spec is not None else None
         if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
@@ -202,7 +206,8 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     if divided is None:
         return CheckedScenario(document, document.findings)
     agents = {
-        name: check(agent_document, to_train=to_train) for name, agent_document in divided.documents.items()
+        name: check(agent_document, to_train=to_train, is_alone=False)
+        for name, agent_document in divided.documents.items()
     }
     joined_findings(
         document.findings,
@@ -262,10 +267,15 @@ def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedSce
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return CheckedScenario(document, findings)
-    report_role_alone(document)
     invalid = invalid_names(document.root, spec.pruned, (finding.span for finding in findings.errors))
     namespace = Namespace(
-        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid),
+        ValueReader(
+            document.root,
+            findings,
+            {path: kind for path, kind, _ in visit_values(spec)},
+            invalid,
+            spec.pruned,
+        ),
         document,
         spec,
         sent,

@@ -710,10 +710,10 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
     return replace(document, root=replace(root, entries={**root.entries, AGENTS: agents}))
 
 
-def report_role_alone(document: Document) -> None:
+def report_keys_of_several(document: Document) -> None:
     """Report the keys of several agents in a scenario without `agents`."""
-    for key in (ENDINGS, ROLE):
-        entry = document.root.entries.get(key) if document.root is not None else None
+    for *section, key in ((ENDINGS,), (ROLE,), ("train", "self_play"), ("train", "turns")):
+        entry = entries_at(document.root, *section).get(key)
         if entry is not None:
             document.findings.add(
                 "DB101",

@@ -181,22 +181,38 @@ def _hyperparameters(settings: Mapping[str, Any], values: ValueReader) -> tuple[
         parameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
         rate = max(ramp) if ramp else value
         if name == "learning_rate" and isinstance(rate, int | float) and rate > _MAX_LEARNING_RATE:
-            headline = f"a learning rate of {rate:g} is unusually high"
-            values.add("DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`")
+            values.add(
+                "DB505",
+                ("train", name),
+                f"a learning rate of {rate:g} is unusually high",
+                "write a rate from 1e-5 to 1e-2, such as `3e-4`",
+            )
     return tuple(parameters)
 
 
 def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
     if train.shards > train.environments:
-        headline = f"`shards` is {train.shards}, but `environments` is only {train.environments}"
-        values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
+        values.add(
+            "DB105",
+            ("train", "shards"),
+            f"`shards` is {train.shards}, but `environments` is only {train.environments}",
+            "use at most one shard for each environment",
+        )
     path = ("train", "staleness")
     if train.staleness and train.shards == 1:
-        help = "set `shards` to at least 2, or leave out `staleness`"
-        values.add("DB105", path, "only shards may act with older weights", help)
+        values.add(
+            "DB105",
+            path,
+            "only shards may act with older weights",
+            "set `shards` to at least 2, or leave out `staleness`",
+        )
     if train.staleness and train.teacher is not None:
-        headline = "with a teacher, shards cannot act with older weights"
-        values.add("DB105", path, headline, "leave out `staleness` or `teacher`")
+        values.add(
+            "DB105",
+            path,
+            "with a teacher, shards cannot act with older weights",
+            "leave out `staleness` or `teacher`",
+        )
 
 
 def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:
@@ -229,8 +245,12 @@ def _hindsight(hindsight: HindsightSpec | str | None, namespace: Namespace) -> H
         return None
     values = namespace.values
     if namespace.scenario.goal is None and not values.is_invalid("goal"):
-        help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
-        values.add("DB102", ("train", "replay"), "hindsight replay without a `goal`", help)
+        values.add(
+            "DB102",
+            ("train", "replay"),
+            "hindsight replay without a `goal`",
+            "add a `goal` with `achieved` and `desired`, or remove `replay`",
+        )
     return (
         Hindsight(hindsight.n_sampled_goal, hindsight.goal_selection_strategy)
         if isinstance(hindsight, HindsightSpec)
@@ -280,12 +300,18 @@ def _refusal(
     if "ranges" not in acts_by and intervals:
         return f"`{name}` supports only discrete actions", "define one action with `choices`"
     if acts_by == {"ranges"} and len(intervals) < len(action):
-        ranged = f"make every action a range: `{action[0].name}: -1 .. 1`"
-        return f"{name} supports only continuous actions", ranged
+        return (
+            f"{name} supports only continuous actions",
+            f"make every action a range: `{action[0].name}: -1 .. 1`",
+        )
+    if getattr(train, "use_sde", None) and len(intervals) < len(action):
+        return "`use_sde` explores ranges, and no choices", "remove `use_sde`"
     if not kind.uses_masks and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
         return f"{name} ignores `forbid`", "remove `forbid`"
+    if train.teacher is not None and kind.is_recurrent:
+        return f"`{name}` cannot learn from a teacher", "remove `teacher`"
     if train.symmetry is not None and not (kind.mirrors and train.teacher is None):
         learner = "a training with a teacher" if kind.mirrors else name
         return f"{learner} cannot learn from mirror images", "remove `symmetry`"

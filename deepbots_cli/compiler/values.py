@@ -27,6 +27,7 @@ from deepbots_cli.document.nodes import (
     SequenceNode,
     descend,
     to_data,
+    without_paths,
 )
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import ACCELERATION, NUMBER, Dimension
@@ -441,8 +442,9 @@ class ScopedExpression(NamedTuple):
 class ValueReader:
     """Reads the values of one scenario.
 
-    `kinds` has the field type at each path; `invalid` has the names whose definitions had findings. The
-    expressions that were read are kept in `readings`, for editors.
+    `kinds` has the field type at each path; `invalid` has the names whose definitions had findings, and
+    `pruned` the paths that the schema took out, whose fields have their defaults. The expressions that were
+    read are kept in `readings`, for editors.
     """
 
     def __init__(
@@ -451,8 +453,10 @@ class ValueReader:
         findings: Findings,
         kinds: Table[NodePath, FieldType],
         invalid: Iterable[str] = (),
+        pruned: Iterable[NodePath] = (),
     ) -> None:
         self.root = root
+        self._valid = without_paths(root, pruned)
         self.findings = findings
         self.readings: list[ScopedExpression] = []
         self._kinds = kinds
@@ -481,7 +485,7 @@ class ValueReader:
     def text(self, path: NodePath, default: object = None) -> SourceText:
         """Return the text at `path`; a text that the file leaves out has the place of the nearest node around
         it."""
-        node, _, steps = descend(self.root, path)
+        node, _, steps = descend(self._valid, path)
         if steps == len(path) and isinstance(node, ScalarNode):
             return SourceText(node.text, node.part, self._kinds.get(path), path)
         span = node.span
@@ -701,8 +705,7 @@ class ValueReader:
             if constants
             else (value.type.interval.low, value.type.interval.high)
         )
-        minimum = kind.minimum
-        maximum = kind.maximum
+        minimum, maximum = kind.minimum, kind.maximum
         unit = str(value.type.dimension)
         if (
             minimum is not None

@@ -303,6 +303,9 @@ _COMMENT = re.compile(
 )
 # Possessive: a line of 1 MiB may hold thousands of comments.
 _BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
+_COMMENTS_TO_LINE_END = re.compile(
+    r"(?:(?!-->)[^\n])*+(?:-->(?:[ \t]|<!--(?:(?!-->)[^\n])*+-->)*+)?\r?$", re.MULTILINE
+)
 _CODE = re.compile(r"[^\s,]+")
 _MAX_CODES = 1000
 """The maximum number of codes that are read in one file; a file of 1 MiB may have tens of thousands."""
@@ -456,7 +459,11 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
     before = 0
     for comment in _COMMENT.finditer(source.text):
         line, column = source.position(comment.start())
-        alone = line != before and not source.text[comment.start() - column + 1 : comment.start()].strip()
+        alone = (
+            line != before
+            and not source.text[comment.start() - column + 1 : comment.start()].strip()
+            and (comment[0][0] != "<" or _COMMENTS_TO_LINE_END.match(source.text, comment.end()))
+        )
         before = line
         codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
         if not codes:
@@ -495,8 +502,7 @@ def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool, has_er
 def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
     if (retired := retired_rule_message(entry.code)) is not None:
-        removal = Fix((entry.removal,), safe=True)
-        return Finding("DB901", entry.span, retired, entry.help, fix=removal)
+        return Finding("DB901", entry.span, retired, entry.help, fix=Fix((entry.removal,), safe=True))
     if rule is None:
         near = nearest_word(entry.code, RULES)
         help = f"did you mean {near}?" if near else "a code has the form DB603"

@@ -14,7 +14,11 @@ _IF = re.compile(
     r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
     r"(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
 )
-_TERNARY = re.compile(r"\s*(?P<open>[^?:]+?)\s*\?\s*(?P<value>[^?:]+?)\s*:\s*(?P<otherwise>[^?:]+?)\s*")
+_SIDE = r"(?:[^?:()]|\((?:[^?:()]|\([^?:()]*\))*\))+?"
+_TERNARY = re.compile(
+    rf"\s*(?P<left>\()?\s*(?P<open>{_SIDE})\s*\?\s*(?P<value>{_SIDE})\s*:\s*(?P<otherwise>{_SIDE})\s*"
+    r"(?P<right>(?(left)\)))\s*"
+)
 _BARS = re.compile(r"\|([^|]+)\|")
 _MAX_LENGTH = 200
 
@@ -28,7 +32,8 @@ def conditional(text: str) -> str | None:
     if match is None:
         return None
     condition = match.groupdict().get("group") or match["open"]
-    return f"{match['value']} if {condition.strip()} else {match['otherwise']}"
+    left, right = (match.groupdict().get(side) or "" for side in ("left", "right"))
+    return f"{left}{match['value']} if {condition.strip()} else {match['otherwise']}{right}"
 
 
 def without_bars(text: str) -> str | None:

@@ -157,8 +157,7 @@ class _Painter:
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
             # The text of an option is a single value, in which a line number is useless.
-            is_option = source.name.startswith("--set ")
-            where = f"--set {shortened(source.text)}" if is_option else first.location
+            where = f"--set {shortened(source.text)}" if source.name.startswith("--set ") else first.location
             lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
             lines.extend(
                 f"{' ' * gutter}    included from {escaped(span.location)}" for span in source.inclusion_chain
@@ -301,8 +300,8 @@ def sarif(findings: Sequence[Finding], explain: ExplainRule) -> str:
         "columnKind": "unicodeCodePoints",
         "results": [_result(finding, codes.index(finding.code)) for finding in findings],
     }
-    schema = "https://json.schemastore.org/sarif-2.1.0.json"
-    return json.dumps({"$schema": schema, "version": "2.1.0", "runs": [run]}, indent=2) + "\n"
+    log = {"$schema": "https://json.schemastore.org/sarif-2.1.0.json", "version": "2.1.0", "runs": [run]}
+    return json.dumps(log, indent=2) + "\n"
 
 
 def _rule(code: str, explain: ExplainRule) -> JsonObject:

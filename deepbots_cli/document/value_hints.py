@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document.nodes import Node, ScalarNode
 from deepbots_cli.document.syntax_hints import GLUED, MAX_SHOWN, missing_colon
+from deepbots_cli.expressions.syntax import comma_reading
 
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""
@@ -21,7 +22,6 @@ _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
 _COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
 _WHOLE_PART, _DECIMALS = re.compile(r"(?<![\w.])[0-9]+$"), re.compile(r",[0-9]")
-_THOUSANDS = re.compile(r",\d{3}(?!\d)")
 _COMMA_HELP = (
     "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 )
@@ -37,8 +37,6 @@ _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
 _RADIX = re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)")
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,([0-9]+)")
-_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
 _GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
 
@@ -102,12 +100,8 @@ def report_decimal_commas(
         else:
             last = None
     for span in cut:
-        text, fix = span.text.replace(",", "."), None
-        help = f"write a decimal point: `{text}`"
-        if _THOUSANDS.search(span.text):
-            help = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
-        else:
-            fix = Fix((Edit(span, text),), safe=False)
+        help, text = comma_reading(span.text) or (_COMMA_HELP + "put a value with a comma in quotes", None)
+        fix = Fix((Edit(span, text),), safe=False) if text else None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 
@@ -179,7 +173,7 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
 
 def number_fix(span: Span) -> Fix | None:
     """Return the fix of an odd number where a number is needed; None if it can be read in several ways."""
-    odd = _odd_number(span.text)
+    odd = None if "," in span.text else _odd_number(span.text)  # the field reads commas itself
     return Fix((Edit(span, odd[2]),), safe=True) if odd and odd[2] else None
 
 
@@ -200,21 +194,8 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
             f"write {int(text, 0)}",
             str(int(text, 0)),
         )
-    if decimal := _DECIMAL_COMMA.fullmatch(text):
-        number = text.replace(",", ".")
-        certain = len(decimal[1]) != 3  # `1,500` may be either
-        return (
-            f"`{text}` is read as text, because decimals need a point",
-            f"write {number} for a decimal",
-            number if certain else None,
-        )
-    if _COMMAS.fullmatch(text):
-        number = text.replace(",", "_")
-        return (
-            f"`{text}` is read as text, because decimals need a point",
-            f"write {number}",
-            number if _GROUPED.fullmatch(number) else None,
-        )
+    if reading := comma_reading(text):
+        return f"`{text}` is read as text, because decimals need a point", *reading
     if _SEXAGESIMAL.fullmatch(text):
         return (
             f"`{text}` is read as text, but YAML 1.1 reads it as a number in base 60",

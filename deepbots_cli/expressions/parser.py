@@ -40,6 +40,7 @@ from deepbots_cli.expressions.syntax import (
     Unary,
     Vector,
     children,
+    comma_reading,
     depth,
     tokens,
 )
@@ -716,18 +717,15 @@ def _closing_offset(tokens: list[Token], opening: Token) -> int:
 def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replacement | None]:
     if tokens[at + 1].kind == "END":
         return "a comma at the end", "remove it", Replacement("", safe=True)
-    integer, comma, decimals = tokens[at - 1 : at + 2]
-    if (
-        integer.text.isdigit()
-        and decimals.text.isdigit()
-        and integer.end == comma.start
-        and comma.end == decimals.start
+    end = at
+    while tokens[end].start == tokens[end - 1].end and (
+        tokens[end].kind == "NUMBER" or tokens[end].text == ","
     ):
-        return (
-            "a comma in a number",
-            f"write a decimal point: `{integer.text}.{decimals.text}`",
-            Replacement(".", safe=False),
-        )
+        end += 1
+    number = "".join(token.text for token in tokens[at - 1 : end])
+    if reading := comma_reading(number):
+        is_decimal = reading[1] == number.replace(",", ".")
+        return "a comma in a number", reading[0], Replacement(".", safe=False) if is_decimal else None
     return "unexpected `,`", _HINTS[","].help, None
 
 

@@ -21,6 +21,7 @@ from deepbots_cli.insight.training import TrainingEvidence, usual_settings
 from deepbots_cli.learning.runs.decline import Decline
 from deepbots_cli.program.task import Schedule
 from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import number_text, rate_text
 
 SUSPECTED = 0.5
 """The weight from which a setting is named; settings of shipped scenarios stay below."""
@@ -99,7 +100,8 @@ def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
             **numbers,
             "likelihood": 0.5,
             "fall": sentence(text),
-            "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays"
+            "reasons": f"Meanwhile the mean return rose from {number_text(before)} to {number_text(after)}:"
+            " the reward pays"
             " for something other than"
             f" success{_paying_term(evidence)}.",
             "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
@@ -150,7 +152,8 @@ def _paying_term(evidence: TrainingEvidence) -> str:
     return (
         ""
         if rise is None
-        else f". The term '{rise[0]}' rose most, from {rise[1]:.4g} to {rise[2]:.4g} per episode"
+        else f". The term '{rise[0]}' rose most, from {number_text(rise[1])} to {number_text(rise[2])} per"
+        " episode"
     )
 
 
@@ -242,12 +245,12 @@ def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     if size <= 0:
         return None
     weight = math.log(high / _USUAL_RETURN) / math.log(_LARGE_RETURN) if high > 0 else 0.0
-    reason = f"the rewards are large: the returns of evaluations are up to {high:,.4g}"
+    reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
     explained = _since(evidence, "train/explained_variance", fall.best_steps)
     if len(explained):
         median = float(np.median(explained))
         weight += 0.3 if median < 0.3 else 0.0
-        reason += f", and the critic explains {max(0.0, median):.0%} of their variance"
+        reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
     return Suspect("train.normalize", "", "reward", reason, weight)
 
 

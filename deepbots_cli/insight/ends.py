@@ -4,6 +4,7 @@ best one."""
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from shlex import quote
 from typing import Any
 
@@ -19,6 +20,7 @@ from deepbots_cli.insight.training import (
     usual_settings,
 )
 from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.words import number_text, rate_text
 
 TOTAL_TIMESTEPS = "train.total_timesteps"
 """The setting whose new value continues a training. A new value of another setting begins another
@@ -98,16 +100,16 @@ def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
 )
 def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
     length, success, trend = training_length(evidence), success_trend(evidence), return_trend(evidence)
-    measure, form = "mean return", "{:.3g}"
+    measure, form = "mean return", partial(number_text, digits=3)
     if success.direction == "rises":
-        measure, form, trend = "success rate", "{:.1%}", success
+        measure, form, trend = "success rate", partial(rate_text, decimals=1), success
     elif plateau(evidence) is not None:
         return None
     if trend.direction == "rises":
         numbers = {**length, "first": trend.before, "last": trend.late, "gain": trend.gain}
         if measure == "mean return" and (too_slow := _too_slow(evidence, trend)) is not None:
             return {**numbers, **too_slow}
-        before, late = (form.format(value) for value in (trend.before, trend.late))
+        before, late = (form(value) for value in (trend.before, trend.late))
         whole = f"stage '{evidence.stage}'" if evidence.stage else "the training"
         return {
             **numbers,
@@ -146,7 +148,8 @@ def _too_slow(evidence: TrainingEvidence, trend: Trend) -> dict[str, Any] | None
     return {
         "likelihood": 0.6,
         "finding": "The policy learns too slowly: the mean return of the last quarter of the training is"
-        f" {trend.late:.3g}, {trend.gain:.3g} above that of the second. At this rate, {solved.mean_return:g}"
+        f" {number_text(trend.late, 3)}, {number_text(trend.gain, 3)} above that of the second. At this rate,"
+        f" {solved.mean_return:g}"
         f" is about {float(f'{steps:.2g}'):,.0f} steps away",
         "left": steps,
         "advice": f"Change something before you train longer: {change}.",

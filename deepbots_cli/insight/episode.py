@@ -31,7 +31,7 @@ from deepbots_cli.insight.statements import (
 )
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.learning.runs.episodes import agent_returns
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, number_text, rate_text
 
 
 def explain(trace: Trace) -> list[Statement]:
@@ -110,7 +110,7 @@ def _length(trace: Trace) -> dict[str, Any]:
         "what": trace.title,
         "steps": trace.steps,
         "length": counted(trace.steps, "step"),
-        "seconds": _seconds(trace.time),
+        "seconds": _seconds(trace.steps * trace.program.period),  # without the step that fails
     }
 
 
@@ -278,16 +278,21 @@ def terms(trace: Trace) -> Numbers | None:
         "total": _total(trace, sums),
         "terms": sums,
         "shares": shares,
-        "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()]),
+        "parts": list_text(
+            [
+                f"{name} {number_text(sums[name], sign='+')} ({rate_text(share)})"
+                for name, share in shares.items()
+            ]
+        ),
     }
 
 
 def _total(trace: Trace, sums: Mapping[str, float]) -> str:
     """Return the beginning of a sentence about the return, of agents that compete the return of each."""
     if not trace.program.has_rivals:
-        return f"The return is {trace.returns:.4g}"
+        return f"The return is {number_text(trace.returns)}"
     returns = agent_returns(trace.program.members, sums)
-    return f"The returns are {list_text([f'{name} {value:.4g}' for name, value in returns.items()])}"
+    return f"The returns are {list_text([f'{name} {number_text(value)}' for name, value in returns.items()])}"
 
 
 @statement(
@@ -370,7 +375,7 @@ def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     if not by_name:
         return None
     shares = dict(sorted(by_name.items(), key=lambda entry: -entry[1]))
-    parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005]
+    parts = [f"{name} in {rate_text(share)}" for name, share in shares.items() if share >= 0.005]
     return {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"}
 
 
@@ -387,7 +392,7 @@ def choices(trace: Trace) -> Numbers | None:
         for p, times_by_option in zip(parts, counts, strict=True)
     }
     sentences = [
-        f"{name} {option} in {share:.0%}"
+        f"{name} {option} in {rate_text(share)}"
         for name, times_by_option in options.items()
         for option, share in list(times_by_option.items())[:MAX_LISTED]
     ]

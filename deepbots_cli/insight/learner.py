@@ -14,6 +14,7 @@ from deepbots_cli.insight.stages import criterion, hides_success, needs_explorat
 from deepbots_cli.insight.statements import Numbers, Percentage, sentence, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, return_trend
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
+from deepbots_cli.words import number_text
 
 _LARGE_RETURN = 1000.0
 """The absolute mean return from which a critic of the usual learning rate falls behind: CartPole with 1000
@@ -295,7 +296,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
         "last_evaluation": last,
         "evaluated": ""
         if last is None
-        else f", and that of the last evaluation, without exploration, {last:.3g}",
+        else f", and that of the last evaluation, without exploration, {number_text(last, 3)}",
         "wanted": min(0.01, 0.1 * weight),
         "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"},
     }

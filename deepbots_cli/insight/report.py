@@ -52,7 +52,7 @@ from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.players import open_player
 from deepbots_cli.view.training_logs import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -225,12 +225,12 @@ class Report:
         rows: list[tuple[str, ...]] = []
         for shown in self.runs:
             log, result = shown.log, shown.run.record.result
-            ends = {stage.name: f"{stage.value:.4g}" for stage in result.stages} if result else {}
+            ends = {stage.name: f"{number_text(stage.value)}" for stage in result.stages} if result else {}
             evaluations = (
                 dict(zip(log.evaluation_stages, log.evaluations[1], strict=True)) if log.evaluations else {}
             )
             for start in log.stages:
-                last = f"{evaluations[start.name]:.4g}" if start.name in evaluations else ""
+                last = f"{number_text(evaluations[start.name])}" if start.name in evaluations else ""
                 rows.append(
                     (shown.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last)
                 )
@@ -243,9 +243,11 @@ class Report:
         if folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
         group = GroupResult(self.path.name, tuple(evaluations))
-        text = "mean return " + _over_seeds("{:.4g}", group.mean_return, group.return_interval)
+        text = "mean return " + _over_seeds(number_text, group.mean_return, group.return_interval)
         if group.success_defined:
-            text += ", success rate " + _over_seeds("{:.1%}", group.success_rate, group.success_interval)
+            text += ", success rate " + _over_seeds(
+                partial(rate_text, decimals=1), group.success_rate, group.success_interval
+            )
         answers = [shown.verdict.solved for shown in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
         remarks = in_parentheses(words for evaluation in evaluations for words in evaluation.remarks)
@@ -270,10 +272,10 @@ class Report:
         }
         if "mean_return" not in scores:  # the training is older than this scalar
             return text
-        rate = f"success rate {scores['success_rate']:.1%}, " if "success_rate" in scores else ""
+        rate = f"success rate {rate_text(scores['success_rate'], 1)}, " if "success_rate" in scores else ""
         stage = ", in the last stage that began" if any(log.stages for log in logs) else ""
         starts = "" if is_recording else f" from the starts of the evaluations during the training{stage}"
-        return f"{text} Its own score{starts}: {rate}mean return {scores['mean_return']:.4g}."
+        return f"{text} Its own score{starts}: {rate}mean return {number_text(scores['mean_return'])}."
 
     @property
     def declines(self) -> list[str]:
@@ -335,8 +337,9 @@ class Report:
                     if abs(again - episode.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
                             f"episode {episode.number} of seed {shown.run.record.seed} has the return"
-                            f" {again:.4g} when it is run again, but "
-                            f"{episode.outcome.total_return:.4g} in the evaluation: the versions or the"
+                            f" {number_text(again)} when it is run again, but "
+                            f"{number_text(episode.outcome.total_return)} in the evaluation: the versions or"
+                            " the"
                             " machine differ; "
                             "the path and the clip show the new episode"
                         )
@@ -578,9 +581,9 @@ def _name(run: Run, text: Text) -> str:
     return str(path.relative_to(run.path)) if path.is_relative_to(run.path) else text.name
 
 
-def _over_seeds(form: str, mean: float, interval: Interval | None) -> str:
-    low, high = map(form.format, interval or (mean, mean))
-    return form.format(mean) + (f" (95 % interval over seeds {low} .. {high})" if interval else "")
+def _over_seeds(form: Callable[[float], str], mean: float, interval: Interval | None) -> str:
+    low, high = map(form, interval or (mean, mean))
+    return form(mean) + (f" (95 % interval over seeds {low} .. {high})" if interval else "")
 
 
 def _standing(player: Player, episodes: Sequence[ReportEpisode]) -> list[list[Triple]]:

@@ -21,6 +21,7 @@ from deepbots_cli.insight.training import (
     return_trend,
     success_trend,
 )
+from deepbots_cli.words import number_text, rate_text
 
 _LIMITS = ("max_steps", "max_time")
 _CLEARLY_MORE = 0.05
@@ -84,8 +85,8 @@ def reward_exploited(evidence: TrainingEvidence) -> Numbers | None:
     if term and extra[term] > 0:
         term_text = f"'{term}'"
         paying = (
-            f" {term_text} pays most of the difference: {terms[term]:.3g} per episode, and"
-            f" {example.terms.get(term, 0.0):.3g}"
+            f" {term_text} pays most of the difference: {number_text(terms[term], 3)} per episode, and"
+            f" {number_text(example.terms.get(term, 0.0), 3)}"
         )
         paying += f" in {example.episode}."
     once = f"Let {term_text} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
@@ -239,7 +240,12 @@ def ending_early_pays(evidence: TrainingEvidence) -> Numbers | None:
         return None
     prices = [(name, evidence.facts.price_of(name)) for name in evidence.program.failures]
     priced = list_text(
-        [f"'{name}' costs {-cost:.3g} now" for name, cost in prices if cost is not None and cost < 0] or [""]
+        [
+            f"'{name}' costs {number_text(-cost, 3)} now"
+            for name, cost in prices
+            if cost is not None and cost < 0
+        ]
+        or [""]
     )
     price = f"make a failure cost more than the steps that it saves{f' ({priced})' if priced else ''}"
     correlated = f", and longer episodes have lower returns (correlation {together:.3g})" if costs else ""
@@ -291,10 +297,13 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
         return None
     largest = sorted(saved, key=lambda term: -saved[term])
     costs = list_text(
-        [f"'{term}' went from {ends[term][0]:.3g} to {ends[term][1]:.3g} per episode" for term in largest]
+        [
+            "'{}' went from {} to {} per episode".format(term, *(number_text(end, 3) for end in ends[term]))
+            for term in largest
+        ]
     )
     return {
-        "sooner": f" '{name}' ends {Percentage(count / len(late)):.0%} of them after {now:.0f} steps on"
+        "sooner": f" '{name}' ends {rate_text(count / len(late))} of them after {now:.0f} steps on"
         " average; the first episodes"
         f" of the training lasted {before:.0f}.",
         "saving": f" The shorter episodes save costs: {costs}.",
@@ -315,13 +324,14 @@ def _going_on(evidence: TrainingEvidence) -> Numbers:
         return {"going_on": ""}
     fail, last = float(failed.mean()), float(lasted.mean())
     text = (
-        f" The mean return is {fail:.3g} for a failure, and {last:.3g} for an episode that reaches its limit"
+        f" The mean return is {number_text(fail, 3)} for a failure, and {number_text(last, 3)} for an episode"
+        " that reaches its limit"
     )
     returns = {"failing": fail, "lasting": last}
     if len(won) and (win := float(won.mean())) > fail > last:
         returns |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
         text += (
-            f"; for a success it is {win:.3g}, so continuing pays only if at least"
+            f"; for a success it is {number_text(win, 3)}, so continuing pays only if at least"
             f" {returns['break_even']:.0%} of such episodes succeed"
         )
     return {**returns, "going_on": f"{text}."}
@@ -416,8 +426,9 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
     if won.sum() >= MIN_EPISODES:
         gained = float(evidence.episodes.returns[won].mean())
         compared = (
-            f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of"
-            f" late ones without {stayed:.3g}."
+            f"The mean return of {int(won.sum()):,} episodes with success is {number_text(gained, 3)}, that"
+            " of"
+            f" late ones without {number_text(stayed, 3)}."
         )
         if gained > stayed + 0.1 * abs(stayed):
             return None
@@ -472,7 +483,10 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
     ]
     returns, success, term = return_trend(evidence), success_trend(evidence), rising_term(evidence)
     rising = (
-        "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
+        ""
+        if term is None
+        else f" '{term[0]}' rises most, from {number_text(term[1], 3)} to {number_text(term[2], 3)} per"
+        " episode."
     )
     error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
     numbers = {
@@ -485,8 +499,8 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
     }
     if won.mean() < lost.mean() - error:
         how = (
-            f"the mean return is {won.mean():.3g} in {len(won):,} episodes with success, and"
-            f" {lost.mean():.3g} in {len(lost):,} without"
+            f"the mean return is {number_text(won.mean(), 3)} in {len(won):,} episodes with success, and"
+            f" {number_text(lost.mean(), 3)} in {len(lost):,} without"
         )
         return {**numbers, "likelihood": 0.925, "how": how}
     falls = rates[1].high < rates[0].low
@@ -499,7 +513,8 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
     if returns.direction != "rises" or not (falls or flat):
         return None
     how = (
-        f"the mean return of the last quarter is {returns.late:.3g}, {returns.gain:.3g} above that of the"
+        f"the mean return of the last quarter is {number_text(returns.late, 3)},"
+        f" {number_text(returns.gain, 3)} above that of the"
         " second, and the success rate "
     )
     how += f"went from {rates[0]} in the first quarter to {rates[1]} in the last one"
@@ -568,7 +583,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     )
     if solved is not None and required is not None:
         remedy = (
-            f"Ask for a return that is possible, such as `mean_return >= {np.floor(98 * mean) / 100:.3g} over"
+            f"Ask for a return that is possible, such as `mean_return >= {np.floor(98 * mean) / 100:g} over"
             f" {solved.episodes} episodes`, or raise what limits it: the time of an episode, or the speed of"
             " the robot. More exploration or a longer training cannot."
         )
@@ -583,7 +598,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "what": sample,
         "bound": bound if bound < np.inf else None,
         "required": required,
-        "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if is_near else "",
+        "bounded": f" The reward allows at most {number_text(bound)} in {steps:,} steps." if is_near else "",
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
     }

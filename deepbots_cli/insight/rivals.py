@@ -58,8 +58,8 @@ def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
 
 @statement(
     "rival_improved",
-    "The rival got better: `{agent}` succeeded in {own_before} of the episodes up to {since} steps, and in"
-    " {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival that also"
+    "The rival got better: `{agent}` succeeded in {own_before} of the episodes from {begin} to {since} steps,"
+    " and in {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival that also"
     " learns, less success does not show that `{agent}` acts worse than before.",
     advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no better"
     " than these, let one learn while the other keeps its policy, with `turns` under `train`.",
@@ -77,6 +77,7 @@ def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
                 "likelihood": 0.7,
                 "agent": evidence.agent,
                 "rival": name,
+                "begin": int(evidence.all_episodes.steps[quarters[best][0]]),
                 "since": int(evidence.all_episodes.steps[quarters[best][-1]]),
                 "own_before": Percentage(rates[best]),
                 "own": Percentage(rates[-1]),

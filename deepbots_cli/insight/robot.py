@@ -34,6 +34,7 @@ from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.words import number_text, rate_text
 from deepbots_robot.about import About, pace
 from deepbots_robot.intake import Input, Intake
 from deepbots_robot.link import Link
@@ -430,13 +431,14 @@ def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_define
 
 def report_lines(record: Mapping[str, Any]) -> list[str]:
     """Return the lines of a report for people."""
-    rate = "" if record["success_rate"] is None else f", success {record['success_rate']:.1%}"
+    rate = "" if record["success_rate"] is None else f", success {rate_text(record['success_rate'], 1)}"
     endings = ", ".join(f"{count} {name}" for name, count in record["endings"].items())
     times = ", ".join(f"{word} {record[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
     held_steps, late_steps = record["steps_without_new_command"], record["late_steps"]
     return [
         record["link"],
-        f"  episodes  {record['episodes']:,}{rate}, mean return {record['mean_return']:.6g}; ended by:"
+        f"  episodes  {record['episodes']:,}{rate}, mean return {number_text(record['mean_return'], 6)};"
+        " ended by:"
         f" {endings}",
         f"  steps     {record['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
         " late",

@@ -27,6 +27,7 @@ from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -77,8 +78,8 @@ def criterion(evidence: TrainingEvidence) -> Criterion | None:
 
 def criterion_number(until: Criterion, value: float) -> str:
     if until.metric == "success_rate":
-        return f"{value:.0%}"
-    return f"{value:,.0f} steps" if until.metric == "steps" else f"{value:,.4g}"
+        return f"{100 * value:.4g}%"
+    return f"{value:,.0f} steps" if until.metric == "steps" else f"{number_text(value)}"
 
 
 def criterion_text(until: Criterion) -> str:
@@ -417,7 +418,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         }
         for b in parts
     ]
-    shares = "; ".join(f"{_range(part, label)} {part.success_rate:.0%}" for part in parts)
+    shares = "; ".join(f"{_range(part, label)} {rate_text(part.success_rate)}" for part in parts)
     flat = (
         f"The success rate {trend.direction}, and it" if trend is not None and trend.direction else "Success"
     )
@@ -484,7 +485,8 @@ def _range(part: DrawnPart, label: DrawLabel) -> str:
 
 def _part_rate(part: DrawnPart) -> str:
     low, high = part.success_interval
-    return f"{part.success_rate:.0%} ({low:.0%} to {high:.0%}) of {part.episodes:,} episodes"
+    interval = f"{rate_text(low)} to {rate_text(high)}"
+    return f"{rate_text(part.success_rate)} ({interval}) of {part.episodes:,} episodes"
 
 
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
@@ -545,14 +547,16 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if len(late[terms[0]]):
             mean = _late_mean(late[terms[0]])
-            remedy += f" (per late episode it gives {mean:.3g}, and they give {others:.3g})"
+            remedy += (
+                f" (per late episode it gives {number_text(mean, 3)}, and they give {number_text(others, 3)})"
+            )
         remedy += " and raise it,"
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
     )
     if share >= 0.8 and return_trend(evidence).direction != "rises":
         though = (
-            f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is"
+            f", and '{name}' gives {rate_text(share)} of the positive reward of late episodes: the policy is"
             " in a local optimum of this term"
         )
         remedy = (

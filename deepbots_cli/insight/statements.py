@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.runs.statistics import wilson
-from deepbots_cli.words import sentence_list
+from deepbots_cli.words import number_text, rate_text, sentence_list
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
@@ -107,7 +107,7 @@ class SuccessRate(dict[str, Any]):
         return int(self["episodes"])
 
     def __str__(self) -> str:
-        rate, low, high = (_number_text(Percentage(share)) for share in (self.rate, self.low, self.high))
+        rate, low, high = (rate_text(share) for share in (self.rate, self.low, self.high))
         return f"{rate} ({low} to {high}) of {self.episodes:,} episodes"
 
 
@@ -126,7 +126,7 @@ class EvaluationRate(SuccessRate):
         count = self["evaluations"]
         if count < 2:
             return super().__str__()
-        return f"{_number_text(Percentage(self.rate))} of the episodes in {count} evaluations"
+        return f"{rate_text(self.rate)} of the episodes in {count} evaluations"
 
 
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
@@ -135,7 +135,7 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
     for rule in rules:
         evidence = rule.finder(subject)
         if evidence is not None:
-            texts = {key: _number_text(value) for key, value in evidence.items()}
+            texts = {key: _shown(value) for key, value in evidence.items()}
             settings = evidence.get("settings", {})
             numbers = {key: value for key, value in evidence.items() if key != "settings"}
             sentence, remedy = (form.format(**texts).strip() for form in (rule.text, rule.advice))
@@ -143,17 +143,12 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
     return statements
 
 
-def _number_text(value: Any) -> str:
+def _shown(value: Any) -> str:
     match value:
         case Percentage():
-            rounded = 0 < value < 0.005 or 0.995 <= value < 1
-            if not rounded:
-                return f"{value:.0%}"
-            if value < 0.5:
-                return "less than 1%"
-            return "more than 99%"
+            return rate_text(value)
         case float():
-            return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+            return number_text(value, 3)
         case int() if not isinstance(value, bool):
             return f"{value:,}"
         case _:
@@ -162,7 +157,7 @@ def _number_text(value: Any) -> str:
 
 def quantity_text(value: float, unit: Unit, digits: int = 4) -> str:
     """Return a number, given in SI units, in a unit of `ShownUnits`, such as `15.3 deg`."""
-    return f"{unit.from_si(value):.{digits}g}{'' if unit.text == ONE.text else f' {unit.text}'}"
+    return f"{number_text(unit.from_si(value), digits)}{'' if unit.text == ONE.text else f' {unit.text}'}"
 
 
 MAX_LISTED = 4

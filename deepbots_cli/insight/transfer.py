@@ -30,6 +30,7 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.words import beside
 
 MIN_EPISODES = FORWARD_BATCH_SIZE
 """The number of episodes of an evaluation that a number of steps does not leave out: deepbots plays as many
@@ -208,12 +209,12 @@ def transfer(
     for name, result in judged:
         if min_success is not None:
             met = result.success_rate >= min_success
-            gates.append(
-                Gate(name, f"success rate {result.success_rate:.0%} of at least {min_success:.0%}", met)
-            )
+            measured, bar = beside(100 * result.success_rate, 100 * min_success, 3)
+            gates.append(Gate(name, f"success rate {measured}% of at least {bar}%", met))
         if min_return is not None:
             met = result.mean_return >= min_return
-            gates.append(Gate(name, f"mean return {result.mean_return:.4g} of at least {min_return:g}", met))
+            measured, bar = beside(result.mean_return, min_return)
+            gates.append(Gate(name, f"mean return {measured} of at least {bar}", met))
     works, required = worlds_that_work(names, (first, second), gates, trained_in.program.agent.solved)
     return Transfer(
         run.path, names, between, first, second, comparison, robustness, tuple(gates), works, required

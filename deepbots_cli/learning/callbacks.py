@@ -338,8 +338,7 @@ class TrainingCallback:
             return 0.0
         evaluations = max(0.0, self._evaluation_share() * total - self.active.evaluator.steps)
         confirmations = max(0.0, self.confirmations.cost_share * total - self.confirmations.steps)
-        choice = COST_SHARE * total
-        return (evaluations + max(confirmations, choice)) * self.evaluation_seconds / steps
+        return (evaluations + max(confirmations, COST_SHARE * total)) * self.evaluation_seconds / steps
 
     def report(self) -> None:
         self._reported = time.monotonic()
@@ -406,8 +405,7 @@ class TrainingCallback:
         self.report()
         self.confirmations.met_in_a_row = self.confirmations.met_in_a_row + 1 if meets else 0
         if self.confirmations.is_due and self.stopped_by is None:
-            returns = self.evaluations.possible_returns()
-            confirmed = self.confirmations.confirm(episodes, returns, self.report)
+            confirmed = self.confirmations.confirm(episodes, self.evaluations.possible_returns(), self.report)
             if confirmed is not None and self._until_solved:
                 self.evaluations.put_first(confirmed)
         self.evaluation_seconds += time.monotonic() - began

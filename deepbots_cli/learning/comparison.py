@@ -41,7 +41,7 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, number_text
 
 MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
@@ -218,7 +218,10 @@ class GroupDifference:
         if compared == "success_rate":
             size, interval = f"{abs(difference.mean) * 100:.1f} points", f"{low:+.1%} .. {high:+.1%}"
         else:
-            size, interval = f"{abs(difference.mean):.4g}", f"{low:.4g} .. {high:.4g}"
+            size, interval = (
+                number_text(abs(difference.mean)),
+                f"{number_text(low)} .. {number_text(high)}",
+            )
         interval = f"(95 % interval of the difference: {interval})"
         sign = "higher" if difference.mean >= 0 else "lower"
         if not difference.certain:
@@ -347,8 +350,7 @@ def compare(
         for group in members
     ]
     solved = judged.program.agent.solved
-    defines_success = judged.program.defines_success
-    measure = measure_of(solved, defines_success=defines_success)
+    measure = measure_of(solved, defines_success=judged.program.defines_success)
     differences = tuple(
         _difference(groups[0], group, measure, world)
         for group, world in zip(groups[1:], worlds[1:], strict=True)

@@ -423,8 +423,7 @@ class _Setting:
     @property
     def _is_of_training(self) -> bool:
         """Whether the scenario and the engine are those of the training."""
-        is_own = self.judged is None and self.case is None and self.stage is None
-        return is_own and self.engine == self.run.record.engine
+        return (self.judged, self.case, self.stage, self.engine) == (None, None, None, self.run.record.engine)
 
     def _usual_episodes(self) -> int:
         """Return the default number of episodes: that of the scenario or the case, or that of the

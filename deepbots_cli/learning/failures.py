@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveInt
+from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
@@ -55,15 +55,16 @@ LOSS_WINDOW_EPISODES = 100
 class Failure(BaseModel, strict=True):
     """An episode that failed.
 
-    `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the
-    action space, one per step. `case` and `stage` name the variant of the scenario, if it is not the scenario
-    itself, and `options` are the values that the episode took in place of draws. With `ends_at_reset`, the
-    error is that an ending was already true when the episode began.
+    `episode` is its number: of an evaluation from 0, as `--episode` takes it; of a training from 1, as in
+    `monitor.csv`. `start` is the seed of its reset, or the states of the random generators before it.
+    `actions` are in the action space, one per step. `case` and `stage` name the variant of the scenario, if
+    it is not the scenario itself, and `options` are the values that the episode took in place of draws. With
+    `ends_at_reset`, the error is that an ending was already true when the episode began.
     """
 
     error: str
     step: NonNegativeInt
-    episode: PositiveInt
+    episode: NonNegativeInt
     case: str | None
     stage: str | None
     start: NonNegativeInt | dict[str, Any]
@@ -93,7 +94,7 @@ class FailureRecorder(HistoryRecorder):
         run: The run that keeps a file of each failure.
         program: The scenario of the world, for the names of the observation.
         seeds: The seeds of the first, second, ... episode, if they are known.
-        episode: Returns the number of an episode that none of the seeds begins, from 1.
+        episode: Returns the number of an episode that none of the seeds begins.
         case: The case of the scenario, by name.
         stage: The stage of the curriculum, by name.
     """
@@ -105,7 +106,7 @@ class FailureRecorder(HistoryRecorder):
         program: Program | None = None,
         *,
         seeds: Sequence[int] = (),
-        episode: Callable[[], int] = lambda: 1,
+        episode: Callable[[], int] = lambda: 0,
         case: str | None = None,
         stage: str | None = None,
     ) -> None:
@@ -164,7 +165,7 @@ class FailureRecorder(HistoryRecorder):
             raise error
         start = self.history.start
         number = (
-            1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
+            self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
         )
         text = _failure_text(
             str(error),
@@ -223,8 +224,13 @@ class BatchFailureRecorder:
         if not again_and_again and self._files == MAX_LOST_EPISODES:
             return
         self._files += 1
-        error = f"step {loss.step}: {loss.error}"
-        text = _failure_text(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
+        text = _failure_text(
+            f"step {loss.step}: {loss.error}",
+            number,
+            history,
+            run=self._run,
+            stage=self._curriculum.name_of(stage),
+        )
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
             raise EngineError(
@@ -342,10 +348,11 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
     guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
-    for step in islice(
-        steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1
-    ):
-        yield step.number
+    again = steps(guarded, sequence_driver(actions), start._replace(state=None))
+    try:
+        yield from (step.number for step in islice(again, len(actions) + 1))
+    except UsageError as error:  # an action does not fit
+        raise RunError(f"{path} is damaged, or of another scenario ({error})") from error
 
 
 def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[Failure, str | None]:

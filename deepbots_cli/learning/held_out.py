@@ -158,8 +158,9 @@ class Evaluator:
         self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
         """The starts of every evaluation."""
         self.build = build
-        engine = "" if run is None else run.record.engine
-        self._worlds = EvaluationWorlds(build, run, engine=engine, batch=EVALUATION_EPISODES)
+        self._worlds = EvaluationWorlds(
+            build, run, engine="" if run is None else run.record.engine, batch=EVALUATION_EPISODES
+        )
 
     def evaluate(
         self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None

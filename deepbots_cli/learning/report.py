@@ -16,6 +16,7 @@ from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
+from deepbots_cli.words import rate_text
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -347,7 +348,7 @@ def progress_values(
         goal = (
             f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
         )
-        rows["success"] = ProgressValue(f"{progress.success_rate:.0%}{goal}")
+        rows["success"] = ProgressValue(f"{rate_text(progress.success_rate)}{goal}")
     if progress.agents:
         rows["return"] = ProgressValue(agents_text(progress.agents))
     elif progress.mean_return is not None:
@@ -356,10 +357,10 @@ def progress_values(
     has_common_measure = not progress.agents or progress.success_rate is not None
     if progress.evaluated is not None and has_common_measure:
         rows["last evaluation"] = ProgressValue(
-            _score(progress.evaluated, progress.measure), is_evaluation=True
+            progress.evaluated.score(progress.measure), is_evaluation=True
         )
     if progress.best is not None and has_common_measure:
-        score = f"{_score(progress.best, progress.measure)} at {progress.best.steps:,} steps"
+        score = f"{progress.best.score(progress.measure)} at {progress.best.steps:,} steps"
         rows["best evaluation"] = ProgressValue(score, is_evaluation=True)
     if progress.activity:
         rows["now"] = ProgressValue(progress.activity.text)
@@ -373,14 +374,6 @@ def progress_values(
     if seconds_left is not None:
         rows["remaining"] = ProgressValue(f"at most {duration(seconds_left)} to go", is_clear=True)
     return rows
-
-
-def _score(model: Candidate, measure: Measure) -> str:
-    return (
-        f"{model.success_rate:.0%} success"
-        if measure == "success_rate"
-        else f"return {model.mean_return:.4g}"
-    )
 
 
 def longer_goal(steps: int) -> int:

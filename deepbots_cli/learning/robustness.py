@@ -410,10 +410,9 @@ def _checked(document: Document, change: Change) -> CheckedScenario:
 
 
 def _level(label: str, result: EvaluationResult, metric: Measure, bar: float) -> RobustnessLevel:
-    is_rate = metric == "success_rate"
     score, interval = (
         (result.success_rate, result.success_interval)
-        if is_rate
+        if metric == "success_rate"
         else (result.mean_return, result.return_interval)
     )
     certain = interval is not None and not interval[0] <= bar <= interval[1]
@@ -548,9 +547,11 @@ def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
     surfaces: dict[str, Surface] = {}
     if program.world.terrain is not None or program.world.ground is not None:
         surfaces["the ground"] = ("world", "terrain" if program.world.terrain is not None else "ground")
-    bodies = _objects(root, program)
-    fixed = [name for name, body in bodies.items() if body.solid and not _can_move(body)]
-    return surfaces | {name: ("objects", name) for name in fixed}
+    return surfaces | {
+        name: ("objects", name)
+        for name, body in _objects(root, program).items()
+        if body.solid and not _can_move(body)
+    }
 
 
 def _objects(root: MappingNode, program: Program) -> dict[str, ObjectBody]:
@@ -663,8 +664,8 @@ def masses(root: MappingNode, program: Program, largest: int) -> Iterator[Plan]:
     """Yield the masses of the heaviest links that can move, at most `largest`, and of the objects that can
     move."""
     links, objects, _ = _movable(root, program)
-    heaviest = sorted(links, key=lambda link: -links[link])[:largest]
-    yield from (_mass_plan(root, program, name) for name in (*heaviest, *objects))
+    for name in (*sorted(links, key=lambda link: -links[link])[:largest], *objects):
+        yield _mass_plan(root, program, name)
 
 
 def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], list[str], list[str]]:

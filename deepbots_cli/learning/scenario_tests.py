@@ -24,6 +24,7 @@ from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver, sequence_driver
 from deepbots_cli.rollout.episode import Driver, OnEpisode, own_episode
+from deepbots_cli.words import beside, number_text
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -244,7 +245,9 @@ def _unmet_over_episodes(
                 ]
                 share = sum(counted) / len(episodes)
                 if not expected.low <= share <= expected.high:
-                    words = f"{sum(counted)} of {len(episodes)} episodes ({100 * share:.3g} %)"
+                    bar = min(max(share, expected.low), expected.high)
+                    percent = beside(100 * share, 100 * bar, 3)[0]
+                    words = f"{sum(counted)} of {len(episodes)} episodes ({percent} %)"
                     yield _unmet_expectation(expected, words, counted.index(share > expected.high))
             case "mean_return":
                 mean = fmean(returns)
@@ -252,9 +255,7 @@ def _unmet_over_episodes(
                     extreme, worst = (
                         ("highest", max(returns)) if mean > expected.high else ("lowest", min(returns))
                     )
-                    words = (
-                        f"{mean:.6g}"
-                        if len(episodes) == 1
-                        else f"{mean:.6g} over {len(episodes)} episodes, the {extreme} is {worst:.6g}"
-                    )
+                    words = beside(mean, min(max(mean, expected.low), expected.high), 6)[0]
+                    if len(episodes) > 1:
+                        words += f" over {len(episodes)} episodes, the {extreme} is {number_text(worst, 6)}"
                     yield _unmet_expectation(expected, words, returns.index(worst))

@@ -56,6 +56,7 @@ from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import number_text
 
 
 def train(
@@ -410,13 +411,6 @@ def training_of(program: Program, total_timesteps: int | None, callbacks: Sequen
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"total_timesteps must be at most {MAX_STEPS}, not {training.total_timesteps}")
-    of_several = {"self_play": training.self_play, "turns": training.turns}
-    for name, value in of_several.items():
-        if value is not None and program.others is None and not training.agents:
-            raise UsageError(
-                f"`{name}` needs a scenario with several `agents`; remove it from `train`, or see"
-                " docs/several-agents.md"
-            )
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:
@@ -484,5 +478,5 @@ def _check_teacher(
     ends = ", ".join(
         f"{name} {count}" for name, count in Counter(episode.ended_by for episode in played).most_common()
     )
-    problem += f" (mean return {Summary.of_episodes(played).mean_return:.3g}, ended by {ends})"
+    problem += f" (mean return {number_text(Summary.of_episodes(played).mean_return, 3)}, ended by {ends})"
     raise UsageError(f"{problem}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")

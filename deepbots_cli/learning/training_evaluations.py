@@ -29,6 +29,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.rollout import Episode, Start
+from deepbots_cli.words import number_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
@@ -210,7 +211,7 @@ class Confirmations:
         return episodes
 
     def _note_outcome(self, plan: Confirmation, summary: Summary, *, passes: bool) -> None:
-        score = f"a mean return of {summary.mean_return:.4g} on {summary.episodes:,} new starts"
+        score = f"a mean return of {number_text(summary.mean_return)} on {summary.episodes:,} new starts"
         if plan.successes:
             score = f"{summary.successes:,} of {summary.episodes:,} new starts succeed"
         outcome = "confirmed" if passes else "not confirmed"
@@ -261,8 +262,9 @@ class TrainingEvaluations:
 
     def share(self, *, has_teacher: bool) -> float:
         """Return the largest ratio of the steps of evaluations to the steps of the training so far."""
-        share = URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
-        return self._active.off_policy_factor * share
+        return self._active.off_policy_factor * (
+            URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
+        )
 
     def _seems_solved(self) -> bool:
         """Return whether the recent episodes of the training, with exploration, meet `solved`, and no
@@ -297,15 +299,15 @@ class TrainingEvaluations:
         self.returns = min(lowest, summary.least_return), max(highest, summary.greatest_return)
         self.newest = Candidate.of(self.evaluated_at, summary)
         is_best = self.shortlist.add(self.newest, active.learner.save)
-        about = {"steps": self.evaluated_at, "stage": stage, "is_best": is_best}
-        self._append("training.jsonl", about, episodes)
+        self._append(
+            "training.jsonl", {"steps": self.evaluated_at, "stage": stage, "is_best": is_best}, episodes
+        )
         self.count += 1
         return episodes
 
     def put_first(self, confirmed: Summary) -> None:
         """Make the evaluated model the best one, with the result of its confirmation."""
-        candidate = Candidate.of(self.evaluated_at, confirmed)
-        self.shortlist.put_first(candidate, self._active.learner.save)
+        self.shortlist.put_first(Candidate.of(self.evaluated_at, confirmed), self._active.learner.save)
 
     def possible_returns(self) -> Interval:
         """Return the lowest and the highest possible return; if they are unknown, those of all episodes of

@@ -381,8 +381,11 @@ class TrainingProcess:
             elif RunRecord.read(run.path) != before:
                 write_record(run.path, before)
         if confirmed is not None and run.record.is_finished:
-            evaluation = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
-            run.write_evaluation(evaluation.model_dump(mode="json"))
+            run.write_evaluation(
+                confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes).model_dump(
+                    mode="json"
+                )
+            )
 
 
 class TrainingCounter:

@@ -17,6 +17,7 @@ from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
+from deepbots_cli.words import number_text
 
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """The facts that are 0 while nothing moves."""
@@ -62,7 +63,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         return
     dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
     also = (Label(ending.span, "the cheaper ending"),)
-    total_cost = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}"
+    total_cost = f"{number_text(-_total_sum(ordinary, running, last) - at_limit, 3)}"
     price = _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
@@ -71,7 +72,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
                 f"an episode that lasts until the time limit costs at least {total_cost}, but"
                 f" `{ending.name}` {price}"
             )
-            headline += f"; `{success.name}` pays {prize:.3g}"
+            headline += f"; `{success.name}` pays {number_text(prize, 3)}"
             yield Finding(
                 "DB705",
                 dearest.span,
@@ -96,8 +97,8 @@ def _price(cost: float) -> str:
     if cost == 0.0:
         return "costs nothing"
     if cost < 0.0:
-        return f"costs {-cost:.3g}"
-    return f"even pays {cost:.3g}"
+        return f"costs {number_text(-cost, 3)}"
+    return f"even pays {number_text(cost, 3)}"
 
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
@@ -230,7 +231,8 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     if share >= MIN_BREAK_EVEN:
         dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
         headline = (
-            f"a step costs {-pay:.3g}, `{ending.name}` {_price(cost)}, and `{success.name}` pays {prize:.3g}"
+            f"a step costs {number_text(-pay, 3)}, `{ending.name}` {_price(cost)}, and `{success.name}`"
+            f" pays {number_text(prize, 3)}"
         )
         notes = (
             f"measured in {rows[cheapest].steps} steps of {cheapest}",
@@ -375,7 +377,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         prize = total_range(reward.terms, at_success).high
         if pay * steps + fine > prize and pay * min(steps, horizon(reward)) > MIN_WORTH * prize:
             last = total_range(final, at_success).high
-            raised = f"`{success.name}` pay more than {pay * steps + fine - prize + last:.4g}"
+            raised = f"`{success.name}` pay more than {number_text(pay * steps + fine - prize + last)}"
             best, node = max(ordinary, key=lambda term: paid[term[0]])
             once = at_success.of(node).high
             share = (prize - once - fine - (pay - paid[best]) * steps) / (paid[best] * steps - once or INF)
@@ -383,9 +385,9 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
             yield Finding(
                 "DB708",
                 best.span,
-                f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
-                f" {pay * steps:.4g} in all, but `{success.name}` pays"
-                f" {f'{prize:.3g} only once' if last > 0.0 else 'nothing'}",
+                f"an episode that avoids `{success.name}` can collect up to {number_text(pay, 3)} per step,"
+                f" {number_text(pay * steps)} in all, but `{success.name}` pays"
+                f" {f'{number_text(prize, 3)} only once' if last > 0.0 else 'nothing'}",
                 f"{lower_help(best, lowered, raised)}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
                 fix=Fix.replacing(best.span, best.text, lowered, safe=False) if lowered else None,

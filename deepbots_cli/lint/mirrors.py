@@ -143,7 +143,7 @@ class _Mirrors:
                 if not isinstance(command.actuator, Motor):
                     continue
                 joints = command.actuator.joints
-                trees = self._analysis.value_on_robot(command.target, robot.name)
+                trees = self._analysis.value_on_robot(command.target.typed, command.target.owner, robot.name)
                 if len(trees) != len(joints):
                     continue
                 for joint, tree in zip(joints, trees, strict=True):

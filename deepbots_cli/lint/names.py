@@ -9,6 +9,7 @@ from math import pi
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
+from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.diagnostics import Finding, Fix, Span
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.document.edits import removal_fix
@@ -185,8 +186,7 @@ met exactly."""
 @rule("DB411")
 def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
     """Report a condition that requires a measurement to be equal to a number."""
-    analysis = context.analysis.ideal
-    for value in _written(context.program):
+    for value, robot in _written(context):
         for node in walk(value.typed):
             if (
                 not isinstance(node, Operation)
@@ -195,11 +195,15 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
             ):
                 continue
             pair = next(
-                (pair for pair in (node.args, node.args[::-1]) if _equal_by_chance(analysis, value, *pair)),
+                (
+                    pair
+                    for pair in (node.args, node.args[::-1])
+                    if _equal_by_chance(context.analysis.ideal, value, robot, *pair)
+                ),
                 None,
             )
             if pair is not None:
-                text = context.text(value.owner)
+                text = _text(context, value, robot)
                 measure, constant, comparison = (text.text[part.start : part.end] for part in (*pair, node))
                 outcome, sign = (
                     ("is almost never true", "<")
@@ -207,22 +211,68 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
                     else ("is almost always true", ">")
                 )
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
-                difference = measure if is_zero else f"{measure} - {constant}"
+                difference = measure if is_zero else f"{measure} - {_operand(pair[1], constant)}"
                 help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
                 yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", help)
 
 
-def _written(program: Program) -> Iterator[Expression]:
-    """Return the signals, reward terms and endings that are not functions of Python."""
-    values = (*program.signals, *program.agent.reward, *program.endings)
-    return (value for value in values if value.foreign is None)
+def _operand(node: TypedNode, text: str) -> str:
+    """Return the text of a node as an operand: an operation without parentheses gets some."""
+    if not isinstance(node, Operation):
+        return text
+    is_enclosed = text[0] == "(" and min(part.start for part in node.args) > node.start
+    return text if is_enclosed else f"({text})"
 
 
-def _equal_by_chance(analysis: Analysis, value: Expression, measure: TypedNode, constant: TypedNode) -> bool:
-    is_settled = constant.type.known is not Known.STEP
-    return is_settled and all(
-        _is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner)
+def _written(context: RuleContext) -> Iterator[tuple[Expression, Robot | None]]:
+    """Yield the expressions of the scenario that are not functions of Python, and the robot of those that a
+    robot controller evaluates."""
+    program = context.program
+    values = dict.fromkeys(value for value in program.computed_expressions if value.foreign is None)
+    yield from ((value, None) for value in values)
+    for robot in program.robots:
+        for value in (*robot.emit, *(command.target for command in robot.commands)):
+            yield value, robot
+
+
+def _text(context: RuleContext, value: Expression, robot: Robot | None) -> SourceText:
+    return context.text(f"robots.{value.owner}" if robot else value.owner)
+
+
+def _equal_by_chance(
+    analysis: Analysis, value: Expression, robot: Robot | None, measure: TypedNode, constant: TypedNode
+) -> bool:
+    if constant.type.known is Known.STEP:
+        return False
+    if robot is not None:
+        parts = analysis.value_on_robot(measure, value.owner, robot.name)
+    else:
+        parts = analysis.lowered(measure, value.owner)
+    owner = robot.name if robot else ""
+    names = {f"{owner}.{name}".lstrip(".") for name in referenced_names(measure)}.union(
+        *map(analysis.dependencies, parts)
     )
+    return names.isdisjoint(_rounded(analysis.program)) and all(
+        _is_measurement(analysis, part, {}) for part in parts
+    )
+
+
+def _rounded(program: Program) -> frozenset[str]:
+    """Return the readings whose values are met exactly, for a resolution or a range, and the values that
+    robots emit from them."""
+    names = set()
+    for robot in program.robots:
+        rounded = {
+            sensor.name
+            for sensor in robot.sensors
+            if sensor.faults is not None
+            and (sensor.faults.resolution or sensor.faults.low or sensor.faults.high)
+        }
+        emitted = {
+            value.name for value in robot.emit if not rounded.isdisjoint(referenced_names(value.typed))
+        }
+        names |= {f"{robot.name}.{name}" for name in rounded | emitted}
+    return frozenset(names)
 
 
 def _is_measurement(analysis: Analysis, node: Scalar, results: dict[int, bool]) -> bool:
@@ -257,13 +307,10 @@ _PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
 def angle_jumps(context: RuleContext) -> Iterator[Finding]:
     """Report the change of a heading, or the difference of two headings, that jumps by a full turn at 180
     deg."""
-    values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
-    for robot in context.program.robots:
-        values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
     jumping: dict[str, bool] = {}
-    for value, on in values:
+    for value, on in _written(context):
         for node in _AngleWrapping(context.analysis, on, jumping).jumps(value.typed):
-            text = context.text(f"robots.{value.owner}" if on else value.owner)
+            text = _text(context, value, on)
             angle_text = text.text[node.start : node.end]
             span = text.part(node.start, node.end)
             yield Finding(

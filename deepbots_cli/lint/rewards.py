@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from decimal import Decimal
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
@@ -21,6 +20,7 @@ from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
+from deepbots_cli.words import number_text
 
 _DOMINANCE_RATIO = 100.0
 """The ratio of a term to the payment of an ending above which the term hides the ending."""
@@ -177,8 +177,9 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
             headline = (
-                f"in an episode up to the time limit, `{term.name}` adds up to at least {low:.4g} in absolute"
-                f" value, but an ending gives at most {prize:.4g}"
+                f"in an episode up to the time limit, `{term.name}` adds up to at least {number_text(low)} in"
+                " absolute"
+                f" value, but an ending gives at most {number_text(prize)}"
             )
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding(
@@ -237,13 +238,13 @@ def term_dominated(simulation: Simulation) -> Iterator[Finding]:
             rival = max(other_sum, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             note = (
-                f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to"
-                f" {_short(other_sum)}"
+                f"{by}: `{term.name}` adds up to {number_text(size, 3)} per episode, all other terms to"
+                f" {number_text(other_sum, 3)}"
             )
-            notes.append(f"{note}, and an ending pays up to {_short(prize)}" if prize else note)
+            notes.append(f"{note}, and an ending pays up to {number_text(prize, 3)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
             headline = (
-                f"summed over an episode, `{term.name}` is at least {_short(min(ratios))} times as"
+                f"summed over an episode, `{term.name}` is at least {number_text(min(ratios), 3)} times as"
                 " large as all other terms together"
             )
             yield Finding(
@@ -253,11 +254,6 @@ def term_dominated(simulation: Simulation) -> Iterator[Finding]:
                 f"scale `{term.name}` down, or the other terms up",
                 notes=tuple(notes),
             )
-
-
-def _short(number: float) -> str:
-    """Return three digits without an exponent: `6050`, not `6.05e+03`."""
-    return format(Decimal(f"{number:.3g}"), "f")
 
 
 @rule("DB704", versions="every")
@@ -369,7 +365,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     if context.program.agent.training is None or not possible.is_single:
         return
     worth = possible.low
-    headline = f"every episode has the return {worth:.4g}, whatever the policy does"
+    headline = f"every episode has the return {number_text(worth)}, whatever the policy does"
     help = (
         "reward the goal, as in `1 when goal_reached`"
         if context.program.agent.goal
@@ -390,13 +386,13 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
         if required > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
             headline = (
                 f"no episode reaches the required return of {required:g}: the highest possible return"
-                f" is {possible.high:.4g}"
+                f" is {number_text(possible.high)}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
         elif required > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
             headline = (
                 f"no episode reaches the required return of {required:g}: limits of speed allow at most"
-                f" {limited:.4g}"
+                f" {number_text(limited)}"
             )
             notes = speed_notes(analysis)
             yield Finding(
@@ -409,7 +405,7 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
         elif required <= possible.low:
             headline = (
                 f"every episode reaches the required return of {required:g}: the lowest possible return"
-                f" is {possible.low:.4g}"
+                f" is {number_text(possible.low)}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a larger return")
 

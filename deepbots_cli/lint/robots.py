@@ -70,7 +70,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     for robot in context.program.robots:
         for command in robot.commands:
-            trees = analysis.value_on_robot(command.target, robot.name)
+            trees = analysis.value_on_robot(command.target.typed, command.target.owner, robot.name)
             limits = (
                 Interval(0.0, 1.0)
                 if command.opening

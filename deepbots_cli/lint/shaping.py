@@ -25,6 +25,7 @@ from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.words import number_text
 
 _RISING_FUNCTIONS = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """The functions that rise with their first argument."""
@@ -55,7 +56,11 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
             if any(reward.ranges_at(end).of(node) != ZERO for end in other_ends):
                 continue  # paid at ends of another kind as well, so its sign has no meaning for this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
-                verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
+                verb = (
+                    f"pays {number_text(paid.low, 3)}"
+                    if paid.low > 0.0
+                    else f"costs {number_text(-paid.high, 3)}"
+                )
                 kind = "a failure" if failed else "a success"
                 also = (Label(ending.span, f"{kind} here"),)
                 yield _wrong_sign(term, f"`{ending.name}` is {kind}, but {verb}", also)

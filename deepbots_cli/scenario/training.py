@@ -60,6 +60,7 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",
+    "optimize_memory_usage": "remove it: Stable-Baselines3 refuses it where episodes are truncated",
     **dict.fromkeys(
         ("episodes", "n_episodes"),
         "write the number of steps, for example `total_timesteps: 100_000`: deepbots counts the steps of a"
@@ -318,8 +319,6 @@ class _OffPolicy(Training):
     """Steps between two updates, or `1 episode`."""
     gradient_steps: StepsOrAll | None = None
     """Gradient steps in an update; -1 makes as many as there were steps since the last update."""
-    optimize_memory_usage: Bool | None = None
-    """Whether the replay buffer stores each observation once instead of twice."""
     n_steps: PositiveInt | None = None
     """n of n-step returns: number of rewards that are summed before the value estimate is added."""
     replay: Annotated[Hindsight | Literal["uniform", "her"], FORMS] | None = None

@@ -17,6 +17,7 @@ from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.training_logs import read_logs
+from deepbots_cli.words import number_text, rate_text
 
 MAX_POINTS = 400
 """The number of points of a line on the page."""
@@ -96,8 +97,8 @@ def score_text(run: ListedRun) -> str:
     """Return the mean return and the success rate of a run, and of which episodes they are; empty without."""
     if run.mean_return is None:
         return ""
-    success = "" if run.success_rate is None else f" and success {100 * run.success_rate:.4g}%"
-    return f"mean return {run.mean_return:.4g}{success} in {run.score}"
+    success = "" if run.success_rate is None else f" and success {rate_text(run.success_rate)}"
+    return f"mean return {number_text(run.mean_return)}{success} in {run.score}"
 
 
 def solved_return(run: Path) -> float | None:

@@ -42,6 +42,8 @@ LinkName = tuple[str, str]
 # Turns x to -z, the direction of a reflectance sensor.
 _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)
 
+END_OF_RECORDING, END_OF_LOG = "end of the recording", "end of the log"
+"""The last frame of what ends before its episode: no ending of the scenario."""
 _REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach
 
 
@@ -205,8 +207,8 @@ class WorldFrame:
     @property
     def ending(self) -> str:
         """The ending of the episode in words; empty while it runs."""
-        if self.ended_by is None:
-            return ""
+        if self.ended_by in (None, END_OF_RECORDING, END_OF_LOG):
+            return self.ended_by or ""
         if self.is_success:
             return f"success: {self.ended_by}"
         if self.succeeded:

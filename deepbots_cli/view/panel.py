@@ -31,6 +31,7 @@ from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import COLORS, AgentFrame, FrameLayout, Image, PlottedField, WorldFrame
 from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
 from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     import viser
@@ -77,9 +78,10 @@ def training_rows(
     yield _head("evaluations during the training" if evaluations else "no evaluation yet")
     for evaluation in list(reversed(evaluations))[:_MAX_ROWS]:
         stage = f", stage {evaluation['stage']}" if evaluation["stage"] else ""
-        rate = f", success {100 * fmean(evaluation['successes']):.4g}%" if success else ""
+        rate = f", success {rate_text(fmean(evaluation['successes']))}" if success else ""
         yield _wide_row(
-            f"{evaluation['steps']:,.0f} steps{stage}", f"return {fmean(evaluation['returns']):.4g}{rate}"
+            f"{evaluation['steps']:,.0f} steps{stage}",
+            f"return {number_text(fmean(evaluation['returns']))}{rate}",
         )
 
 
@@ -369,7 +371,9 @@ class Panel:
             reaches_goal = frame.truncated and goal is not None and agent.episode_return >= goal
             color = "#009E73" if frame.is_success or frame.succeeded or reaches_goal else unsuccessful
         # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
-        total = "" if player.reader.layout.of_robot else f"<br>return so far {agent.episode_return:.4g}"
+        total = (
+            "" if player.reader.layout.of_robot else f"<br>return so far {number_text(agent.episode_return)}"
+        )
         if total and goal is not None:
             total += f", goal {goal:g}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"

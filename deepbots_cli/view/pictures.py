@@ -171,7 +171,7 @@ def render_picture(
         frame = path[-1]
         agent = next(iter(frame.agents.values()))
         caption = f"{frame.ending or 'not ended'}, {frame.time:.1f} s"
-        if not player.program.has_rivals:
+        if not player.program.has_rivals and not player.reader.layout.of_robot:
             caption += f", return {agent.episode_return:.2f}"
         _write(draw, (8, shot.height - 22), caption)
     return image

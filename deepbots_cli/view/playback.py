@@ -72,7 +72,7 @@ class Playback:
         waiting: Whether an episode waits for the first key of the person who drives.
         speed: Seconds of the episode per second of real time.
         stopped: The title and the text (HTML) of an error that ended the episode.
-        ended_at: The time (`time.monotonic`, s) at which the episode ended; 0 before.
+        ended_at: The time (`time.monotonic`, s) from which an episode that has ended is shown.
         played, successes, best_return, last_return: The results of the page so far, with the present driver.
         last_ending: How the last episode ended, such as `failure: fallen`; empty before.
     """
@@ -104,11 +104,7 @@ class Playback:
         self.speed = 1.0
         self.stopped: tuple[str, str] | None = None
         self.ended_at = 0.0
-        self.played = 0
-        self.successes = 0
-        self.best_return = -math.inf
-        self.last_return: float | None = None
-        self.last_ending = ""
+        self._forget_results()
         self._on_begin = on_begin
         self._on_change = on_change
         self._recorded = 0
@@ -121,6 +117,11 @@ class Playback:
     @property
     def _players(self) -> list[Player]:
         return [*(world.player for world in self.worlds), *([self.rival] if self.rival else [])]
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the episodes of all shown worlds have ended."""
+        return all(world.has_ended for world in self.worlds)
 
     def close_players(self) -> None:
         for player in self._players:
@@ -135,7 +136,8 @@ class Playback:
 
     def _forget_results(self) -> None:
         self.played = self.successes = 0
-        self.best_return, self.last_return, self.last_ending = -math.inf, None, ""
+        self.best_return, self.last_ending = -math.inf, ""
+        self.last_return: float | None = None
 
     # Episodes
 
@@ -150,8 +152,9 @@ class Playback:
         self.show_first_frame()
 
     def show_first_frame(self) -> None:
-        """Show the beginning of an episode that the players have begun."""
-        self.ended_at = 0.0
+        """Show the beginning of an episode that the players have begun, or another world, whose episode may
+        have ended."""
+        self.ended_at = time.monotonic()
         self.stopped = None
         self.waiting = self.by_hand or (self.player is not None and self.player.driver_name == HAND)
         for world in self.worlds:
@@ -218,7 +221,7 @@ class Playback:
     def step_once(self) -> None:
         """Pause, and make one step."""
         self.paused = True
-        if self.ended_at:
+        if self.has_ended:
             self.begin(1)
             return
         for world in self.worlds:
@@ -228,7 +231,6 @@ class Playback:
     def seek(self, index: int) -> None:
         """Pause at a frame of a recording."""
         self.paused = True
-        self.ended_at = 0.0
         for world in self.worlds:
             if isinstance(world.player, ReplayPlayer):
                 world.player.seek(index)
@@ -237,18 +239,20 @@ class Playback:
                 for frame in frames[1:]:
                     world.scene.set_frame(frame)
                 world.frames[:] = frames
+        self.ended_at = time.monotonic() if all(world.has_ended for world in self.worlds) else 0.0
         self._on_change()
 
     def pass_time(self, period: float, *, continues: bool) -> None:
         """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
         `continues`."""
-        is_pressed = (
-            self.manual_input.take_press()
-        )  # also a tap that is shorter than the time between two ticks
-        self.waiting = self.waiting and self.worlds[0].player.driver_name == HAND and not is_pressed
+        self.waiting = (
+            not self.manual_input.take_press()  # also a tap that is shorter than the time between two ticks
+            and self.waiting
+            and self.worlds[0].player.driver_name == HAND
+        )
         if self.paused or self.waiting or self.stopped:
             return
-        if self.ended_at:
+        if self.has_ended:
             if continues and time.monotonic() - self.ended_at > _PAUSE_AT_END_S:
                 self.begin(1)
             return
@@ -272,7 +276,7 @@ class Playback:
         if self.rival is not None and self.rival.frame.ended_by is None:
             self.rival.step()
         world.show_newest()
-        if world.has_ended and all(shown_world.has_ended for shown_world in self.worlds):
+        if self.has_ended:
             frame = self.worlds[0].player.frame
             self.ended_at = time.monotonic()
             self.played, self.successes = self.played + 1, self.successes + frame.is_success

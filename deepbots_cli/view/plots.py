@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.view.frames import COLORS
 from deepbots_cli.view.training_logs import Curve, TrainingLog
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -292,10 +293,8 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
     panel = successes if fall is not None and fall.measure == "success_rate" else returns
     if fall is None or panel is None:
         return
-    is_rate = fall.measure == "success_rate"
-    best, last = (
-        f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value)
-    )
+    form = rate_text if fall.measure == "success_rate" else number_text
+    best, last = form(fall.best_value), form(fall.last_value)
     # A late line has no room for the text at its right.
     is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]
     panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")

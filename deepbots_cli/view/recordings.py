@@ -471,6 +471,9 @@ def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
     }
 
 
+NOT_INSTALLED = "not installed"
+
+
 def versions() -> dict[str, str]:
     """Return the versions of everything on which an episode depends."""
     installed = {
@@ -479,6 +482,7 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
     }
     for name in ("gymnasium", "mujoco", "numpy", "pybullet"):
+        installed[name] = NOT_INSTALLED
         with suppress(PackageNotFoundError):
             installed[name] = version(name)  # without importing it
     return installed

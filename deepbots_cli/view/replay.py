@@ -24,8 +24,15 @@ from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, Recordin
 from deepbots_cli.rollout.robot_logs import LoggedEpisode, LoggedStep, RobotLog
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.view.episodes import Player, ShowingState
-from deepbots_cli.view.frames import AgentFrame, FrameReader, PlottedField, WorldFrame
-from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, versions
+from deepbots_cli.view.frames import (
+    END_OF_LOG,
+    END_OF_RECORDING,
+    AgentFrame,
+    FrameReader,
+    PlottedField,
+    WorldFrame,
+)
+from deepbots_cli.view.recordings import NOT_INSTALLED, NS_PER_S, TopicEncoder, read_frame, versions
 
 if TYPE_CHECKING:
     from deepbots_robot.model import Input, Output
@@ -110,7 +117,7 @@ class ReplayPlayer(Player):
         with damaged(self.recording.path):
             frame = read_frame(steps[index], self.reader.layout)
         if index == len(steps) - 1 and frame.ended_by is None:
-            frame = replace(frame, ended_by="end of the recording", truncated=True)
+            frame = replace(frame, ended_by=END_OF_RECORDING, truncated=True)
         return frame
 
 
@@ -187,7 +194,7 @@ def version_changes(recording: Recording) -> list[str]:
     return [
         f"{name} was {old} when this was recorded, and is {new} now"
         for name, new in versions().items()
-        if (old := recording.metadata.get(name)) != new
+        if (old := recording.metadata.get(name, NOT_INSTALLED)) != new
     ]
 
 
@@ -368,7 +375,7 @@ class LogPlayer(ReplayPlayer):
             cameras={},
             drawn={},
             agents={next(iter(self.env.agents)): self._agent(step)},
-            ended_by="end of the log" if is_last else None,
+            ended_by=END_OF_LOG if is_last else None,
             is_success=False,
             truncated=is_last,
         )

@@ -218,7 +218,7 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
         policy = learner.create(
             learner.Setup(program.agent.training, worlds.first.observation_space, worlds.first.action_space)
         )
-        with pytest.raises(EvaluationError, match=r"episode 1 \(seed 0\), .*step 5"):
+        with pytest.raises(EvaluationError, match=r"episode 0 \(seed 0\), .*step 5"):
             worlds.play(policy, range(8))
 
 

@@ -830,6 +830,30 @@ def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, wo
     assert deepbots("explain", word).out == deepbots("explain", "DB603").out
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("DB502 DB503", r"DB503 +\S+ +error "),
+        ("DB611", "A part of the rule needs a simulation, and runs only with --deep --preview"),
+        ("%", r"1 % is 0\.01\."),
+    ],
+)
+def test_an_explanation_is_of_all_that_was_asked(deepbots, words, line):
+    assert re.search(line, deepbots("explain", *words.split()).out)
+
+
+@pytest.mark.parametrize("code", ["DB901", "DB902", "DB903"])
+def test_a_finding_about_linting_neither_stops_a_training_nor_is_suppressed(deepbots, code):
+    output = deepbots("explain", code).out
+    assert "cannot be compiled" not in output
+    assert f"ignore[{code}]" not in output
+
+
+def test_the_page_on_linting_marks_what_needs_preview_beside_deep():
+    page = (ROOT / "docs" / "linting.md").read_text(encoding="utf-8")
+    assert {*re.findall(r"(DB\d+)\*", page)} == {code for code, rule in RULES.items() if rule.deep_preview}
+
+
 def test_the_text_is_that_of_the_reference(deepbots):
     for page in every_page():
         (explained,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]

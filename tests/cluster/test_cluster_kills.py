@@ -103,8 +103,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any
 
     @cache
     def of(kind: str) -> Any:
-        folder = tmp_path_factory.mktemp("here") / "run"
-        return train(kind, folder, SERIAL)
+        return train(kind, tmp_path_factory.mktemp("here") / "run", SERIAL)
 
     return of
 

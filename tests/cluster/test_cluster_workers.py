@@ -815,8 +815,15 @@ def test_an_address_at_which_nobody_answers_is_refused() -> None:
     pytest.importorskip("ray")
     with pytest.raises(UsageError, match=r"nobody answers at 127\.0\.0\.1:9"), Cluster(address="127.0.0.1:9"):
         pass
-    with pytest.raises(UsageError, match="is not an address of a Ray cluster"), Cluster(address="nowhere"):
-        pass
+    for text in ("nowhere", "10.0.0..5:6379", "ray://10.0.0.5:10001"):
+        with pytest.raises(UsageError, match="is not an address of a Ray cluster"), Cluster(address=text):
+            pass
+
+
+def test_a_process_that_ends_before_it_joins_a_cluster_leaves_no_traceback() -> None:
+    code = "import os; from deepbots_cli.cluster.ray_cluster import _message_if_lost as lost"
+    code = f"{code}\nwith lost(): os._exit(0)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stderr == b""
 
 
 SCENARIO = (

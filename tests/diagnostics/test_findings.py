@@ -551,6 +551,8 @@ def warning_at(source: Source, text: str, code: str = "DB003") -> Finding:
         "x:\n  # deepbots: ignore[DB003] as the firmware wants it\n  a: on\n",
         "a: on # the firmware's word  # deepbots: ignore[DB004, DB003]\n",
         "<!-- deepbots: ignore[DB003] -->\n<a on/>\n",
+        "<!-- deepbots: ignore[DB003] --><a on/>\n",
+        "<!-- deepbots: ignore[DB003] --> <!-- a note -->\r\n<a on/>\r\n",
     ],
 )
 def test_a_comment_on_the_line_or_above_it_suppresses_a_warning(text: str) -> None:

@@ -793,7 +793,7 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(cut_log: Pa
     with closing(Page(Showing(str(cut_log)), port=0, episode=1)) as page:
         page.seek(99)
         assert page.player is not None
-        assert page.player.frame.ended_by == "end of the log"
+        assert page.player.frame.ending == "end of the log"
         assert "safe posture: no new value of cart.pole_angle" in page.banner.content
         assert "return" not in page.banner.content
         assert "reported by the robot" in page.panel.values.content

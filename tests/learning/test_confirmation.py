@@ -14,6 +14,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ from deepbots_cli.learning.runs.confirmation_rule import (
 )
 from deepbots_cli.learning.runs.decline import find_decline, paired
 from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Candidate, Shortlist
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
@@ -727,8 +729,9 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
 
 
 def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path) -> None:
-    build = Worlds(good, confirmation=good, choice=good)
-    result = learned(tmp_path, build, total=1_000, stop_when_solved=False)
+    result = learned(
+        tmp_path, Worlds(good, confirmation=good, choice=good), total=1_000, stop_when_solved=False
+    )
     assert result.steps >= 1_000
     assert result.solved_at is not None
     assert result.solved_at.steps < result.steps
@@ -1014,3 +1017,12 @@ def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, 
     assert "155.8" not in deepbots("runs", run_copy).out
     assert run_verdict(run_copy, run.record).text.startswith("mean return 0 (95 % interval -155.8")
     assert interval_text((200.0, 200.0)) == "200"
+
+
+def test_a_confirmed_model_stays_the_best_one_when_its_training_goes_on(tmp_path: Path) -> None:
+    shortlist = Shortlist(SimpleNamespace(model=lambda name: tmp_path / f"{name}.zip"), "success_rate")
+    for steps, rate, save in ((100, 1.0, shortlist.add), (200, 0.97, shortlist.put_first)):
+        candidate = Candidate(steps=steps, episodes=20, success_rate=rate, mean_return=0.0)
+        save(candidate, lambda path, name=str(steps): path.write_text(name))
+    shortlist.restore(shortlist.candidates)
+    assert (tmp_path / "best.zip").read_text() == "200"

@@ -267,7 +267,7 @@ def test_an_evaluation_that_already_excludes_what_is_asked_for_says_so() -> None
     solved = Solved(100, success_rate=0.95)
     met, verdict, _ = solved_verdict(solved, episodes(30, 0.0))
     assert met is False
-    assert verdict.startswith("not solved: a success rate of 95.0% is required, and 0 of 30 episodes succeed")
+    assert verdict.startswith("not solved: a success rate of 95% is required, and 0 of 30 episodes succeed")
     assert solved_verdict(solved, episodes(30, 0.0, 29))[0] is None
 
 

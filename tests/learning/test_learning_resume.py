@@ -863,9 +863,9 @@ def test_a_recording_that_does_not_fit_is_refused_before_a_run_is_made(tmp_path:
 
 
 def test_an_algorithm_that_cannot_imitate_is_refused_before_a_run_is_made(tmp_path: Path) -> None:
-    changes = ["train={algorithm: RecurrentPPO, total_timesteps: 1000, teacher: rocking}"]
+    program = api.compile("pit_escape", overrides=["train={algorithm: RecurrentPPO, total_timesteps: 1000}"])
     with pytest.raises(UsageError, match="RecurrentPPO cannot learn from a teacher"):
-        train(api.compile("pit_escape", overrides=changes), run=tmp_path / "run")
+        train(program, run=tmp_path / "run", demonstrations=tmp_path / "drive.mcap")
     assert not (tmp_path / "run").exists()
 
 

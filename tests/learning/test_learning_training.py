@@ -532,7 +532,7 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(
     results = (
         "success 0% (needs 90%)",
         "return 26.6 (needs 195)",
-        "best evaluation 10% success at 12,000 steps",
+        "best evaluation success rate 10% at 12,000 steps",
     )
     assert all(part in text for part in (*results, "crowded (2 of 3)", "so far"))
 
@@ -1007,7 +1007,7 @@ def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
         def step(self, action: Any) -> Any:
             return super().step(action) if self.episodes > 1 else stand_in.CartPole.step(self, action)
 
-    with pytest.raises(DeepbotsError, match=r"episode 2 \(seed \d+\), step 5: .*'center'"):
+    with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: .*'center'"):
         evaluate(run_copy, episodes=2, copies=1, build=Late)
     assert (run_copy / "failures" / "0001.json").exists()
 
@@ -1038,7 +1038,13 @@ def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> N
     whole = (
         '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
     )
-    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"'), whole % ("-1", "0")):
+    for content in (
+        "{",
+        whole % ('{"root": "x"}', "0"),
+        whole % ("0", '"x"'),
+        whole % ("-1", "0"),
+        whole % ("0", "7"),
+    ):
         (folder / "0001.json").write_text(content)
         with pytest.raises(RunError, match="damaged"):
             reproduce(folder / "0001.json")

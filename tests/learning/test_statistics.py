@@ -32,7 +32,38 @@ from deepbots_cli.learning.runs.generations import Generations
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
+from deepbots_cli.words import beside, number_text, rate_text
 from tests.few import few
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"),
+    [(219 / 220, "more than 99%"), (1 / 200, "less than 1%"), (1, "100%"), (0, "0%"), (0.52, "52%")],
+)
+def test_one_failure_is_not_shown_as_none(rate: float, text: str):
+    assert rate_text(rate) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(999.6, "1,000"), (1234.5, "1,234"), (0.5, "0.5"), (1e-5, "1e-05"), (-1e6, "-1,000,000")],
+)
+def test_a_large_number_is_shown_without_an_exponent(value: float, text: str):
+    assert number_text(value, 3) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "bar", "texts"),
+    [
+        (92, 92.5, ("92", "92.5")),
+        (86.6667, 87, ("86.67", "87")),
+        (694 / 7, 99.142857, ("99.143", "99.142857")),
+        (12344.9, 12345, ("12344.9", "12345")),
+        (99.142857, 99.142857, ("99.142857", "99.142857")),
+    ],
+)
+def test_a_missed_bar_does_not_look_met(value: float, bar: float, texts: tuple[str, str]):
+    assert beside(value, bar) == texts
 
 
 def test_wilson_has_the_values_of_the_published_example():

@@ -470,6 +470,7 @@ EXCLUDED = {
     "tensorboard_log",
     "policy_kwargs",
     "_init_setup_model",
+    "optimize_memory_usage",
 } | {f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")}
 OURS = {"replay", "lstm", "init_std"}
 """Hyperparameters that are arguments of other classes of the library."""

@@ -503,8 +503,7 @@ def test_a_saved_file_leaves_the_actions_that_drive_the_page(tmp_path, driver):
 
 def test_a_page_goes_on_with_its_default_driver_when_a_script_goes(tmp_path):
     file = tmp_path / "mine.yaml"
-    script = CARTPOLE + "scripts: {onward: {drive: forward}}\n"
-    file.write_text(script)
+    file.write_text(CARTPOLE + "scripts: {onward: {drive: forward}}\n")
     with closing(Page(Showing(str(file)), port=0, driver="onward")) as page:
         file.write_text(CARTPOLE)
         page.reload()
@@ -595,6 +594,9 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
         assert page.playback.episode == 1
         page.playback.begin(1)
         assert page.playback.episode == 0
+        page.seek(page.player.length - 1)
+        page.playback.step_once()
+        assert page.playback.episode == 1
 
 
 @pytest.mark.slow
@@ -628,6 +630,17 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
         assert page.player.batch.step_count.min() > 3
         page.playback.begin(1)
         assert "episode 5, step 0" in page.banner.content
+
+
+def test_time_does_not_stand_still_at_a_chosen_world_whose_episode_has_ended():
+    with closing(Page(Showing("cartpole", engine="mujoco", worlds=4), port=0, driver="random")) as page:
+        while "running 4" in page.player.note:
+            page.playback.step_once()
+        for world in range(4):
+            if page.player.frame.ended_by is None:
+                page.playback.choose_world(world)
+        page.playback.step_once()
+        assert page.playback.episode == 4
 
 
 def test_a_changed_parameter_counts_at_the_same_seed():

@@ -16,7 +16,7 @@ import random
 import re
 import shutil
 from contextlib import closing
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, SensorRays, WorldFrame, action_fields, observation_fields
 from deepbots_cli.view.players import open_player
-from deepbots_cli.view.replay import ReplayPlayer, verify
+from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 from tests.few import few
 
 pytest.importorskip("mcap")
@@ -99,6 +99,13 @@ def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
     assert all(map(_is_same, frames, replayed))
     with closing(Player(opened, "zero")) as player:
         assert verify(opened.recording, player) is None
+
+
+def test_a_package_that_was_not_there_is_not_called_none(tmp_path):
+    recording = replace(Showing(str(_recorded(tmp_path, "cartpole")[0])).open().recording, metadata={})
+    assert f"numpy was not installed when this was recorded, and is {np.__version__} now" in version_changes(
+        recording
+    )
 
 
 def _changed(path: Path, out: Path, **change) -> Path:
@@ -211,8 +218,10 @@ def test_foxglove_finds_its_types(find_ball):
         names = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
         assert names["/tf"].name == "foxglove.FrameTransforms"
         assert names["/scan/epuck.proximity"].name == "foxglove.PointCloud"
-        data = json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"]
-        assert data == {"type": "string", "contentEncoding": "base64"}
+        assert json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"] == {
+            "type": "string",
+            "contentEncoding": "base64",
+        }
         first = next(
             json.loads(message.data)
             for _, channel, message in reader.iter_messages()
@@ -462,8 +471,9 @@ def test_a_frame_has_the_values_of_the_engine():
 def test_returns_and_endings_are_those_of_the_episode():
     with closing(Player(Showing("find_ball").open(), "around")) as player:
         frames = list(player.episode(0, 0))
-    rewards = [frame.agents["agent"].reward for frame in frames[1:]]
-    assert frames[-1].agents["agent"].episode_return == pytest.approx(sum(rewards))
+    assert frames[-1].agents["agent"].episode_return == pytest.approx(
+        sum(frame.agents["agent"].reward for frame in frames[1:])
+    )
     assert frames[-1].ending == "success: found"
     assert [frame.step for frame in frames] == list(range(len(frames)))
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
@@ -601,8 +611,9 @@ SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "tra
 
 def _trained(folder, name, *overrides):
     pytest.importorskip("sb3_contrib")
-    compiled = deepbots_cli.compile(name, overrides=[*SMALL, *overrides])
-    return learning.train(compiled, run=folder / "run", total_timesteps=64).run
+    return learning.train(
+        deepbots_cli.compile(name, overrides=[*SMALL, *overrides]), run=folder / "run", total_timesteps=64
+    ).run
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
+from deepbots_cli.webots.nodes import walk
 from deepbots_cli.webots.project import read_world
 from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
@@ -124,6 +125,76 @@ def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path
         body.node.name: physics.position(body, ((0, 0, 0), (0, 0, 0, 1)))[2] for body in physics.scene.bodies
     }
     assert (heights["BALL"], heights["BOX"]) == (pytest.approx(0.07), pytest.approx(0.15))
+
+
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+ARM = """<robot name="arm">
+  <link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>
+  <link name="mount"/>
+  <link name="camera"><inertial><mass value="0.5"/>{inertia}</inertial></link>
+  <link name="hand"><inertial><mass value="0.5"/>{inertia}</inertial></link>
+  <joint name="foot" type="fixed"><parent link="base"/><child link="mount"/></joint>
+  <joint name="neck" type="fixed"><parent link="mount"/><child link="camera"/></joint>
+  <joint name="wrist" type="{type}"><parent link="mount"/><child link="hand"/><axis xyz="0 1 0"/>
+    <limit {limits} effort="5" velocity="3"/></joint>
+</robot>"""
+
+
+def arm(
+    folder: Path, *, type: str = "revolute", limits: str = 'lower="-1" upper="1"', name: str = "arm"
+) -> str:
+    """Write a scenario with a robot that has a link without mass between links with mass."""
+    (folder / "arm.urdf").write_text(ARM.format(inertia=INERTIA, type=type, limits=limits))
+    path = folder / "arm.yaml"
+    unit = "m" if type == "prismatic" else "rad"
+    path.write_text(
+        f"""deepbots: 1
+name: Arm
+world: {{timestep: 32 ms}}
+robots:
+  {name}:
+    urdf: arm.urdf
+    sensors: {{wrist_position: {{type: joint_position, joint: wrist}}}}
+    actuators: {{motor: {{type: velocity_motor, joints: [wrist]}}}}
+    apply: {{motor: drive * 1 {unit}/s}}
+action: {{drive: -1 .. 1}}
+observation: {{{name}.wrist_position: -1 .. 1 {unit}}}
+reward: {{upright: 1}}
+truncation: {{max_steps: 20}}
+"""
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("base", "heavy"), [("free", {"ARM", "ARM__MOUNT", "ARM__CAMERA", "ARM__HAND"}), ("fixed", {"ARM__HAND"})]
+)
+def test_no_link_falls_off_a_link_without_physics(base: str, heavy: set[str], tmp_path: Path):
+    exported(arm(tmp_path), tmp_path / "out", f"robots.arm.base={base}")
+    scene = build_scene(read_world(tmp_path / "out" / "worlds" / "arm.wbt"))
+    assert {node.name for node in walk(scene.nodes) if node.fields.get("physics")} == heavy
+
+
+@pytest.mark.parametrize(
+    ("type", "limits", "stops"),
+    [
+        ("prismatic", 'lower="-0.5" upper="inf"', "minStop -0.5\n maxStop 1000000"),
+        ("prismatic", 'lower="0" upper="0"', "minStop 0\n maxStop 1e-06"),
+        ("revolute", 'lower="0" upper="0"', "minStop 0\n maxStop 1e-06"),
+        ("revolute", 'lower="-1" upper="2"', "minStop -1\n maxStop 2"),
+    ],
+)
+def test_a_joint_stops_at_its_limits(type: str, limits: str, stops: str, tmp_path: Path):
+    exported(arm(tmp_path, type=type, limits=limits), tmp_path / "out")
+    assert stops in "\n".join(
+        " " + line.strip() for line in (tmp_path / "out" / "worlds" / "arm.wbt").read_text().splitlines()
+    )
+
+
+@pytest.mark.parametrize("name", ["train", "supervisor"])
+def test_a_robot_does_not_overwrite_a_controller_of_the_project(name: str, tmp_path: Path):
+    with pytest.raises(UsageError, match=f"has the name of {name}: rename it"):
+        exported(arm(tmp_path, name=name), tmp_path / "out")
 
 
 @pytest.mark.parametrize(

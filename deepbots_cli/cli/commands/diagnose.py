@@ -39,8 +39,8 @@ def command(
         Any,
         option(
             "--episode K|failed",
-            "Explain this episode of the evaluation or of the recording; `failed`: the first failed one of"
-            " the last evaluation.",
+            "Explain this episode of the evaluation or of the recording, counted from 0; `failed`: the first"
+            " failed one of the last evaluation.",
             parser=partial(episodes_or_failed, minimum=0),
         ),
     ] = None,

@@ -40,8 +40,10 @@ def command(
 ) -> None:
     """Explain a finding of lint, a key of scenario files, or a term."""
     finding = " ".join(words or ())
-    rules = matching_rules(finding)
-    if not rules:
+    codes = words if words and all(map(_CODE.match, words)) else [finding]
+    rules = list(dict.fromkeys(rule for code in codes for rule in matching_rules(code)))
+    if unknown := [code for code in codes if not matching_rules(code)]:
+        finding = unknown[0]
         if (retired := retired_rule_message(finding)) is not None:
             raise UsageError(retired)
         explained = explain_word(finding)
@@ -102,19 +104,24 @@ def _lines(entry: Rule) -> Iterator[str]:
 def _suppression(rule: Rule) -> Iterator[str]:
     """Yield how to suppress a finding, or why it cannot be suppressed."""
     yield ""
+    is_about_linting = rule.family == "linting"
     if rule.preview:
         yield "The rule is in preview: it can report false findings, and runs only with --preview."
     if rule.deep == "only":
         yield "The rule needs a simulation, and runs only with --deep."
+    if rule.deep == "too":
+        flags = "--deep --preview" if rule.deep_preview else "--deep"
+        yield f"A part of the rule needs a simulation, and runs only with {flags}."
     if rule.deep == "exploits":
         yield "The rule needs episodes of many drivers, and runs only with --exploits."
+    if rule.severity == "error" and rule.deep != "only" and not is_about_linting:
+        yield "A scenario with this error cannot be compiled."
+    if rule.severity == "error" and rule.deep == "too":
+        yield "If only --deep finds the error, the scenario can be compiled."
     if rule.severity == "error":
-        if rule.deep != "only":
-            yield "A scenario with this error cannot be compiled."
-        if rule.deep == "too":
-            yield "If only --deep finds the error, the scenario can be compiled."
-        if rule.deep:
-            yield "The finding cannot be suppressed."
+        yield "The finding cannot be suppressed."
+    elif is_about_linting:
+        yield f"No comment suppresses the finding; --ignore {rule.code} leaves it out."
     else:
         yield (
             "A comment on the line of the finding, or on the line above, suppresses it: # deepbots:"

@@ -123,7 +123,13 @@ def command(
     ] = None,
     episode: Annotated[
         int | None,
-        integer("--episode K", "Held-out episode of `deepbots eval`; 0 by default.", 0, None, EPISODES),
+        integer(
+            "--episode K",
+            "Held-out episode of `deepbots eval`, counted from 0; 0 by default.",
+            0,
+            None,
+            EPISODES,
+        ),
     ] = None,
     episodes: Annotated[
         Any,

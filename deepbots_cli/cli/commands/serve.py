@@ -15,6 +15,7 @@ from deepbots_cli.cli.command import EPISODES, Engine, Json, Overrides, integer,
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.words import number_text
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.robot import SimulatedRobot
@@ -205,7 +206,7 @@ def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
             ending = f"{'success' if episode.is_success else 'no success'}, " if success else ""
             terminal.note(
                 f"episode {len(episodes) - 1}: {ending}{episode.ended_by} after {episode.length} steps,"
-                f" return {episode.total_return:.6g}"
+                f" return {number_text(episode.total_return, 6)}"
             )
     except KeyboardInterrupt:
         terminal.note("interrupted")

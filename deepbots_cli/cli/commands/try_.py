@@ -31,6 +31,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.sources import OpenedSource
@@ -224,7 +225,7 @@ def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_
         )
     failure, error = failures.reproduce(path, permissions=permissions)
     repeated = (
-        f"repeated {len(failure.actions):,} actions:"
+        f"repeated {counted(len(failure.actions), 'action')}:"
         f" {'the episode does not fail' if error is None else error}"
     )
     terminal.show(

@@ -131,8 +131,7 @@ def play_matches(
     first_agent, second_agent = program.members
     is_symmetric = program.is_symmetric
     policies = _policies(program, refs, is_symmetric=is_symmetric)
-    scripted = _scripted(program)
-    players = [*policies, *scripted]
+    players = [*policies, *_scripted(program)]
     if is_symmetric:
         players = [player for player in players if len(player.drivers) == len(program.members)]
     rows = [player for player in players if first_agent in player.drivers]
@@ -164,8 +163,9 @@ def play_matches(
             if is_symmetric:
                 matches.append(_both_sides(program, a, b, outcomes, played(b, a)))
             else:
-                scores = agent_scores(program.members, outcomes)
-                matches.append(_match(program, a, b, outcomes, agents=scores))
+                matches.append(
+                    _match(program, a, b, outcomes, agents=agent_scores(program.members, outcomes))
+                )
     return MatchTable(
         scenario=program.name,
         agents=(first_agent, second_agent),

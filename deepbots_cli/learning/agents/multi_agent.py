@@ -109,8 +109,7 @@ class MultiAgentLearner(Learner):
             self._collectors[first] = (
                 SharedCollector(seats, collector) if is_shared else SeatCollector(seats[0], collector)
             )
-            learner = self._create(first, trainings[first], self._collectors[first])
-            created |= dict.fromkeys(names, learner)
+            created |= dict.fromkeys(names, self._create(first, trainings[first], self._collectors[first]))
         return {name: created[name] for name in trainings}
 
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
@@ -225,8 +224,11 @@ class MultiAgentLearner(Learner):
         return True
 
     def actor(self) -> PolicyActor:
-        actors = {name: learner.actor() for name, learner in self.learners.items()}
-        return MultiAgentActor(self._critic_seats, actors, self._masked)
+        return MultiAgentActor(
+            self._critic_seats,
+            {name: learner.actor() for name, learner in self.learners.items()},
+            self._masked,
+        )
 
     def update(self) -> None:
         turns = self.setup.training.turns
@@ -293,8 +295,7 @@ class MultiAgentLearner(Learner):
             atomic_write(path, StorageError) as draft,
             zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive,
         ):
-            data = {"num_timesteps": self.steps, "agents": [*self.learners]}
-            archive.writestr(DATA, json.dumps(data))
+            archive.writestr(DATA, json.dumps({"num_timesteps": self.steps, "agents": [*self.learners]}))
             for name, learner in self.learners.items():
                 learner.save(Path(folder) / _member(name))
                 archive.write(Path(folder) / _member(name), _member(name))
@@ -451,8 +452,7 @@ class _SeatMonitor:
 
     def __init__(self, defines_success: bool) -> None:
         self.defines_success = defines_success
-        statistics = SimpleNamespace(mean_return=None, success_rate=None)
-        self.active = SimpleNamespace(statistics=statistics)
+        self.active = SimpleNamespace(statistics=SimpleNamespace(mean_return=None, success_rate=None))
 
     def on_step(self) -> bool:
         return True

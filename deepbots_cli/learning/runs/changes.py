@@ -58,8 +58,7 @@ def changed_texts(before: Compiled, after: Compiled) -> list[ChangedValue]:
     that have no effect. A text that means something else because of parameters is left out for the
     parameters."""
     sides = written_scenario(before), written_scenario(after)
-    changes = scenario_changes(*sides)
-    relevant = (change for change in changes if change.group is not Effect.cosmetic)
+    relevant = (change for change in scenario_changes(*sides) if change.group is not Effect.cosmetic)
     values = [
         replace(value, is_written=_is_written(value, *sides))
         for value in dict.fromkeys(value for change in relevant for value in _values(change))

@@ -30,6 +30,7 @@ from deepbots_cli.learning.runs.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.fields.training import MAX_SOLVED_EPISODES
+from deepbots_cli.words import number_text
 
 FALSE_STOPS = 0.05
 """The largest probability that a training stops with a policy that is `MARGIN` or more below the required
@@ -162,7 +163,7 @@ class Confirmation:
         if self.solved.success_rate is not None:
             parts.append(f"at least {self.successes:,} of {self.episodes:,} successes")
         if self.solved.mean_return is not None:
-            bound = f"a lower bound of {self._lowest_bound:.4g}"
+            bound = f"a lower bound of {number_text(self._lowest_bound)}"
             parts.append(f"a mean return of at least {self.solved.mean_return:g}, with {bound}")
         return " and ".join(parts)
 

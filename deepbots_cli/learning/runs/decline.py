@@ -31,6 +31,7 @@ from typing import Any
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.order import Measure
 from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.words import number_text, rate_text
 
 FALSE_ALARMS = 0.01
 """The largest probability of a reported decline in a training whose policy stays the same."""
@@ -76,10 +77,9 @@ class Decline:
     @property
     def text(self) -> str:
         """A sentence without a full stop: the measure that fell, its values before and after, and when."""
-        name, form = (
-            ("success rate", "{:.0%}") if self.measure == "success_rate" else ("mean return", "{:.4g}")
-        )
-        best, last = map(form.format, (self.best_value, self.last_value))
+        is_rate = self.measure == "success_rate"
+        name, form = ("success rate", rate_text) if is_rate else ("mean return", number_text)
+        best, last = form(self.best_value), form(self.last_value)
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,}"
             f" steps to {last} in {self.last} ({self.last_episodes:,} episodes), since about"

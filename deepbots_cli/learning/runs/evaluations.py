@@ -29,6 +29,7 @@ from deepbots_cli.learning.runs.statistics import wilson
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.runs.draws import DrawnEffects, DrawnPart
@@ -241,13 +242,14 @@ class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
 
 
 def _scores_text(scores: Scores) -> str:
-    text = f"mean return {scores.mean_return:.4g}"
+    text = f"mean return {number_text(scores.mean_return)}"
     if scores.return_interval is not None:
         equal = "; all returns are equal" * (scores.std_return == 0)
-        text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*scores.return_interval)
+        text += " (95 % interval {} .. {}{})".format(*map(number_text, scores.return_interval), equal)
     if scores.success_rate is not None and scores.success_interval is not None:
-        text += f", success rate {scores.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
-            *scores.success_interval
+        shares = (scores.success_rate, *scores.success_interval)
+        text += ", success rate {} (95 % interval {} .. {})".format(
+            *(rate_text(share, 1) for share in shares)
         )
     return text
 

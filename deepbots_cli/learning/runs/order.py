@@ -17,13 +17,15 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.program.task import Solved
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.runs.run import Run
@@ -94,10 +96,15 @@ class Candidate(BaseModel):
     def text(self, measure: Measure, *, defines_success: bool) -> str:
         """Return the result in words, the measure of the task first: `success rate 95 %, mean return 12.3 in
         20 episodes`."""
-        parts = [f"mean return {self.mean_return:.4g}"]
-        if defines_success:
-            parts.insert(0 if measure == "success_rate" else 1, f"success rate {self.success_rate:.0%}")
+        measures = dict.fromkeys((measure, *get_args(Measure)))
+        parts = [self.score(each) for each in measures if defines_success or each == "mean_return"]
         return f"{', '.join(parts)} in {self.episodes:,} episodes"
+
+    def score(self, measure: Measure) -> str:
+        """Return the value of a measure in words."""
+        if measure == "success_rate":
+            return f"success rate {rate_text(self.success_rate)}"
+        return f"mean return {number_text(self.mean_return)}"
 
     def rank(self, measure: Measure) -> tuple[Rank, int]:
         """Return the rank; of equals, the later model is better, which has learned more."""
@@ -201,8 +208,10 @@ class Shortlist:
         remaining = [model for model in self.candidates if model.steps != candidate.steps]
         if self.keeps_newest:
             remaining = []
-        ordered = self._ordered([*remaining, candidate])
-        self.candidates = ordered[:SHORTLIST]
+        # A model that `put_first` has put there stays before those of a higher rank.
+        better = takewhile(lambda model: model.rank(self.measure) > candidate.rank(self.measure), remaining)
+        count = len([*better])
+        self.candidates = [*remaining[:count], candidate, *remaining[count:]][:SHORTLIST]
         if candidate in self.candidates:
             save(self.model(candidate))
         self._remove_others()
@@ -227,9 +236,7 @@ class Shortlist:
 
     def restore(self, candidates: Sequence[Candidate]) -> None:
         """Restore the candidates of a checkpoint, without those whose file is missing."""
-        self.candidates = self._ordered(
-            [candidate for candidate in candidates if self.model(candidate).is_file()]
-        )
+        self.candidates = [candidate for candidate in candidates if self.model(candidate).is_file()]
         self._remove_others()
         if self.best is not None:
             self._copy(self.best)
@@ -252,9 +259,6 @@ class Shortlist:
         )
         self._copy(self.candidates[0])
         return steps
-
-    def _ordered(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        return ordered(candidates, self.measure)
 
     def _copy(self, candidate: Candidate) -> None:
         """Make a candidate the best model."""

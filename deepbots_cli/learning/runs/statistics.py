@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev, variance
 
+from deepbots_cli.words import beside
+
 Interval = tuple[float, float]
 UNBOUNDED: Interval = (-math.inf, math.inf)
 
@@ -202,7 +204,7 @@ def gate_mean(
     Without bounds, no answer is certain before.
     """
     left = planned - len(returns)
-    so_far = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
+    so_far = f"mean return {beside(fmean(returns), required)[0]} in {len(returns)} episodes"
     above, below = mean_evidence(required, returns, bounds)
     # Each of the two one-sided tests has half of ALPHA.
     if left and max(above, below) >= math.log(2 / ALPHA):

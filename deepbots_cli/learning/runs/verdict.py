@@ -22,6 +22,7 @@ from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
+from deepbots_cli.words import beside
 
 
 class SolvedVerdict(NamedTuple):
@@ -62,10 +63,8 @@ def solved_verdict(
     if episodes < solved.episodes and solved.success_rate is not None:
         certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
         if certain.met is False:
-            text = (
-                f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
-            )
-            return SolvedVerdict(False, text, solved.episodes)
+            required = f"a success rate of {100 * solved.success_rate:g}% is required"
+            return SolvedVerdict(False, f"not solved: {required}, and {certain.reason}", solved.episodes)
     if episodes < solved.episodes:
         evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
         needed = f"the criterion needs {solved.episodes} episodes and only {evaluated}"
@@ -73,9 +72,10 @@ def solved_verdict(
         return SolvedVerdict(None, text, solved.episodes)
     reasons = []
     if solved.mean_return is not None:
-        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
+        reasons.append("mean return {} where {} is required".format(*beside(mean_return, solved.mean_return)))
     if solved.success_rate is not None:
-        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
+        measured, bar = beside(100 * success_rate, 100 * solved.success_rate)
+        reasons.append(f"success rate {measured}% where {bar}% is required")
     if not solved.is_met(mean_return, success_rate):
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:

@@ -247,12 +247,9 @@ def check(training: Training) -> None:
     """Check an algorithm and its networks.
 
     Raises:
-        UsageError: The table does not contain the algorithm, it cannot be taught, or the networks would be
-            larger than any memory.
+        UsageError: The table does not contain the algorithm, or the networks would be larger than any memory.
     """
     _entry(training.algorithm)
-    if training.teacher is not None:
-        check_teachable(training)
     limits.check_size(training.network.hidden)
 
 
@@ -263,10 +260,7 @@ def check_teachable(training: Training) -> None:
         UsageError: The algorithm cannot learn from a teacher.
     """
     if _entry(training.algorithm).is_recurrent:
-        raise UsageError(
-            f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and"
-            " --teacher"
-        )
+        raise UsageError(f"{training.algorithm} cannot learn from a teacher; leave out --teacher")
 
 
 def _entry(name: str) -> type[Model]:

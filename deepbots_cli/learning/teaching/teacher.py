@@ -39,6 +39,7 @@ from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.recordings import Recording, actions
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.rollout.worlds import Array
+from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.held_out import Evaluator
@@ -141,8 +142,10 @@ class Teaching:
         if self.policy is not None:
             return self.policy.play(scenario, evaluator.build, engine, evaluator.starts), []
         script = self.teacher.script
-        episodes = play_script(evaluator.build, scenario, script, evaluator.starts)
-        return episodes, unobserved_reads(scenario, script)
+        return (
+            play_script(evaluator.build, scenario, script, evaluator.starts),
+            unobserved_reads(scenario, script),
+        )
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the episodes of the script in a stage of the curriculum. Returns its score in a sentence.
@@ -154,13 +157,13 @@ class Teaching:
         name = f"the teacher {self.teacher.script if self.policy is None else self.policy.name}"
         if self.demonstrations is not None:
             name = "the teacher, a recording"
-        mean = f"mean return {summary.mean_return:.3g}"
+        mean = f"mean return {number_text(summary.mean_return, 3)}"
         if stage != self._stage and (self._has_stages or self._stage < 0):
             self._stage = stage
             self._imitated_until = -1
             self.agreement = 0.0
         self._is_able = bool(summary.success_rate) or not defines_success
-        success = f"success {summary.success_rate:.0%}, " if defines_success else ""
+        success = f"success {rate_text(summary.success_rate)}, " if defines_success else ""
         explores = (
             "; training episodes explore, so they may succeed much less often than evaluations"
             if self._is_able

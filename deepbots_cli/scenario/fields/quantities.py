@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator
 
@@ -41,35 +41,31 @@ def read_fraction(value: str | float) -> float:
     return value
 
 
-def count_replacement(value: object) -> str | None:
-    """Return the whole number that `200k` or `1e5` was meant to be."""
-    # Below 1,000, the point may be a thousands separator.
-    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:
-        return f"{int(value):_}"
-    match = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
-    return f"{int(match[1]) * (1_000_000 if match[2] == 'M' else 1_000):_}" if match else None
-
-
-def number_replacement(value: object) -> Replacement | None:
-    """Return the number that a text in quotes, or with a decimal comma, was meant to be; a comma may also
-    group thousands."""
+def number_meant(value: object, *, whole: bool = False) -> tuple[str, Replacement | None] | None:
+    """Return help and replacement for what was meant as a number: a text in quotes or with commas, and as a
+    `whole` number also `200k` and `1e5`."""
     # The pattern takes quadratic time in the number of digits.
     text = value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
-    if re.fullmatch(NUMBER_PATTERN, text):
-        return Replacement(text, safe=True)
-    if match := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
-        return Replacement(f"{match[1]}.{match[2]}", safe=len(match[2]) != 3 or match[1].lstrip("+-") == "0")
-    return None
-
-
-def number_help(value: object) -> str | None:
-    near = number_replacement(value)
-    if near is None:
-        return None
-    is_quoted = isinstance(value, str) and "," not in value
-    return (
-        f"write `{near.text}` without quotes" if is_quoted else f"write `{near.text}`: decimals need a point"
-    )
+    is_number = re.fullmatch(NUMBER_PATTERN, text) is not None
+    if is_number and not (whole and re.search(r"[.eE]", text)):
+        return f"write `{text}` without quotes", Replacement(text, safe=True)
+    number = float(text) if is_number else value
+    if match := re.fullmatch(r"([0-9]{1,6})([kKM])", text):
+        number = float(match[1]) * (1e6 if match[2] == "M" else 1e3)
+    reading = syntax.comma_reading(text, whole=whole) if re.fullmatch(r"[-+\d.,eE]+", text) else None
+    near = reading[1] if reading else None
+    if (
+        isinstance(number, float)
+        and number.is_integer()
+        and abs(number) < 1e15  # beyond 2**53, about 9e15, a float skips whole numbers
+        # The point of `2.000`, which is read as 2.0, may be a thousands separator.
+        and (abs(number) >= 1_000 or not re.fullmatch(r"[-+\d_]*\.\d*", str(value)))
+    ):
+        near = f"{int(number):_}"
+    if whole and near:
+        help = f"write `{near}`; digits are grouped as in `100_000`"
+        return help, Replacement(near, safe=isinstance(value, str))
+    return reading and (reading[0], Replacement(near, safe=True) if near else None)
 
 
 # Checks of numbers
@@ -81,7 +77,7 @@ def check_bounds(
     maximum: float | None = None,
     *,
     exclusive: bool = False,
-    is_share: bool = False,
+    whole: bool = False,
     written: str = "",
 ) -> None:
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside. The
@@ -94,6 +90,7 @@ def check_bounds(
         raise error("DB105", f"`{written or value}` is below the smallest allowed value", help)
     if maximum is not None and value > maximum:
         help = f"write at most {_number_text(maximum)}"
+        is_share = (minimum, maximum) == (0, 1) and not whole
         if is_share and written.endswith("%"):
             help = "write at most 100 %"
         elif is_share and value <= 100:
@@ -126,10 +123,11 @@ class Number(FieldType):
     pattern: str = ""
     noun: str = "a number"
     example: str | None = None
+    whole: ClassVar[bool] = False
 
     @property
     def accepted_types(self) -> tuple[type, ...]:
-        return (int, float)
+        return (int,) if self.whole else (int, float)
 
     def has_form(self, value: object) -> bool:
         return (
@@ -146,15 +144,17 @@ class Number(FieldType):
                 self.minimum,
                 self.maximum,
                 exclusive=self.exclusive,
-                is_share=self.maximum == 1,
+                whole=self.whole,
                 written=text,
             )
 
     def help_for(self, value: object) -> str | None:
-        return number_help(value) or super().help_for(value)
+        meant = number_meant(value, whole=self.whole)
+        return meant[0] if meant else super().help_for(value)
 
     def replacement_for(self, value: object) -> Replacement | None:
-        return number_replacement(value)
+        meant = number_meant(value, whole=self.whole)
+        return meant and meant[1]
 
     def json_schema(self) -> JsonSchema:
         bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
@@ -170,21 +170,7 @@ class WholeNumber(Number):
     """A whole number within bounds."""
 
     noun: str = "a whole number"
-
-    @property
-    def accepted_types(self) -> tuple[type, ...]:
-        return (int,)
-
-    def help_for(self, value: object) -> str | None:
-        near = count_replacement(value)
-        return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
-
-    def replacement_for(self, value: object) -> Replacement | None:
-        near = count_replacement(value)
-        if near:
-            return Replacement(near, safe=isinstance(value, str))
-        replacement = super().replacement_for(value)
-        return replacement if replacement and re.fullmatch(r"[-+]?[0-9_]+", replacement.text) else None
+    whole: ClassVar[bool] = True
 
 
 PositiveInt = Annotated[int, WholeNumber(1, 1_000_000_000)]
@@ -226,8 +212,8 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
 
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
 _ENDS = (
-    rf"\s*({NUMBER_PATTERN})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({NUMBER_PATTERN}(?:["
-    r" ]?[A-Za-z%][\w*/^%]*)?)\s*"
+    rf"\s*({NUMBER_PATTERN})([ ]?(?![eE][-+\d])[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)"
+    rf"\s*({NUMBER_PATTERN}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
 )
 
 _SCALAR_RANGE = rf"\s*({NUMBER_PATTERN})\s*\.\.\s*({NUMBER_PATTERN})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
@@ -373,8 +359,10 @@ class Quantity(Parsed):
         return self.example_text or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def check(self, value: Any) -> None:
-        if self.measure == "number" and not self.components and (near := number_replacement(value)):
-            raise mismatch(self.noun, number_help(value), near, value=value)
+        is_number = self.measure == "number" and not self.components
+        meant = number_meant(value, whole=self.whole) if is_number else None
+        if meant or (self.whole and number_meant(value)):
+            raise mismatch(self.noun, *(meant or ()), value=value)
         count = count_literal(value) if isinstance(value, str) else 1
         expected = self.components or 1
         if count not in (None, expected):
@@ -385,12 +373,10 @@ class Quantity(Parsed):
             )
         if not isinstance(value, str):
             if self.measure == "number" or value == 0:
-                check_bounds(
-                    value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
-                )
+                check_bounds(value, self.minimum, self.maximum, exclusive=self.exclusive, whole=self.whole)
             else:  # it has no unit, which the compiler reports
                 check_bounds(value)
-            if self.whole and value != int(value):
+            if self.whole and isinstance(value, float):
                 raise mismatch(self.noun, value=value)
 
     def _help_for_count(self, value: str, count: int | None) -> str | None:

@@ -82,7 +82,7 @@ class Until(FieldType):
         if criterion.episodes is not None:
             check_bounds(criterion.episodes, 1)
         if criterion.metric == "success_rate":
-            check_bounds(criterion.threshold, 0, 1, is_share=True, written=criterion.written.strip())
+            check_bounds(criterion.threshold, 0, 1, written=criterion.written.strip())
         elif criterion.metric == "steps":
             check_bounds(criterion.threshold, 1)
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import pi
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.port import EngineProxy
 from deepbots_cli.program.robots import Motor
+from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.task import RemoteRobot
+from deepbots_cli.webots.export.world import joint_stops
 
 if TYPE_CHECKING:
     from deepbots_cli.program import Program
@@ -98,6 +101,13 @@ def static_gaps(program: Program) -> Gaps:
         gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
     if any(program.world.gravity[:2]):
         gaps.miss("Gravity that is not vertical cannot be exported.")
+    robots = [robot.name for robot in program.world.robots]
+    bodies = [*robots, *(body.name for body in program.world.objects)]
+    taken = Counter([*map(names.def_name, bodies), *names.OWN_NODES])
+    for body_name in bodies:
+        name = names.def_name(body_name)
+        if taken[name] > 1 or (name == names.TRAINING and body_name in robots):
+            gaps.miss(f"Another part of the project in Webots has the name of {body_name}: rename it.")
     for body in program.world.objects:
         if body.pooled or body.variants:
             gaps.miss(f"The object {body.name}, which some episodes leave out or change, cannot be exported.")
@@ -146,10 +156,10 @@ def _gaps_of_joint(robot: str, joint: Joint) -> Iterator[tuple[str, bool]]:
         return
     if joint.mimic is not None and joint.moves:
         yield f"Webots has no joints that follow another one, such as {name}.", True
-    low, high = joint.ends(0.0)
+    low, high = joint.ends(inf)
     if joint.moves and not low <= 0.0 <= high:
         yield f"The limits of {name} do not contain 0, as those of Webots must.", True
-    elif joint.type == "revolute" and max(-low, high) > pi:
+    elif joint.moves and min(-low, high) < inf and joint_stops(joint) is None:
         yield f"The limits of {name} are beyond 180 degrees, and are left out.", False
     if joint.armature:
         yield f"The armature of {name} is left out.", False
@@ -171,8 +181,8 @@ def dynamic_gaps(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None
         gaps.differ("Faults of sensors that an episode draws have their nominal values.")
     varied = sorted(recorder.parameters - _LOOKS - {"gravity"})
     if varied:
-        names = ", ".join(name.replace("_", " ") for name in varied)
-        gaps.differ(f"Changes of {names} between episodes are left out.")
+        parameters = ", ".join(name.replace("_", " ") for name in varied)
+        gaps.differ(f"Changes of {parameters} between episodes are left out.")
     if recorder.parameters & _LOOKS:
         gaps.differ("Colors and light that episodes vary have their usual values.")
     if recorder.has_joint_velocities:

@@ -7,18 +7,25 @@ Solid nodes, with the devices that its generated controller binds.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mechanics import arena_walls, as_robot, is_movable, with_explicit_masses
+from deepbots_cli.engines.mechanics import (
+    ROOT_MASS_FRACTION,
+    arena_walls,
+    as_robot,
+    is_movable,
+    rigid_group,
+    with_explicit_masses,
+)
 from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Mesh, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Inertial, Mesh, Sphere
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.plant import axis_angle
 
@@ -116,6 +123,10 @@ MAX_SPEED = 1000.0
 """The limit of a motor without one, rad/s or m/s."""
 MAX_TORQUE = 1e6
 BOUNCE_VELOCITY = 0.01
+FARTHEST_STOP = 1e6
+"""The stop of a slider on a side without a limit, m."""
+LOCKED_PLAY = 1e-6
+"""The distance of the stops of a joint that cannot move, rad or m."""
 
 
 @dataclass
@@ -326,7 +337,9 @@ class WorldWriter:
         )
 
     def _robot(self, body: RobotBody, spec: Robot, index: int) -> NodeText:
-        model = with_explicit_masses(body.name, with_masses(body.model), body.fixed_base)
+        model = _with_physics(
+            with_explicit_masses(body.name, with_masses(body.model), body.fixed_base), body.fixed_base
+        )
         writer = _RobotWriter(self, model, body, spec, devices_needed(self._remotes[body.name], model))
         fields = writer.solid_fields(model.root)
         devices = [
@@ -336,7 +349,6 @@ class WorldWriter:
         fields |= {
             "name": body.name,
             "children": [*devices, *fields["children"]],
-            "physics": None if body.fixed_base else fields["physics"],
             "controller": names.controller_name(body.name),
             "selfCollision": True if body.self_collision else None,
         }
@@ -390,15 +402,13 @@ class _RobotWriter:
 
     def _joint(self, joint: Joint) -> NodeText:
         slides = joint.type == "prismatic"
-        low, high = joint.ends(0.0)
-        # Webots has stops of hinges from -pi to pi alone; equal stops are none.
-        is_limited = low < high and (slides or max(-low, high) <= pi)
+        low, high = joint_stops(joint) or (None, None)
         parameters = node(
             "JointParameters" if slides else "HingeJointParameters",
             axis=frames.rotate(frames.frame(joint.origin)[1], joint.axis),
             anchor=None if slides else joint.origin.xyz,
-            minStop=low if is_limited else None,
-            maxStop=high if is_limited else None,
+            minStop=low,
+            maxStop=high,
             dampingConstant=joint.damping or None,
             staticFriction=joint.friction or None,
         )
@@ -451,7 +461,40 @@ class _RobotWriter:
         return sensors
 
 
-# Shapes and masses
+# Stops, shapes and masses
+
+
+def joint_stops(joint: Joint) -> tuple[float, float] | None:
+    """Return the stops of a joint (rad or m); None where it has no limits, or one of a hinge that is beyond
+    the stops of Webots, which go from -pi to pi."""
+    low, high = joint.ends(inf)
+    if joint.type != "prismatic" and max(-low, high) > pi:
+        return None
+    if low == -inf and high == inf:
+        return None
+    # Webots takes equal stops for none, so a locked joint has a little play.
+    return max(low, -FARTHEST_STOP), min(max(high, low + LOCKED_PLAY), FARTHEST_STOP)
+
+
+def _with_physics(model: RobotModel, fixed_base: bool) -> RobotModel:
+    """Return the model with a mass on each link that has a Physics node, and 0 on the others.
+
+    A Solid without Physics moves with its parent, and one with Physics below it is a body of its own. So a
+    link without mass has a trace of the mass that it carries, and the links that are fixed to the world have
+    none.
+    """
+    carried = model.subtree_mass()
+    still = rigid_group(model, model.root) if fixed_base else {}
+
+    def of(link: Link) -> Inertial | None:
+        if link.name in still:
+            return Inertial(0.0)
+        if link.mass > 0.0 or carried[link.name] <= 0.0:
+            return link.inertial
+        trace = ROOT_MASS_FRACTION * carried[link.name]
+        return Inertial(trace, ixx=trace, iyy=trace, izz=trace)
+
+    return replace(model, links=tuple(replace(link, inertial=of(link)) for link in model.links))
 
 
 def _divisor(period: int, step: float) -> int:
