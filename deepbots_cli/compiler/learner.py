@@ -1,7 +1,7 @@
 """The learner that deepbots chooses for a scenario that names no algorithm.
 
 The choice depends on the structure of the compiled scenario alone, never on the machine: results are a
-function of scenario, seed and shards. docs/training.md shows the table with the measurements behind it.
+function of scenario, seed and shards. docs/training.md shows the table.
 """
 
 from __future__ import annotations
