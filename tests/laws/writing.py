@@ -536,19 +536,24 @@ def a_copy_of_its_files_is_the_same_scenario(case: Case) -> None:
     data = data_of(case)
     data.pop("tune", None)  # a run has none
     checked = api.load(case.write(data))
-    expected = Meaning.of(case.path)
+    expected = distinct(Meaning.of(case.path))
     if checked.program is None:
         reject()
     copy_folder = case.folder / "a folder" / "copy"
     checked.inputs.write(copy_folder)
-    Meaning.of(copy_folder / "resolved.yaml").require(expected)
+    distinct(Meaning.of(copy_folder / "resolved.yaml")).require(expected)
     moved = case.folder / "moved"
     copy_folder.rename(moved)
     with chdir(moved / "inputs"):
-        Meaning.of("../resolved.yaml").require(expected)
+        distinct(Meaning.of("../resolved.yaml")).require(expected)
         again = api.load("../resolved.yaml").inputs
     again.write(moved / "again")
-    Meaning.of(moved / "again" / "resolved.yaml").require(expected)
+    distinct(Meaning.of(moved / "again" / "resolved.yaml")).require(expected)
+
+
+def distinct(meaning: Meaning) -> Meaning:
+    """Return a meaning with each finding once: a copy has the chosen learner in each of its agents."""
+    return meaning._replace(findings=Counter({*meaning.findings}))
 
 
 # Units
