@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.codegen import batch_obstacles
+from deepbots_cli.errors import ScenarioError
 from deepbots_cli.program import generated
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import chance
@@ -37,9 +38,9 @@ def actions(environment: Any, seed: int) -> Iterator[Any]:
         yield environment.action_space.sample()
 
 
-def played(environment: Supervisor, seed: int, steps: int = STEPS) -> list[Any]:
+def played(environment: Supervisor, seed: int, steps: int = STEPS, options: Any = None) -> list[Any]:
     """Return what an episode with random actions shows: observations, rewards, ends, terms."""
-    observation, info = environment.reset(seed=seed)
+    observation, info = environment.reset(seed=seed, options=options)
     shown: list[Any] = [observation, info["drawn"]]
     for _, action in zip(range(steps), actions(environment, seed), strict=False):
         observation, reward, terminated, truncated, info = environment.step(action)
@@ -71,6 +72,45 @@ def a_reset_world_is_a_fresh_one(case: Case) -> None:
             expected = played(fresh, 4)
             played(used, case.draw(st.sampled_from((1, 4))), case.draw(st.integers(0, STEPS)))
         same(played(used, 4), expected)
+
+
+@law(cost=120)
+def a_start_is_set_by_its_draws(case: Case) -> None:
+    """`info["drawn"]` has what a start drew, and `options` of a reset set these values, whatever the seed. With
+    the same seed, too, the whole episode is the same."""
+    with case.environment() as environment:
+        with reference():
+            expected = played(environment, 3)
+        drawn = expected[1] or reject()
+        with reference():
+            assert environment.reset(seed=5, options=drawn)[1]["drawn"] == drawn
+        same(played(environment, 3, options=drawn), expected)
+
+
+@law(cost=110)
+def a_push_changes_nothing_before_it(case: Case) -> None:
+    """A push acts from its time on, which counts from the first observation: the episode up to then is that
+    without it, also where bodies settle at the start."""
+    case.compile()
+    data = copy.deepcopy(case.drawn.data)
+    data.pop("disturbances", None)
+    if chance(case.draw, 70):
+        data.setdefault("reset", {})["settle"] = "100 ms"
+    data["world"]["substeps"] = case.draw(st.integers(1, 4))
+    steps = case.draw(st.integers(1, 5))
+    body, kind = next(iter(data["robots"])), case.draw(st.sampled_from(("force", "torque")))
+    push = {kind: f"0.3 0.2 0.1 {'N' if kind == 'force' else 'N*m'}", "duration": "1 s"}
+    try:
+        before = case.compile(case.write(data, "before.yaml"))
+        period = before.program.world.timestep * before.program.action_repeat
+        push |= {"body": body, "at": f"{steps * period:.9g} s"}
+        after = case.compile(case.write(data | {"disturbances": {"late": push}}, "after.yaml"))
+    except ScenarioError:
+        reject()
+    with case.environment(before) as without, case.environment(after) as pushed:
+        with reference():
+            expected = played(without, 3, steps)
+        same(played(pushed, 3, steps), expected)
 
 
 @law(cost=300, profile=Profile(engines=("mujoco",)))

@@ -10,13 +10,18 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import chdir
 from typing import Any
 
 from hypothesis import reject
 from hypothesis import strategies as st
 
 from deepbots_cli import api
+from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import MappingNode, Permissions
+from deepbots_cli.expressions.parser import parse
+from deepbots_cli.expressions.syntax import Number
+from deepbots_cli.insight.inspection import in_written_units, scenario_tables
 from deepbots_cli.insight.world_changes import command_plans, friction_plans, latency_plans
 from deepbots_cli.learning.robustness import (
     DELAY,
@@ -35,6 +40,7 @@ from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.rollout.source import Source, SourceKind
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference
+from tests.laws.records import printed
 from tests.laws.scenarios import Profile
 from tests.laws.writing import canonical
 
@@ -325,3 +331,57 @@ def a_test_of_a_case_is_a_test_of_its_settings(case: Case) -> None:
     actual, expected = outcome(case, cased, "cased.yaml"), outcome(case, plain, "plain.yaml")
     assert actual[0] == expected[0], (actual[0] - expected[0], expected[0] - actual[0])
     assert actual[1] == expected[1]
+
+
+@law(cost=150, profile=Profile(agents=1))
+def a_case_is_shown_with_its_settings(case: Case) -> None:
+    """`inspect --case` shows the scenario in which the settings of the case are written."""
+    case.compile()
+    plain = copy.deepcopy(case.drawn.data)
+    drawn = settings(case, plain)
+    for section in ("evaluation", "curriculum", "tests", "tune", "solved", "train"):
+        plain.pop(section, None)
+    cased = plain | {"evaluation": {"cases": {"other": {"set": drawn}}}}
+    plain = copy.deepcopy(plain)
+    for path, value in drawn.items():
+        with_setting(plain, path, value)
+    case.write(cased, "cased.yaml")
+    case.write(plain, "plain.yaml")
+    with chdir(case.folder):
+        if any(
+            finding.severity == "error" for name in ("cased", "plain") for finding in api.lint(f"{name}.yaml")
+        ):
+            reject()
+        shown, expected = (
+            printed("inspect", "cased.yaml", "--case", "other"),
+            printed("inspect", "plain.yaml"),
+        )
+    for tables in (shown, expected):
+        tables["scenario"].pop("digest")
+        for key in ("cases", "training", "hyperparameters"):  # the learner is chosen for the scenario
+            tables.pop(key, None)
+    assert shown == expected, list(differences(shown, expected))
+
+
+@law(cost=120, profile=Profile(agents=1))
+def the_tables_have_the_ranges_of_the_program(case: Case) -> None:
+    """`inspect` shows each range in a unit of its quantity, or in that of the file: in SI units, it is the
+    range that the program maps."""
+    case.compile()
+    opened = open_source(str(case.path), (), Permissions())
+    program, root = opened.program, opened.root
+    assert root is not None
+    tables = scenario_tables(program, root, None, opened.learner)
+    if chance(case.draw, 50):
+        tables = in_written_units(tables, program, root)
+    numbers = {number.full_name: (number.low, number.high) for number in program.agent.numbers}
+    stated = [(row, numbers.get(row["name"])) for row in tables.get("observation", [])]
+    parts = {part.name: (part.low, part.high) for part in program.agent.action if hasattr(part, "low")}
+    stated += [(row, parts.get(row["action"])) for row in tables["action"] if row["kind"] == "range"]
+    for row, ends in stated:
+        if ends is None or row.get("low") is None:
+            continue
+        unit = parse(f"1 {row['unit']}", lambda *_args, **_options: None)
+        scale = 1.0 if not isinstance(unit, Number) or unit.unit is None else unit.unit.to_si(1.0)
+        for end, value in zip(ends, (row["low"], row["high"]), strict=True):
+            assert math.isclose(value * scale, end, rel_tol=1e-6, abs_tol=1e-9), (row, ends)
