@@ -472,12 +472,16 @@ class MemoryFormulas:
             case "integral" | "duration":
                 return zero, zero
             case "accumulate":
-                return args[3], args[3]
+                return (start := self._limited(args[3], args)), start
             case "rising_edge":
                 return first, self._math.constant([False])
             case "running_max" | "running_min" | "hold" | "low_pass":
                 return first, first
         raise UsageError(f"the function '{function}' cannot be exported")
+
+    def _limited(self, value: Value, args: Sequence[Value]) -> Value:
+        """Return a running sum within its range."""
+        return self._math.call("min", [self._math.call("max", [value, args[1]]), args[2]])
 
     def proceed(self, function: str, memory: Value, args: Sequence[Value]) -> tuple[Value, Value]:
         """Return the values of every further step."""
@@ -501,12 +505,13 @@ class MemoryFormulas:
             case "integral":
                 after = binary("Add", memory, binary("Mul", first, arithmetic.constant([self._timestep])))
             case "accumulate":
-                after = arithmetic.call(
-                    "min", [arithmetic.call("max", [binary("Add", memory, first), args[1]]), args[2]]
-                )
+                after = self._limited(binary("Add", memory, first), args)
             case "duration":
-                grown = binary("Add", memory, arithmetic.constant([self._timestep]))
-                after = arithmetic.where(first, grown, arithmetic.constant([0.0]))
+                after = arithmetic.where(
+                    first,
+                    binary("Add", memory, arithmetic.constant([self._timestep])),
+                    arithmetic.constant([0.0]),
+                )
             case "rising_edge":
                 return first, arithmetic.both(first, arithmetic.negated(memory))
             case _:
@@ -616,10 +621,8 @@ class StepMemories:
             "Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0)
         )
         frames = graph.add("Concat", older, newest, axis=0)
-        without_oldest = graph.add(
-            "Slice", frames, *(graph.constant([bound], np.int64) for bound in (1, depth, 0))
-        )
-        self.keep_tensor(name, self.tensor_if_acting(without_oldest, older))
+        bounds = (graph.constant([bound], np.int64) for bound in (1, depth, 0))
+        self.keep_tensor(name, self.tensor_if_acting(graph.add("Slice", frames, *bounds), older))
         return str(frames)
 
     def per_timestep(self, states: Sequence[State], printer: TreePrinter) -> Value:
@@ -668,12 +671,13 @@ class StepMemories:
     def _slot(self, state: State) -> str:
         """Return a name for the memory of a stateful call, which no other memory has."""
         item, occurrence = state.call
-        names = {memory.name for memory in self.entries}
         candidates = [
             item if occurrence == "0" else f"{item}.{occurrence}",
             *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000)),
         ]
-        return next(name for name in candidates if f"memory.{name}" not in names)
+        return next(
+            name for name in candidates if all(memory.name != f"memory.{name}" for memory in self.entries)
+        )
 
 
 def _columns(printer: TreePrinter, states: Sequence[State]) -> list[Value]:
