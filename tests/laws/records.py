@@ -206,6 +206,10 @@ def require_agreement(program: Program, worlds: Worlds, run: Path) -> None:
     assert (listed["steps"], listed["episodes"]) == (record["steps"], len(rows))
     if listed["score"] == "training" and recent:
         close(listed["mean_return"], record["mean_return"], "runs")
+    if listed["score"] == "evaluation":
+        kept = (json.loads(path.read_text(encoding="utf-8")) for path in (run / "evaluations").glob("*.json"))
+        means = [*(fmean(entry["returns"]) for entry in entries), *(one["mean_return"] for one in kept)]
+        assert any(abs(mean - listed["mean_return"]) < 1e-6 * max(1.0, abs(mean)) for mean in means), listed
     if listed["score"] == "evaluation" and len(entries) and listed["evaluated_episodes"]:
         best = [entry for entry in entries if entry["steps"] == listed["best_steps"]]
         assert best, (listed, entries)

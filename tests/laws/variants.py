@@ -35,6 +35,7 @@ from deepbots_cli.learning.robustness import (
 )
 from deepbots_cli.learning.scenario_tests import run_tests
 from deepbots_cli.lint import all_findings
+from deepbots_cli.lint.run import STATIC_RULES
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.rollout.source import Source, SourceKind
@@ -248,6 +249,8 @@ def settings(case: Case, data: dict[str, Any]) -> dict[str, Any]:
         drawn["truncation.max_steps"] = {"limit": limit, "success": "all"} if chance(case.draw, 20) else limit
     if chance(case.draw, 20):
         drawn["truncation.max_time"] = pick(case.draw, ("100 ms", "2 s"))
+    if chance(case.draw, 30):
+        drawn["reward.extra"] = pick(case.draw, (0, "-1", "1 / (step - 3)", "1 when step > 1000"))
     for word in ("success", "failure"):
         if chance(case.draw, 40):
             condition = pick(case.draw, ("step >= 4", "time > 0.2 s", "step > 100"))
@@ -333,9 +336,13 @@ def a_test_of_a_case_is_a_test_of_its_settings(case: Case) -> None:
     assert actual[1] == expected[1]
 
 
-@law(cost=150, profile=Profile(agents=1))
+OF_EACH_VERSION = {rule.code for rule in STATIC_RULES if rule.versions == "each"}
+
+
+@law(cost=200, profile=Profile(agents=1))
 def a_case_is_shown_with_its_settings(case: Case) -> None:
-    """`inspect --case` shows the scenario in which the settings of the case are written."""
+    """`inspect --case` shows the scenario in which the settings of the case are written, and `lint` finds what
+    is wrong in it."""
     case.compile()
     plain = copy.deepcopy(case.drawn.data)
     drawn = settings(case, plain)
@@ -348,10 +355,14 @@ def a_case_is_shown_with_its_settings(case: Case) -> None:
     case.write(cased, "cased.yaml")
     case.write(plain, "plain.yaml")
     with chdir(case.folder):
-        if any(
-            finding.severity == "error" for name in ("cased", "plain") for finding in api.lint(f"{name}.yaml")
-        ):
+        said, wanted = api.lint("cased.yaml"), api.lint("plain.yaml")
+        if any(finding.severity == "error" for finding in (*said, *wanted)):
             reject()
+        # What the scenario itself has is not said of its cases again.
+        of_all = {finding.code for finding in said if not _VERSION.match(finding.headline)}
+        stated = {(finding.code, _VERSION.sub("", finding.headline)) for finding in said}
+        missing = {(finding.code, finding.headline) for finding in wanted} - stated
+        assert not [one for one in missing if one[0] in OF_EACH_VERSION - of_all], missing
         shown, expected = (
             printed("inspect", "cased.yaml", "--case", "other"),
             printed("inspect", "plain.yaml"),

@@ -621,7 +621,10 @@ def units(draw: Draw, data: Data) -> Shown:
         same = [unit for unit in UNITS.values() if unit.dimension == old.dimension]
         new = pick(draw, [*units_of(old.dimension), *same])
         numbers = in_unit(match[1], match[2], new.text) if new.text else None
-        return match[0] if numbers is None else f"{numbers} {new.text}"
+        text = (
+            re.sub(r"(?<=[a-z])/([A-Za-z]+)(?![\^\w])", r"*\1^-1", new.text) if chance(draw, 30) else new.text
+        )
+        return match[0] if numbers is None else f"{numbers} {text}"
 
     def changed(node: Any) -> Any:
         if isinstance(node, dict):
