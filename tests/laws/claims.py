@@ -231,7 +231,7 @@ def with_every_value(program: Program) -> Iterator[None]:
 
     A value may be missing only where the intervals of the types allow it.
     """
-    with reference("no start was found", "is not stable", "infinite or NaN"):
+    with reference("no start was found", "is not stable", "infinite or NaN", "is not finite"):
         try:
             yield
         except EvaluationError as error:
