@@ -157,7 +157,6 @@ OF_TRAININGS = (
     "no start was found",
     "is not stable",
     "infinite or NaN",
-    "is not finite",
     "no value for",
     "is not finite",
 )
