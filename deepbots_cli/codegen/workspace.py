@@ -592,7 +592,7 @@ class SupervisorPrinter(ClassPrinter):
         if leaf.function == "message_received":
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "delayed"
-        return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
+        return f"({self.scenario.world.timestep!r} * ({self.tick} > 0))" if late else "0.0"
 
 
 def whole_vector(
