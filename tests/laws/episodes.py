@@ -120,7 +120,8 @@ def one_world_is_one_of_many(case: Case) -> None:
     docs/engines.md names the readings that are equal but for the last digits, and the number of contacts
     whose forces a batch can read.
     """
-    compiled = case.compile()
+    case.compile()
+    compiled = case.compile(case.write(with_ages(case.drawn.data), "ages.yaml"))
     if batch_obstacles(compiled.program) or any(name in case.drawn.text for name in ROUNDED):
         reject()
     episodes = []
@@ -145,6 +146,24 @@ def one_world_is_one_of_many(case: Case) -> None:
                 same(part_of(together, world), step.shown, place)
                 if any(step.ends):
                     same(part_of(info["final_obs"], world), step.observation, f"{place}, last observation")
+
+
+def with_ages(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a scenario of one agent whose policy sees the ages of all readings that robots send."""
+    data = copy.deepcopy(data)
+    sent = [
+        f"{name}.{sensor}"
+        for name, robot in data["robots"].items()
+        for sensor in robot.get("sensors", {})
+        if sensor in robot.get("emit", ()) and "count" not in robot
+    ]
+    augment = data.get("augment", {})
+    is_sending = data.get("messages", {}).get("format") != "none"
+    if sent and is_sending and isinstance(augment, dict) and "agents" not in data:
+        ages = {f"age{number}": f"age({name})" for number, name in enumerate(sent)}
+        data["augment"] = augment | ages
+        data["observation"] |= dict.fromkeys(ages, "0 .. 1 s")
+    return data
 
 
 class Played(NamedTuple):

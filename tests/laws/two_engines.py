@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -9,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.errors import ScenarioError
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from tests.laws.frames import FACTOR, TOLERANCES, difference, disturbed, name_of, scale_of
-from tests.laws.law import Case, law
+from tests.laws.law import Case, law, reference
 from tests.laws.readings import (
     Array,
     Readings,
@@ -24,7 +26,7 @@ from tests.laws.readings import (
     prepared,
     readings,
 )
-from tests.laws.scenarios import PLAIN
+from tests.laws.scenarios import ALONE, PLAIN
 from tests.laws.sensors import RAYS, Truth, second_value
 
 STEPS = 10
@@ -189,3 +191,30 @@ def free_motion_is_the_same_in_two_engines(case: Case) -> None:
                     half_one[name],
                     half_other[name],
                 )
+
+
+@law(cost=120, profile=ALONE)
+def what_has_no_friction_keeps_its_speed(case: Case) -> None:
+    """The friction of a contact is the product of the coefficients of its bodies: a box without friction
+    slides on, whatever the ground is made of."""
+    case.compile()
+    data = copy.deepcopy(case.drawn.data)
+    for key in ("terrain", "arena", "walls", "gravity"):
+        data["world"].pop(key, None)
+    box = {"shape": "box", "size": "10 10 10 cm", "mass": "1 kg", "friction": 0}
+    data.setdefault("objects", {})["slider"] = box
+    data["reset"] = {"place": {"slider": {"y": "50 m", "z": "5 cm", "velocity": "1 0 0 m/s"}}}
+    for engine in ("pybullet", "mujoco"):
+        data["world"]["engine"] = engine
+        try:
+            compiled = case.compile(case.write(data, f"{engine}.yaml"))
+        except ScenarioError:
+            continue
+        with case.environment(compiled) as environment, reference():
+            environment.reset(seed=0)
+            for _ in range(5):
+                _, _, terminated, truncated, _ = environment.step(environment.action_space.sample())
+                speed = environment.engine.motion("slider")()[1][0][0]
+                assert abs(speed - 1.0) < 1e-3, (engine, speed)
+                if terminated or truncated:
+                    break

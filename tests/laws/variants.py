@@ -348,7 +348,7 @@ def a_case_is_shown_with_its_settings(case: Case) -> None:
     drawn = settings(case, plain)
     for section in ("evaluation", "curriculum", "tests", "tune", "solved", "train"):
         plain.pop(section, None)
-    cased = plain | {"evaluation": {"cases": {"other": {"set": drawn}}}}
+    cased = plain | {"evaluation": {"episodes": 5, "cases": {"other": {"set": drawn, "episodes": 7}}}}
     plain = copy.deepcopy(plain)
     for path, value in drawn.items():
         with_setting(plain, path, value)
@@ -358,6 +358,7 @@ def a_case_is_shown_with_its_settings(case: Case) -> None:
         said, wanted = api.lint("cased.yaml"), api.lint("plain.yaml")
         if any(finding.severity == "error" for finding in (*said, *wanted)):
             reject()
+        assert [one.episodes for one in api.compile("cased.yaml").program.cases] == [7]
         # What the scenario itself has is not said of its cases again.
         of_all = {finding.code for finding in said if not _VERSION.match(finding.headline)}
         stated = {(finding.code, _VERSION.sub("", finding.headline)) for finding in said}
