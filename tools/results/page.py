@@ -173,7 +173,8 @@ def _link(experiment: Experiment) -> str:
 def _page_of(scenario: str) -> str:
     """Return the page about a scenario, or about the one that it extends: its results are there on the
     site."""
-    text = (ROOT / "scenarios" / f"{scenario}.yaml").read_text(encoding="utf-8")
+    path = ROOT / "scenarios" / f"{scenario}.yaml"
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""  # a test has a scenario of its own
     extended = re.search(r"^extends: (\w+)", text, re.MULTILINE)
     page = f"scenarios/{extended[1] if extended else scenario}.md"
     return page if (ROOT / "docs" / page).is_file() else "worlds.md"
