@@ -28,7 +28,7 @@ from deepbots_cli.words import counted, number_text, rate_text
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.keeping import KeptModel
+    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness, Side
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame

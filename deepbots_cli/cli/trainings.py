@@ -19,10 +19,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.campaigns.group import Group
-from deepbots_cli.learning.runs.decline import decline_of
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import decline_of, run_verdict
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:

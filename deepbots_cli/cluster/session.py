@@ -17,8 +17,7 @@ from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.cluster.ray_cluster import RayCluster
 from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Call, Refusal, Requirements, WorkerLost, WorkerPool
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.calls import UNWATCHED, Attempt
-from deepbots_cli.learning.executor import CallOptions, Item, Result
+from deepbots_cli.learning.executor import UNWATCHED, Attempt, CallOptions, Item, Result
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import WorldFactory

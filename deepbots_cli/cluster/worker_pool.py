@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.calls import Attempt
+from deepbots_cli.learning.executor import Attempt
 from deepbots_cli.learning.runs.records import versions
 
 MAX_LOSSES = 3

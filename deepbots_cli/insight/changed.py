@@ -9,7 +9,7 @@ from deepbots_cli.document.files import display_path
 from deepbots_cli.document.nodes import follow_dotted
 from deepbots_cli.insight.statements import Numbers, list_text, statement
 from deepbots_cli.insight.training import TrainingEvidence
-from deepbots_cli.learning.runs.changes import SEED, ChangedValue
+from deepbots_cli.learning.runs.verdict import SEED, ChangedValue
 
 _MAX_SHOWN = 4
 _LIKELIHOOD = 0.89

@@ -18,7 +18,7 @@ import numpy as np
 from deepbots_cli.insight.rewards import rising_term
 from deepbots_cli.insight.statements import Numbers, sentence, statement
 from deepbots_cli.insight.training import TrainingEvidence, usual_settings
-from deepbots_cli.learning.runs.decline import Decline
+from deepbots_cli.learning.runs.verdict import Decline
 from deepbots_cli.program.task import Schedule
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import number_text, rate_text

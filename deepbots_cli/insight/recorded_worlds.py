@@ -231,7 +231,7 @@ def record_episodes(
     max_steps: int | None = None,
 ) -> list[RecordedEpisode]:
     """Return episodes of the policy of a run in a world, of at most `max_steps` steps."""
-    from deepbots_cli.learning.evaluation import load_model
+    from deepbots_cli.learning.policy import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     recorded = []

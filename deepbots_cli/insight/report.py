@@ -37,8 +37,12 @@ from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.comparison import GroupResult
-from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
-from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
+from deepbots_cli.learning.runs.evaluations import (
+    EvaluationResult,
+    draw_labels,
+    drawn_effects,
+    in_parentheses,
+)
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict

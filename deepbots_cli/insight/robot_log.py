@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, Run
-from deepbots_cli.rollout.robot_logs import EVENT_PREFIXES
+from deepbots_cli.rollout.recordings import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest and the largest number of steps of a log that are compared."""

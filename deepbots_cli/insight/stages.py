@@ -21,8 +21,7 @@ from deepbots_cli.insight.training import (
     return_trend,
     success_trend,
 )
-from deepbots_cli.learning.runs.draws import DrawnPart, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.evaluations import DrawLabel
+from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode

@@ -217,7 +217,7 @@ def trace_episodes(
     Raises:
         RunError: The run has no model, or one that does not fit.
     """
-    from deepbots_cli.learning import evaluation
+    from deepbots_cli.learning.policy import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
     from deepbots_cli.rollout.policies import PolicyDriver
 
@@ -236,7 +236,7 @@ def trace_episodes(
         torch_settings(),
         closing(_world(watch, run.engine_for(run.program), permissions, run.compiled.units)) as world,
     ):
-        policy = evaluation.load_model(run, model, world)
+        policy = load_model(run, model, world)
         for number in numbers:
             play(
                 world,

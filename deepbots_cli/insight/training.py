@@ -20,11 +20,18 @@ from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
-from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
-from deepbots_cli.learning.runs.decline import Decline, find_decline
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import RunVerdict, logged_episodes_meet, quoted_episodes, run_verdict
+from deepbots_cli.learning.runs.verdict import (
+    ChangedValue,
+    Decline,
+    RunVerdict,
+    find_decline,
+    logged_episodes_meet,
+    nearest_solved,
+    quoted_episodes,
+    run_verdict,
+)
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.members import Member

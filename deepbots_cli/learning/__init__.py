@@ -1,36 +1,28 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
-training.py              train and resume: joins all of the below
+training.py              train and resume: joins all of the below; the speed with several shards
 training_loop.py         a training from its last checkpoint to its end
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
 callbacks.py             the callback of a training, when to stop, and the scalars that it logs
 training_evaluations.py  the evaluations of a training, their confirmations, and the choice of its best model
-checkpoints.py           the whole state of a training, from which it continues to the bit
-checkpoint_files.py      the files of a checkpoint, and their valid content
-model_files.py           the files of models: their archive, and the steps after which they were saved
+checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
 report.py                the progress of a training and of a group
-signals.py               Ctrl-C and SIGTERM
 
-environments.py          the creation of worlds: one by one, or as a batch
+environments.py          the worlds of a training or an evaluation, and their held-out episodes
 shards.py                the worlds of a training, and shards of them with a copy of the policy
-executor.py              executors of work: in this process, or on workers
-calls.py                 calls of a function, and their watchers
+executor.py              executors of work, in this process or on workers; Ctrl-C and SIGTERM
 failures.py              failures of an episode, kept to be reproduced
-limits.py                checks that a training fits into the memory
-scaling.py               the speed of a training with several numbers of shards
 
-evaluation.py            evaluate: a policy on held-out starts, with intervals; loads the model of a run
-held_out.py              held-out episodes: the worlds that play them, and their starts in a training
-keeping.py               the best model of a run, chosen again on new starts or by hand
+evaluation.py            evaluate: a policy on held-out starts, with intervals; the best model chosen again
 comparison.py            compare: groups of runs on the same starts; a group as one
 robustness.py            a policy under changed conditions
-policy.py                a trained policy as an object to call
+policy.py                the policies of runs: loaded, as objects to call, beside other agents
+teaching.py              teachers: scripts, recordings and other policies
 scenario_tests.py        the tests of a scenario
 
 runs/                    the directory of a run, and what follows from its files alone
 campaigns/               several trainings of one scenario: groups, studies, and how they are listed
 agents/                  several agents: their learners, and matches between them
-teaching/                teachers: scripts, recordings and other policies
 sb3/                     the learner of the built-in algorithms
 
 The names below are imported on first use, because torch alone takes a second. For the same reason, commands

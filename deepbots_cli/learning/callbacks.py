@@ -16,11 +16,11 @@ import numpy as np
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.learning.report import LINE_INTERVAL_S, TrainingProgress
-from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.runs.episodes import Summary, agent_returns
 from deepbots_cli.learning.runs.order import SHORTLIST, Candidate
 from deepbots_cli.learning.runs.records import PATIENCE
-from deepbots_cli.learning.teaching.teacher import Plan, TeacherState, Teaching
+from deepbots_cli.learning.runs.statistics import COST_SHARE
+from deepbots_cli.learning.teaching import Plan, TeacherState, Teaching
 from deepbots_cli.learning.training_evaluations import (
     OFF_POLICY_FACTOR,
     URGENT_SHARE,

@@ -33,8 +33,7 @@ from deepbots_cli.errors import (
     UsageError,
 )
 from deepbots_cli.learning.runs.curriculum import Curriculum
-from deepbots_cli.learning.runs.directories import read_json, write_numbered
-from deepbots_cli.learning.runs.record_shape import SKIPPED
+from deepbots_cli.learning.runs.directories import SKIPPED, read_json, write_numbered
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps

@@ -21,7 +21,7 @@ import numpy as np
 
 from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.checkpoint_files import (
+from deepbots_cli.learning.checkpoints import (
     Array,
     ArraySpec,
     CheckpointState,
@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.runs.records import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
-    from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-    from deepbots_cli.learning.teaching.teacher import Demonstrations, Plan
+    from deepbots_cli.learning.teaching import Demonstrations, Plan, PolicyTeacher
 
 # By whether the algorithm is on-policy; imported when it is used.
 _SB3_LEARNERS = {

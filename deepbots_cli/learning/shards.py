@@ -22,9 +22,8 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
+from deepbots_cli.learning.environments import EvaluationWorlds, WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
-from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.run import Run
@@ -33,7 +32,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.levels import LIMITS, SUCCESS
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
@@ -43,7 +41,14 @@ from deepbots_cli.rollout.collector import (
     RunningEpisode,
     ShardResult,
 )
-from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, Array, SingleWorlds, Worlds, WorldsOptions
+from deepbots_cli.rollout.worlds import (
+    ENDED_BY_ANOTHER_COPY,
+    Array,
+    BatchWorlds,
+    SingleWorlds,
+    Worlds,
+    WorldsOptions,
+)
 from deepbots_cli.runtime.streams import derive_seed
 
 

@@ -2,7 +2,7 @@
 its best model.
 
 The confirmations of a training: new starts that show whether a model whose evaluation meets `solved`
-solves the task. `confirmation_rule` defines how one of them is judged.
+solves the task. `statistics.Confirmation` defines how one of them is judged.
 
 The evaluations of a training: held-out episodes of the present networks, the models with the best of them,
 and the choice of the best model at the end.
@@ -19,15 +19,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
+from deepbots_cli.learning.environments import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    confirmation_root,
+    evaluation_seeds,
+)
+from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import Activity, Reporter
-from deepbots_cli.learning.runs.confirmation_rule import COST_SHARE, Confirmation, may_begin
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, Statistics, Summary, agents_line
 from deepbots_cli.learning.runs.order import Candidate, Shortlist, measure_of, most_episodes
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.statistics import Interval
-from deepbots_cli.learning.signals import Interruption
+from deepbots_cli.learning.runs.statistics import COST_SHARE, Confirmation, Interval, may_begin
 from deepbots_cli.rollout import Episode, Start
 from deepbots_cli.words import number_text
 

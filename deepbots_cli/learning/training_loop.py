@@ -17,12 +17,10 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
 from deepbots_cli.learning.callbacks import OnEvaluation, TrainingCallback
-from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
-from deepbots_cli.learning.checkpoints import Checkpoints
-from deepbots_cli.learning.environments import WorldFactory, stepping_text
+from deepbots_cli.learning.checkpoints import Checkpoints, damage_explained, latest_checkpoint
+from deepbots_cli.learning.environments import Evaluator, WorldFactory, stepping_text
 from deepbots_cli.learning.evaluation import confirmation_result
-from deepbots_cli.learning.executor import Executor
-from deepbots_cli.learning.held_out import Evaluator
+from deepbots_cli.learning.executor import Executor, signals_handled
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
@@ -38,12 +36,10 @@ from deepbots_cli.learning.runs.records import (
     write_record,
 )
 from deepbots_cli.learning.runs.run import ModelRef, Run
-from deepbots_cli.learning.sb3 import algorithms, plugins
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.defaults import longest_episode
-from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.signals import signals_handled
-from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-from deepbots_cli.learning.teaching.teacher import Demonstrations, Teaching, demonstrate
+from deepbots_cli.learning.sb3.logs import PluginCallback, TrainingLog
+from deepbots_cli.learning.teaching import Demonstrations, PolicyTeacher, Teaching, demonstrate
 from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE, ActiveTraining, Confirmed
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
@@ -127,7 +123,7 @@ class TrainingProcess:
         if self.checkpoints.state is not None:
             self._callback.restore(self.checkpoints.state.callback)
         self._status: Status = "failed"
-        self._followers: list[plugins.PluginCallback] = []
+        self._followers: list[PluginCallback] = []
         self._weights_digest = ""
         self._ratings: tuple[Rating, ...] = ()
         self._pool_games: tuple[PoolGames, ...] = ()
@@ -180,7 +176,7 @@ class TrainingProcess:
         reporter.start(callback.progress())
         stack.callback(reporter.stop)
         try:
-            self._followers.extend(map(plugins.PluginCallback, self.run.record.callbacks))
+            self._followers.extend(map(PluginCallback, self.run.record.callbacks))
             self._status = self._learn_until_done(learner, collector)
             # A confirmation has chosen the model of a solved task already.
             if self._status == "finished" and not callback.is_solved:

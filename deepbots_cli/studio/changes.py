@@ -8,9 +8,9 @@ from pathlib import Path
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.campaigns.listing import ListedRun
-from deepbots_cli.learning.runs.changes import changed_values, listed_values, started
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
 
 _MAX_RUNS = 40
 """The number of runs, the newest ones, that are compared: a comparison compiles both scenarios."""

@@ -16,8 +16,8 @@ from nicegui import events, ui
 
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.runs.changes import TIMESTEPS, changed_values
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.charts import comparison_chart
 from deepbots_cli.studio.commands import RUNS_FOLDER, title_of

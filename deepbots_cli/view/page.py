@@ -19,7 +19,7 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import add, scaled
-from deepbots_cli.learning.runs.changes import changed_texts, listed_values
+from deepbots_cli.learning.runs.verdict import changed_texts, listed_values
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND

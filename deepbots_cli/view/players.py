@@ -6,7 +6,7 @@ from contextlib import closing
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND
-from deepbots_cli.rollout.robot_logs import RobotLog
+from deepbots_cli.rollout.recordings import RobotLog
 from deepbots_cli.view.episodes import BatchPlayer, Player, Showing, ShowingState
 from deepbots_cli.view.replay import LogPlayer, ReplayPlayer
 

@@ -20,8 +20,16 @@ from deepbots_cli.frames import Frame
 from deepbots_cli.port import View
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import RECORDED, ROBOT, sequence_driver
-from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, RecordingError, actions, damaged
-from deepbots_cli.rollout.robot_logs import LoggedEpisode, LoggedStep, RobotLog
+from deepbots_cli.rollout.recordings import (
+    LoggedEpisode,
+    LoggedStep,
+    RecordedEpisode,
+    Recording,
+    RecordingError,
+    RobotLog,
+    actions,
+    damaged,
+)
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.view.episodes import Player, ShowingState
 from deepbots_cli.view.frames import (

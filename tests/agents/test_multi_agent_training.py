@@ -28,18 +28,17 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.environments import stepping_text, supervisor_factory
-from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.held_out import EvaluationWorlds
+from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
+from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
-from deepbots_cli.rollout.worlds import SingleWorlds, Worlds, observation_digest
+from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS, scenario_fixture, write_scenario
 from tests.agents.test_agents import ALONE, SEVERAL

@@ -29,8 +29,9 @@ from deepbots_cli.insight.training import TrainingEvidence, read_training, read_
 from deepbots_cli.learning.agents import self_play
 from deepbots_cli.learning.agents.matches import play_matches
 from deepbots_cli.learning.agents.self_play import SelfPlayLearner, Sides, SidesCollector
-from deepbots_cli.learning.checkpoint_files import latest_checkpoint
-from deepbots_cli.learning.evaluation import evaluate, load_model
+from deepbots_cli.learning.checkpoints import latest_checkpoint
+from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector

@@ -16,15 +16,13 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import learner
-from deepbots_cli.learning.environments import stepping_text, supervisor_factory
-from deepbots_cli.learning.held_out import EvaluationWorlds
+from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
 from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.policies import ordered_episodes, play_batch, play_episodes
-from deepbots_cli.rollout.worlds import SingleWorlds, Worlds, observation_digest
+from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
 SEEDS = (3, 4, 5)

@@ -30,7 +30,7 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.insight.speed import EngineSpeeds, engine_speeds, measure
-from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
+from deepbots_cli.learning.runs.evaluations import draw_labels, drawn_effects
 from deepbots_cli.learning.runs.statistics import mean_interval, wilson
 from deepbots_cli.learning.sb3 import defaults
 from deepbots_cli.learning.scenario_tests import run_tests

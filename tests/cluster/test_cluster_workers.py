@@ -46,9 +46,8 @@ from deepbots_cli.cluster.worker_pool import WorkerLost, WorkerPool
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import evaluate, evaluate_group, resume, resume_group, train, train_group
-from deepbots_cli.learning.calls import Watcher
 from deepbots_cli.learning.campaigns.group import Group, GroupTraining
-from deepbots_cli.learning.executor import SERIAL, Executor, results
+from deepbots_cli.learning.executor import SERIAL, Executor, Watcher, results
 from deepbots_cli.learning.report import GroupProgressReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.learning.runs.run import Run
@@ -107,7 +106,7 @@ SCRIPT = """
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test in the background ignores it
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import Watcher
 from tests.cluster.calls import sleep
 
 class Printer(Watcher):

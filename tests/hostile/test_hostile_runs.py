@@ -29,7 +29,7 @@ from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.sb3.state import StableState
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.program.task import Solved, Training
 from tests.fuzz.workbench import peak_memory
 from tests.hostile.runs import CHANGES, MOST_SECONDS, outcomes

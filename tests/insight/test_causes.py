@@ -43,10 +43,10 @@ from deepbots_cli.insight.trace import Trace, TraceRecorder
 from deepbots_cli.insight.train_command import training_command
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
-from deepbots_cli.learning.runs.decline import Decline
 from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.records import write_record
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import Decline
 from deepbots_cli.rollout import Episode
 from tests.few import few
 from tests.insight.collapses import CASES, has_fallen, named, trained

@@ -24,8 +24,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.rollout import Episode, robot_logs
-from deepbots_cli.rollout.robot_logs import RobotLog
+from deepbots_cli.rollout import Episode, recordings
+from deepbots_cli.rollout.recordings import RobotLog
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
 
@@ -803,7 +803,7 @@ def test_steps_beyond_the_limit_are_left_out_with_a_note(
     cut_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert RobotLog.read(cut_log).notes == ()
-    monkeypatch.setattr(robot_logs, "MAX_STEPS", 4)
+    monkeypatch.setattr(recordings, "MAX_LOGGED_STEPS", 4)
     log = RobotLog.read(cut_log)
     assert [len(episode.steps) for episode in log.episodes] == [3, 1]
     assert log.notes == ("the log is longer than 4 steps; later steps are left out",)

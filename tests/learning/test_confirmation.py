@@ -33,15 +33,24 @@ from deepbots_cli.learning import (
     evaluate,
     evaluate_trained,
     learner,
-    model_files,
     resume,
     train,
     training_evaluations,
 )
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
+from deepbots_cli.learning.environments import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    confirmation_root,
+    evaluation_seeds,
+)
+from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.runs.confirmation_rule import (
+from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Candidate, Shortlist
+from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
+from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
+from deepbots_cli.learning.runs.statistics import (
     COST_SHARE,
     FALSE_STOPS,
     MARGIN,
@@ -51,13 +60,14 @@ from deepbots_cli.learning.runs.confirmation_rule import (
     may_begin,
     required_successes,
 )
-from deepbots_cli.learning.runs.decline import find_decline, paired
-from deepbots_cli.learning.runs.episodes import read_evaluations
-from deepbots_cli.learning.runs.order import Candidate, Shortlist
-from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run
-from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
-from deepbots_cli.learning.signals import Interruption
+from deepbots_cli.learning.runs.verdict import (
+    find_decline,
+    last_episodes,
+    paired,
+    quoted_episodes,
+    quoted_evaluation,
+    run_verdict,
+)
 from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
@@ -555,8 +565,8 @@ def learned(
     return train(task, runs=folder, seed=SEED, build=build, **options)
 
 
-def steps_of(result: TrainingResult, model: str) -> int:
-    return model_files.steps_of(result.run / "models" / "agent" / f"{model}.zip")
+def model_steps(result: TrainingResult, model: str) -> int:
+    return steps_of(result.run / "models" / "agent" / f"{model}.zip")
 
 
 def evaluated_steps(result: TrainingResult) -> list[int]:
@@ -581,7 +591,7 @@ def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_retu
     first, second, *_ = evaluated_steps(result)
     assert first < second < result.steps
     assert result.best is not None
-    assert (result.best.steps, steps_of(result, "best")) == (second, second)
+    assert (result.best.steps, model_steps(result, "best")) == (second, second)
     assert result.best.measure == "success_rate"
     assert run_verdict(result.run, RunRecord.read(result.run)).solved is None  # it was not evaluated yet
 
@@ -597,7 +607,7 @@ def test_where_solved_asks_for_a_return_the_higher_return_is_kept(tmp_path: Path
 
 def test_of_equal_evaluations_the_later_model_is_kept(unpaid: tuple[Worlds, TrainingResult]) -> None:
     _, result = unpaid
-    assert steps_of(result, "best") == steps_of(result, "last")
+    assert model_steps(result, "best") == model_steps(result, "last")
 
 
 @pytest.mark.slow
@@ -630,7 +640,7 @@ def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
     result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=1_600, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
     assert 2 <= len(files) <= 5
-    assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
+    assert model_steps(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
 
 
 def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(
@@ -682,7 +692,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     assert build.evaluations == 2
     assert result.steps < 6_000
     assert result.confirmed_at is not None
-    assert result.confirmed_at.steps == result.steps == steps_of(result, "best")
+    assert result.confirmed_at.steps == result.steps == model_steps(result, "best")
     run = Run.open(result.run)
     verdict = run_verdict(result.run, run.record)
     assert verdict.solved is True
@@ -756,7 +766,7 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
     assert again.best is not None
     assert again.best.steps is not None
     assert again.best.steps > result.steps
-    assert steps_of(again, "best") == again.best.steps
+    assert model_steps(again, "best") == again.best.steps
     assert again.confirmed_seed is None  # no confirmation ended it, so its verdict comes from an evaluation
 
 

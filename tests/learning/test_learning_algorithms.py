@@ -39,10 +39,10 @@ from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume,
 from deepbots_cli.learning.learner import Setup, create
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, internals, models, networks
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise, DivergenceRate
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
 from deepbots_cli.learning.sb3.networks import mirrored_actions, mirrored_experience, mirrored_observations
 from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment, ExplorationActor, spaces_only
-from deepbots_cli.learning.sb3.schedules import DecayingNoise, DivergenceRate
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import (

@@ -34,8 +34,7 @@ from deepbots_cli.learning import (
     evaluate_robustness,
     train,
 )
-from deepbots_cli.learning.keeping import keep, kept_models
-from deepbots_cli.learning.model_files import steps_of
+from deepbots_cli.learning.evaluation import keep, kept_models
 from deepbots_cli.learning.robustness import (
     Change,
     RobustnessLevel,
@@ -51,7 +50,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.draws import EpisodeDraws

@@ -58,15 +58,15 @@ from deepbots_cli.learning import (
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.executor import SERIAL, Executor
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
-from deepbots_cli.learning.sb3.state import StableState
-from deepbots_cli.learning.scaling import measure
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
-from deepbots_cli.learning.teaching.teacher import Teaching
+from deepbots_cli.learning.teaching import Teaching
+from deepbots_cli.learning.training import measure_shards
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import (
     ActionNoise,
@@ -1111,7 +1111,7 @@ def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path, installed: Non
     ],
 )
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
-    measured = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
+    measured = measure_shards("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
     assert [timing.shards for timing in measured] == [1, 2]
     for timing in measured:
         parts = (

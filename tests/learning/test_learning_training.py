@@ -45,7 +45,6 @@ from deepbots_cli.learning import (
     evaluate,
     evaluate_cases,
     learner,
-    limits,
     resume,
     train,
 )
@@ -57,7 +56,7 @@ from deepbots_cli.learning.runs.order import Candidate
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.sb3.state import StableState
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from deepbots_cli.rollout.source import Source
@@ -621,11 +620,11 @@ def test_the_check_of_an_algorithm_that_does_not_exist_names_those_that_do() -> 
 
 
 def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:
-    limits.check_memory(8, memory=10**9)
+    algorithms.check_memory(8, memory=10**9)
     with pytest.raises(
         UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
     ):
-        limits.check_memory(1024, memory=8 * 10**9)
+        algorithms.check_memory(1024, memory=8 * 10**9)
 
 
 def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_path: Path) -> None:

@@ -25,10 +25,8 @@ from deepbots_cli import compile
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.runs import statistics as stats
 from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.runs.draws import DrawnEffects, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, StatisticsState, Summary
-from deepbots_cli.learning.runs.evaluations import DrawLabel
-from deepbots_cli.learning.runs.generations import Generations
+from deepbots_cli.learning.runs.episodes import EpisodeLog, Generations, Statistics, StatisticsState, Summary
+from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator

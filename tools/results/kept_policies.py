@@ -16,7 +16,7 @@ import torch
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.keeping import kept_models
+from deepbots_cli.learning.evaluation import kept_models
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import wilson
 

@@ -208,15 +208,15 @@ def _bench_shards(
     )
     terminal.note_warnings(compiled.findings, scenario)
     with terminal.transient_line("loading PyTorch ..."):
-        from deepbots_cli.learning import scaling
+        from deepbots_cli.learning import training
     if address is None and workers is None and max(numbers) > 1:
         workers = min(max(numbers), available_cores())
     terminal.note(
-        f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
+        f"training for about {training.MEASURED_SECONDS:.0f} s with each number of shards, after the start of their"
         " processes"
     )
     with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
-        timings = scaling.measure(
+        timings = training.measure_shards(
             scenario,
             numbers,
             executor,

@@ -87,7 +87,7 @@ def command(
 
 
 def _is_log(path: Path) -> bool:
-    from deepbots_cli.rollout.robot_logs import is_robot_log
+    from deepbots_cli.rollout.recordings import is_robot_log
 
     return is_robot_log(path)
 

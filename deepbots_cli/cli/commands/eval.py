@@ -47,8 +47,8 @@ from deepbots_cli.words import counted
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
+    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.executor import Executor
-    from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.program import Program
     from deepbots_cli.rollout.policies import StopCondition
 
@@ -454,7 +454,7 @@ def _kept(
 ) -> KeptModel:
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.keeping import keep
+        from deepbots_cli.learning.evaluation import keep
     with (
         processes.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,

@@ -56,7 +56,7 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """List the episodes of a recording, or run them again and compare."""
-    from deepbots_cli.rollout.robot_logs import is_robot_log
+    from deepbots_cli.rollout.recordings import is_robot_log
 
     log = Path(recording)
     if is_robot_log(log):

@@ -73,9 +73,9 @@ def command(
         studies.continue_study(study, workers, address, **output_options)
         return
     if callbacks or loggers:
-        from deepbots_cli.learning.sb3 import plugins
+        from deepbots_cli.learning.sb3 import logs
 
-        plugins.check(names(callbacks), names(loggers))
+        logs.check_plugins(names(callbacks), names(loggers))
     settings: dict[str, Any] = {
         "total_timesteps": timesteps,
         "stop_when_solved": False if full else None,

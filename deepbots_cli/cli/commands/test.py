@@ -23,8 +23,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.executor import results
+from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.program.task import ScenarioTest

@@ -127,7 +127,7 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     """Return the content of bundle.json, without the digests of the files."""
-    from deepbots_cli.learning.model_files import steps_of
+    from deepbots_cli.learning.runs.run import steps_of
     from deepbots_robot import model
 
     program, record = run.program, run.record

@@ -24,9 +24,9 @@ from pydantic_core import to_jsonable_python
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
-from deepbots_cli.learning.model_files import DATA, data_of, opened
+from deepbots_cli.learning.runs.run import DATA, data_of, opened_archive
 from deepbots_cli.learning.sb3.logs import AgentLog
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
@@ -398,7 +398,7 @@ def own_model(path: Path, agent: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / _member(agent)
         try:
-            with opened(path, path.stat().st_size) as archive:
+            with opened_archive(path, path.stat().st_size) as archive:
                 target.write_bytes(archive.read(_member(agent)))
         except Exception as error:  # reading a damaged file raises a dozen kinds of exceptions
             raise RunError(f"{path} has no model of the agent '{agent}'") from error

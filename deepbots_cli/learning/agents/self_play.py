@@ -18,7 +18,7 @@ from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.agents.multi_agent import MultiAgentLearner, MultiAgentState
-from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
+from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program.members import qualified_name

@@ -14,14 +14,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.campaigns.campaign import Campaign
-from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.group import Campaign, Group
 from deepbots_cli.learning.campaigns.study import Study
-from deepbots_cli.learning.runs.decline import Decline, decline_of
-from deepbots_cli.learning.runs.directories import numbered_files, read_json
+from deepbots_cli.learning.runs.directories import SKIPPED, numbered_files, read_json
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.record_shape import SKIPPED
 from deepbots_cli.learning.runs.records import (
     MAX_STATE_BYTES,
     ChosenBy,
@@ -30,7 +27,7 @@ from deepbots_cli.learning.runs.records import (
     State,
     changed_settings,
 )
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import Decline, decline_of, run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TAIL_BYTES = 64_000

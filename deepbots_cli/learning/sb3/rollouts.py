@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3 import internals, networks
-from deepbots_cli.learning.sb3.schedules import DecayingNoise
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.rollout.collector import Decision, FetchingCollector, Fragment, LocalCollector
 from deepbots_cli.rollout.worlds import Array, SingleWorlds, WorldsStep
 
