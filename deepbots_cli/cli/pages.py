@@ -99,7 +99,7 @@ def _training_words(opened: ShowingState) -> list[str]:
     """Return the words of the command that trains the shown scenario."""
     showing = opened.shown
     if opened.run is not None:
-        from deepbots_cli.insight.train_command import training_command
+        from deepbots_cli.insight.scenario_facts import training_command
 
         return training_command(opened.run, showing.overrides)
     changed = [word for text in showing.overrides for word in ("--set", text)]

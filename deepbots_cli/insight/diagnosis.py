@@ -24,31 +24,33 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import display_path
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.changed import changed_since_solved
-from deepbots_cli.insight.collapse import fell_apart
-from deepbots_cli.insight.ends import (
+from deepbots_cli.insight.causes import (
     TOTAL_TIMESTEPS,
+    changed_since_solved,
+    constant_observation,
     one_ending,
+    rival_improved,
+    rival_too_strong,
+    saturated_observation,
+    script_succeeds,
+    sensor_without_reading,
     stopped_early,
+    strategies_cycle,
+    teacher_fails,
+    teacher_sees_more,
     too_few_steps,
 )
 from deepbots_cli.insight.learner import (
     exploration_collapsed,
     exploration_hides_success,
     exploration_too_large,
+    fell_apart,
     horizon_too_short,
     learning_rate_too_high,
     learning_rate_too_low,
     rewards_too_large,
     success_needs_exploration,
 )
-from deepbots_cli.insight.missed import missed_condition
-from deepbots_cli.insight.observations import (
-    constant_observation,
-    saturated_observation,
-    sensor_without_reading,
-)
-from deepbots_cli.insight.probes import run_probes
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
     loitering,
@@ -58,10 +60,11 @@ from deepbots_cli.insight.rewards import (
     standing_still_pays,
     term_dominates,
 )
-from deepbots_cli.insight.rivals import rival_improved, rival_too_strong, strategies_cycle
+from deepbots_cli.insight.scenario_facts import training_command
 from deepbots_cli.insight.stages import (
     easy_stage_counted,
     levels_stay_lowest,
+    missed_condition,
     some_starts_fail,
     stage_too_hard,
     stuck_in_stage,
@@ -79,14 +82,13 @@ from deepbots_cli.insight.statements import (
     statement,
     statements_about,
 )
-from deepbots_cli.insight.teachers import script_succeeds, teacher_fails, teacher_sees_more
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.insight.train_command import training_command
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     latest_failure,
     read_trainings,
+    run_probes,
 )
 from deepbots_cli.learning.agents.multi_agent import SHARED
 from deepbots_cli.learning.failures import Failure

@@ -31,9 +31,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.diagnosis import causes_after, causes_of
-from deepbots_cli.insight.linted import LintedScenario, linted_scenario
-from deepbots_cli.insight.statements import Statement
-from deepbots_cli.insight.templates import render_template
+from deepbots_cli.insight.scenario_facts import LintedScenario, linted_scenario
+from deepbots_cli.insight.statements import Statement, render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.comparison import GroupResult

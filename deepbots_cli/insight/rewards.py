@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
-from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.trace import Trace, comparisons_in, measure
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
@@ -539,8 +538,8 @@ _CEILING = 0.01
 
 @statement(
     "return_at_ceiling",
-    "The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}), it no"
-    " longer grows, and no episode of the training returned more than {most}.{bounded}{asked}",
+    "The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}),"
+    " {grown}and no episode of the training returned more than {most}.{bounded}{asked}",
     advice="{remedy}",
 )
 def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
@@ -560,7 +559,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     if (
         mean <= 0
         or (required is not None and mean >= required)
-        or return_trend(evidence).direction == "rises"
+        or (trend := return_trend(evidence).direction) == "rises"
         or (evidence.program.defines_success and late.successes.mean() < 0.8)
     ):
         return None
@@ -598,6 +597,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "what": sample,
         "bound": bound if bound < np.inf else None,
         "required": required,
+        "grown": "it no longer grows, " if trend else "",
         "bounded": f" The reward allows at most {number_text(bound)} in {steps:,} steps." if is_near else "",
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,

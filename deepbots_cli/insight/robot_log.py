@@ -203,7 +203,7 @@ def compare_log(
     """
     try:
         from deepbots_cli.insight.export.control import ControlStep
-        from deepbots_cli.insight.export.recording import recorded_steps
+        from deepbots_cli.insight.export.devices import recorded_steps
         from deepbots_cli.learning import policy
         from deepbots_cli.learning.sb3.algorithms import torch_settings
         from deepbots_cli.rollout.policies import PolicyDriver

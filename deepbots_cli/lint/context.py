@@ -13,8 +13,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Span, Versions
-from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
-from deepbots_cli.lint.simulation import simulation_plan
+from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
 from deepbots_cli.program import generated
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.task import Observation

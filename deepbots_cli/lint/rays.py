@@ -13,8 +13,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.frames import Frame, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.report import ARENA, MAX_SINK, Clearance
-from deepbots_cli.lint.simulation import casts_rays
+from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, casts_rays
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots import kinematics

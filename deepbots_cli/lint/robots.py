@@ -22,8 +22,7 @@ from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.rays import SAME_HEIGHT_M
-from deepbots_cli.lint.report import TOPPLING_S, SimulationPosition, UnreachedPose
-from deepbots_cli.lint.simulation import driven_wheels
+from deepbots_cli.lint.simulation import TOPPLING_S, SimulationPosition, UnreachedPose, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import RobotBody, whole_timesteps
 from deepbots_cli.robots import kinematics

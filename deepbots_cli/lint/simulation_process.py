@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.lint.report import Done, Fault, encode
-from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Limits
+from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Done, Fault, Limits, encode
 
 _MIB = 2**20
 

@@ -22,7 +22,7 @@ from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import may_be_noisy
-from deepbots_cli.lint.report import MeasuredOverlap, Stop
+from deepbots_cli.lint.simulation import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust

@@ -24,8 +24,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, ScenarioError, UsageError
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
-from deepbots_cli.insight.probes import run_probes
-from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings
+from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
 from deepbots_cli.learning.agents import self_play
 from deepbots_cli.learning.agents.matches import play_matches
 from deepbots_cli.learning.agents.self_play import SelfPlayLearner, Sides, SidesCollector

@@ -17,9 +17,8 @@ pytest.importorskip("onnxruntime")
 import onnxruntime
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.deploy import deploy_settings
-from deepbots_cli.insight.export.isaac import DEPLOY_NAME, GRAPH_NAME, isaac_files
-from deepbots_cli.insight.export.recording import recorded_steps
+from deepbots_cli.insight.export.deploy import DEPLOY_NAME, GRAPH_NAME, deploy_settings, isaac_files
+from deepbots_cli.insight.export.devices import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
 from tests.bundle.untrained import untrained_bundle, with_training
 

@@ -18,8 +18,8 @@ import onnxruntime
 from safetensors.numpy import load
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.insight.export.devices import recorded_steps
 from deepbots_cli.insight.export.lerobot import ACTION, STATE, lerobot_files
-from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
 from tests.bundle.untrained import untrained_bundle
 

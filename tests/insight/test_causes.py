@@ -29,19 +29,15 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
 from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.insight.collapse import suspects
-from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.diagnosis import causes_after, diagnose, has_learned
-from deepbots_cli.insight.linted import linted_scenario
-from deepbots_cli.insight.missed import common_miss
-from deepbots_cli.insight.probes import run_probes
+from deepbots_cli.insight.learner import suspects
 from deepbots_cli.insight.report import Report
-from deepbots_cli.insight.scenario_facts import ScenarioFacts
+from deepbots_cli.insight.scenario_facts import ScenarioFacts, linted_scenario, training_command
+from deepbots_cli.insight.stages import common_miss
 from deepbots_cli.insight.statements import Statement, quantity_text
 from deepbots_cli.insight.suggestions import Suggestion, suggestions
-from deepbots_cli.insight.trace import Trace, TraceRecorder
-from deepbots_cli.insight.train_command import training_command
-from deepbots_cli.insight.training import TrainingEvidence, read_training
+from deepbots_cli.insight.trace import Trace, TraceRecorder, instrument_program
+from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.records import write_record

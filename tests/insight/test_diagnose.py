@@ -19,14 +19,12 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import EvaluationError, RunError
-from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
-from deepbots_cli.insight.probes import run_probes
 from deepbots_cli.insight.stages import present_stage
 from deepbots_cli.insight.statements import statements_about
-from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
-from deepbots_cli.insight.training import read_training
+from deepbots_cli.insight.trace import TraceRecorder, instrument_program, trace_episodes
+from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.directories import run_lock

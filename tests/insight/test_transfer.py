@@ -34,8 +34,15 @@ pytest.importorskip("onnxruntime")
 import yaml
 
 from deepbots_cli.insight.recorded_worlds import EngineWorld
-from deepbots_cli.insight.transfer import Gate, Transfer, transfer, world_names, worlds_that_work
-from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
+from deepbots_cli.insight.transfer import (
+    Gate,
+    Transfer,
+    WorldComparison,
+    compare_worlds,
+    transfer,
+    world_names,
+    worlds_that_work,
+)
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
@@ -547,7 +554,7 @@ def logged(run: Run, path: Path, measured: Callable[[float, float], float], step
     """A log of a robot that moves as the simulation does; `measured` turns time and angle of the pole into
     what its sensor gives."""
     from deepbots_cli.insight.export.control import ControlStep
-    from deepbots_cli.insight.export.recording import recorded_steps
+    from deepbots_cli.insight.export.devices import recorded_steps
     from deepbots_cli.rollout.policies import PolicyDriver
     from deepbots_robot.log import LogWriter
 

@@ -250,10 +250,9 @@ def _diagnose(
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.diagnosis import has_learned
-        from deepbots_cli.insight.probes import run_probes
         from deepbots_cli.insight.stages import present_stage
         from deepbots_cli.insight.statements import statements_about
-        from deepbots_cli.insight.training import read_trainings
+        from deepbots_cli.insight.training import read_trainings, run_probes
     reports: list[dict[str, Any]] = []
     for folder in folders:
         try:

@@ -37,8 +37,7 @@ from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.recorded_worlds import Difference
-    from deepbots_cli.insight.transfer import Transfer
-    from deepbots_cli.insight.world_comparison import WorldComparison
+    from deepbots_cli.insight.transfer import Transfer, WorldComparison
 
 EXPLAINS_WHOLE, EXPLAINS_MOST = 0.9, 0.5
 """The share from which a change explains the whole difference, apart from the growth of a small rest, and the
