@@ -27,7 +27,9 @@ from deepbots_cli.files import atomic_write, check_output
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from deepbots_cli.document import Permissions
     from deepbots_cli.learning.runs.run import Run
+    from deepbots_cli.program import Program
 
 
 def print_result(text: str = "") -> None:
@@ -105,6 +107,17 @@ def note_physics(run: Run) -> None:
     """Print a note if the run was trained with another version of the physics."""
     for text in run.notes_on_physics():
         note(f"note: {text}")
+
+
+def note_faster_engine(program: Program, timesteps: int | None, permissions: Permissions) -> None:
+    """Print a line if another engine than the default one is faster, and makes a training at least 30 s of
+    CPU time shorter.
+    """
+    from deepbots_cli.insight.speed import engine_worth_naming
+
+    faster = engine_worth_naming(program, timesteps, permissions=permissions)
+    if faster is not None:
+        note(f"note: {faster.text}")
 
 
 def show_json(data: object) -> None:

@@ -1,4 +1,5 @@
-"""`deepbots compare`: the table of groups, and the table of differences from the first group."""
+"""`deepbots compare`: groups of runs, their differences from the first one, and matches of agents that compete;
+`diff`: the differences of two scenarios."""
 
 from __future__ import annotations
 
@@ -11,20 +12,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
+from deepbots_cli.analysis.changes import Change, Effect, scenario_changes
 from deepbots_cli.cli import processes, records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
-from deepbots_cli.cli.matches import match_lines
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    ClusterAddress,
+    Json,
+    Overrides,
+    Workers,
+    integer,
+    option,
+)
+from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
+from deepbots_cli.cli.sources import open_source
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions, shipped
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.words import counted, sentence_list
+from deepbots_cli.words import counted, number_text, rate_text, sentence_list
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
     from deepbots_cli.api import Compiled
+    from deepbots_cli.learning.agents.matches import Match, MatchTable
     from deepbots_cli.learning.comparison import Comparison, GroupResult
 
 _BETTER = {
@@ -260,3 +273,122 @@ def _data(comparison: Comparison) -> dict[str, Any]:
 def _paths(meanings: Meanings) -> dict[str, list[str]]:
     """Return the differing places of two scenarios, by the meaning that they change."""
     return {name: [change.path for change in changes] for name, changes in vars(meanings).items()}
+
+
+def match_lines(result: MatchTable) -> Iterator[str]:
+    """Yield a row for each player of the first agent, with its result against each of the second one."""
+    first_agent, second_agent = result.agents
+    starts = records.held_out(result.starts)
+    if result.is_symmetric:
+        measured = "share of decided episodes that the row wins against the column"
+        where = f"on {starts} from evaluation seed {result.seed}, both sides of each"
+        yield f"{result.scenario}: {measured}, {where}"
+    else:
+        measured = "success rate" if result.success_defined else "mean return"
+        yield f"{result.scenario}: {measured} of {first_agent} (rows) against {second_agent} (columns)"
+        yield f"{starts} of each match, from evaluation seed {result.seed}"
+    cells = {(match.row, match.column): _cell(result, match) for match in result.matches}
+    if result.is_symmetric:
+        cells |= {(match.column, match.row): _cell(result, _swapped(match)) for match in result.matches}
+    head = "" if result.is_symmetric else first_agent
+    yield table(
+        [
+            {head or "player": row, **{column: cells.get((row, column), "") for column in result.columns}}
+            for row in result.rows
+        ]
+    )
+    yield "in parentheses: intervals at 95 %"
+    yield from (f"note: {note}" for note in result.notes)
+
+
+def _cell(result: MatchTable, match: Match) -> str:
+    """Return the measure of the row in a match, with its interval."""
+    if result.is_symmetric:
+        if match.win_rate is None:
+            return f"none of {match.episodes} decided"
+        undecided = match.episodes - (match.wins or 0) - (match.losses or 0)
+        text = _with_interval(match.win_rate, match.win_interval)
+        return f"{text}, {undecided} undecided" if undecided else text
+    scores = match.agents[result.agents[0]]
+    if scores.success_rate is not None:
+        return _with_interval(scores.success_rate, scores.success_interval)
+    interval = records.interval_text(scores.return_interval)
+    return f"{number_text(scores.mean_return)}{f' ({interval})' if interval else ''}"
+
+
+def _with_interval(share: float, interval: tuple[float, float] | None) -> str:
+    return f"{rate_text(share)} ({records.interval_text(interval, rate_text)})"
+
+
+def _swapped(match: Match) -> Match:
+    """Return a match of both sides as it was for the column."""
+    if match.win_rate is None or match.win_interval is None:
+        return match
+    low, high = match.win_interval
+    return match.model_copy(
+        update={
+            "wins": match.losses,
+            "losses": match.wins,
+            "win_rate": 1 - match.win_rate,
+            "win_interval": (1 - high, 1 - low),
+        }
+    )
+
+
+_HEADINGS = {
+    Effect.policy: "a policy trained in one scenario does not fit the other",
+    Effect.task: "sensors, actuators, rewards or endings differ",
+    Effect.world: "world, messages or starts differ, so the difficulty differs",
+    Effect.training: "training or evaluation differs",
+    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colors,"
+    " order of keys, rounding",
+}
+_Side = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|GROUP",
+        help="A scenario file, the name of a shipped scenario, the directory of a run or a group, or a model"
+        " of a run.",
+    ),
+]
+
+
+def diff(
+    one: _Side,
+    other: _Side,
+    overrides: Overrides = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Show the differences of two scenarios."""
+    try:
+        sides = [
+            open_source(name, settings, permissions)
+            for name, settings in ((one, ()), (other, overrides or ()))
+        ]
+    except ScenarioError as error:
+        terminal.show_findings(error.findings)
+        raise typer.Exit(WRONG_USAGE) from None
+    changes = scenario_changes(*sides)
+    data = {
+        "one": one,
+        "other": other,
+        "same_meaning": all(change.group is Effect.cosmetic for change in changes),
+        "policy_fits": all(change.group is not Effect.policy for change in changes),
+        "differences": changes,
+    }
+    terminal.show(data, *_change_lines(changes, one, other), as_json=as_json)
+    if any(change.group is not Effect.cosmetic for change in changes):
+        raise typer.Exit(FAILED)
+
+
+def _change_lines(changes: Sequence[Change], first_name: str, second_name: str) -> Iterator[str]:
+    if not changes:
+        yield f"{first_name} and {second_name} have the same meaning"
+    for group, heading in _HEADINGS.items():
+        group_changes = [change for change in changes if change.group is group]
+        if group_changes:
+            yield f"{group.value}: {heading}"
+            for change in group_changes:
+                yield from (f"  {change.path}", *change.lines)
+            yield ""

@@ -10,7 +10,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
-from deepbots_cli.cli.new_files import Files, check_new_folder, write_new
+from deepbots_cli.cli.written_files import Files, check_new_folder, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME

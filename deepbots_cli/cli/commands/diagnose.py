@@ -10,9 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, AllowCode, Json, integer, option
-from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, failed_episodes
+from deepbots_cli.cli import records, terminal
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    FAILED_EPISODES,
+    MAX_SEED,
+    AllowCode,
+    Json,
+    episodes_or_failed,
+    integer,
+    option,
+)
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.run import ModelRef, Run
@@ -178,7 +186,7 @@ def _trace(
     if episode == FAILED_EPISODES:
         if seed is not None or last:
             raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
-        failed, record = failed_episodes(ref, agent)
+        failed, record = records.failed_episodes(ref, agent)
         return next(trace.trace_episodes(run, failed[:1], **record.replay_options, permissions=permissions))
     evaluation = last_episodes(ref) if seed is None and not last else None
     options = (

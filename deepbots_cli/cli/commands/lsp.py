@@ -13,7 +13,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, option
-from deepbots_cli.cli.new_files import modeline
+from deepbots_cli.cli.written_files import modeline
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions

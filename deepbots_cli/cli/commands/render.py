@@ -17,6 +17,7 @@ from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     EPISODES,
+    FAILED_EPISODES,
     MAX_SEED,
     Case,
     Driver,
@@ -24,15 +25,15 @@ from deepbots_cli.cli.command import (
     Force,
     Json,
     Overrides,
+    Shown,
     Stage,
     Start,
     XacroArguments,
+    episodes_or_failed,
     integer,
     option,
     start_values,
 )
-from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, failed_episodes
-from deepbots_cli.cli.pages import Shown
 from deepbots_cli.cli.sources import is_robot, open_robot, xacro_arguments
 from deepbots_cli.cli.tables import Row
 from deepbots_cli.document import Permissions
@@ -359,7 +360,7 @@ class _Episodes:
                 "the agents compete, so what one fails another one wins; name the agent that failed:"
                 f" --agent {'|'.join(ref.run.program.members)}"
             )
-        numbers, evaluation = failed_episodes(ref, agent)
+        numbers, evaluation = records.failed_episodes(ref, agent)
         return _Episodes(numbers=numbers[:maximum], **evaluation.replay_options)
 
 

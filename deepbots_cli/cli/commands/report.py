@@ -1,4 +1,4 @@
-"""`deepbots report`: a run or a group as one HTML file."""
+"""`deepbots report`: a run or a group as one HTML file; `plot`: learning curves."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.campaigns.study import JOURNAL_NAME
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.report import Report
@@ -106,3 +108,36 @@ def _run_data(report: Report) -> dict[str, object]:
     }
     causes = [cause.as_json() for cause in report.causes]
     return {"causes": causes, **({"agents": of_agents} if of_agents else {})}
+
+
+def plot(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files."
+        ),
+    ],
+    out: Annotated[Path, option("--output -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
+    window: Annotated[
+        int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)
+    ] = 100,
+    force: Force = False,
+    dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
+) -> None:
+    """Plot the learning curves of runs."""
+    from deepbots_cli.view import plots, training_logs
+    from deepbots_cli.view.pictures import check_target
+
+    check_target(out, plots.SUFFIXES, force=force)
+    with terminal.transient_line("reading the logs ..."):
+        logs = training_logs.read_logs(runs, window, by_agent=True)
+    figure = plots.plot(logs, theme="dark" if dark else "light")
+    with atomic_write(out) as draft:
+        figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
+    for log in logs:
+        if log.evaluation is not None and log.evaluation.remarks:
+            terminal.note(
+                f"note: about the evaluation that the diamond of {log.path} shows:"
+                f" {'; '.join(log.evaluation.remarks)}"
+            )
+    terminal.print_result(f"{out} ({counted(len({log.path for log in logs}), 'run')})")

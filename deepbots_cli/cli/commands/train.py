@@ -1,20 +1,27 @@
-"""`deepbots train`: a run or a group, its page while it trains, and the evaluation of its policies."""
+"""`deepbots train` and `resume`: a run or a group, its page while it trains, the evaluation of its policies, causes,
+and the next commands."""
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import exploits, processes, terminal, trainings
+from deepbots_cli.cli import exploits, processes, records, studies, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
+    AllowCode,
     Callbacks,
     ClusterAddress,
     Engine,
@@ -29,14 +36,27 @@ from deepbots_cli.cli.command import (
     option,
     seed_list,
 )
-from deepbots_cli.cli.training_page import training_page
+from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import UsageError
-from deepbots_cli.rollout.source import RECORDING_SUFFIX
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
+from deepbots_cli.learning import report
+from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.study import Study
+from deepbots_cli.learning.runs.decline import decline_of
+from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.scenario.training import MAX_SHARDS
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
+    from deepbots_cli.insight.statements import Statement
+    from deepbots_cli.learning import EvaluationResult, TrainingResult
+    from deepbots_cli.learning.campaigns.group import GroupTraining
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
 
 
@@ -158,11 +178,11 @@ def command(
     output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if listed is not None:
         with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
-            announce = None if quiet else trainings.announce_seed
+            announce = None if quiet else announce_seed
             group = learning.train_group(
                 compiled, listed, group=run, on_seed=announce, executor=executor, **settings
             )
-            trainings.finish_group(group, executor, **output_options)
+            finish_group(group, executor, **output_options)
         return
     with (
         training_page(enabled=to_view, permissions=permissions) as show_page,
@@ -175,7 +195,7 @@ def command(
             show_page(path)
 
         result = learning.train(compiled, run=run, seed=root, on_start=begin, executor=executor, **settings)
-    trainings.finish(result, **output_options)
+    finish(result, **output_options)
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
@@ -234,11 +254,334 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
 
 def _give_tips(program: Program, scenario: str, timesteps: int | None, permissions: Permissions) -> None:
     """Name the search for exploits of the reward if it was not made from this folder, and a faster engine."""
-    from deepbots_cli.cli import throughput
-
     if not exploits.was_searched(program):
         terminal.note(
             f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without"
             " doing the task"
         )
-    throughput.note_faster_engine(program, timesteps, permissions=permissions)
+    terminal.note_faster_engine(program, timesteps, permissions)
+
+
+Trained = Annotated[
+    Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A folder that `train` or `tune` has made.")
+]
+
+
+def resume(
+    trained: Trained,
+    timesteps: Annotated[
+        int | None,
+        integer(
+            "--timesteps N", "The new total number of timesteps of a run, or of each run of a group of seeds."
+        ),
+    ] = None,
+    full: Annotated[
+        bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")
+    ] = False,
+    trials: Annotated[
+        int | None, integer("--trials N", "The new number of trials of a study, in all.", 1, 100_000)
+    ] = None,
+    callbacks: Callbacks = None,
+    loggers: Loggers = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
+    to_view: Page = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Continue a training, a group of trainings, or a study."""
+    permissions = Permissions(code=allow_code)
+    source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
+    group = Group.open(source) if source.kind is SourceKind.GROUP else None
+    changes = {"--timesteps": timesteps, "--full": full or None, "--callback": callbacks, "--logger": loggers}
+    options = changes | {"--trials": trials, "--view": to_view or None}
+    output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
+    if source.kind is SourceKind.STUDY:
+        _refuse_others("a study", options, "--trials")
+        study = Study.open(source)
+        if trials is not None and trials != study.record.trials:
+            with study.locked() as current:
+                study = current.changed(trials=trials, status="running")
+        studies.continue_study(study, workers, address, **output_options)
+        return
+    if callbacks or loggers:
+        from deepbots_cli.learning.sb3 import plugins
+
+        plugins.check(names(callbacks), names(loggers))
+    settings: dict[str, Any] = {
+        "total_timesteps": timesteps,
+        "stop_when_solved": False if full else None,
+        "progress": not quiet,
+    }
+    settings["permissions"] = permissions
+    settings["callbacks"] = None if callbacks is None else names(callbacks)
+    settings["loggers"] = None if loggers is None else names(loggers)
+    if group is not None:
+        _refuse_others("a group of seeds", options, *changes)
+        with processes.executor(workers, address, len(group.record.seeds), quiet=quiet) as executor:
+            announce = None if quiet else announce_seed
+            training = learning.resume_group(trained, on_seed=announce, executor=executor, **settings)
+            finish_group(training, executor, **output_options)
+        return
+    _refuse_others("a run", options, *changes, "--view")
+    with (
+        training_page(enabled=to_view, permissions=permissions) as show_page,
+        processes.executor(workers, address, quiet=quiet) as executor,
+    ):
+        show_page(trained)
+        result = learning.resume(trained, executor=executor, **settings)
+    finish(result, **output_options)
+
+
+def _refuse_others(subject: str, options: dict[str, Any], *allowed: str) -> None:
+    """Refuse options that do not apply to the resumed object.
+
+    Raises:
+        UsageError: An option does not apply to it.
+    """
+    for name, value in options.items():
+        if value is not None and name not in allowed:
+            raise UsageError(
+                f"{name} does not go with {subject}; it takes:"
+                f" {', '.join((*allowed, '--workers', '--cluster'))}"
+            )
+
+
+def announce_seed(seed: int, number: int, count: int) -> None:
+    terminal.note(f"seed {seed}, {number} of {count}")
+
+
+def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> None:
+    """Show a training as text; after an interruption also as JSON, and end the command."""
+    if stopped or not as_json:
+        terminal.show(data, text, as_json=as_json)
+    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
+    if stopped:
+        raise typer.Exit(INTERRUPTED)
+
+
+@contextmanager
+def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
+    """Context of the evaluation after a training. An interruption ends the command."""
+    if not quiet:
+        terminal.note(
+            "evaluating on held-out episodes without exploration, so returns differ from those of the"
+            " training ..."
+        )
+    try:
+        yield
+    except KeyboardInterrupt:
+        terminal.note(
+            f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}"
+        )
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _evaluate_cases(trained: Run, permissions: Permissions, results: list[EvaluationResult]) -> None:
+    """Evaluate in each case of the scenario, and add each result to `results`."""
+    names = [case.name for case in trained.program.cases]
+    for number, name in enumerate(names, 1):
+        unit = f"episodes of case {name} ({number} of {len(names)})"
+        with terminal.progress(unit, always=False) as show_episode:
+            result = learning.evaluate(trained, case=name, permissions=permissions, on_episode=show_episode)
+        results.append(result)
+
+
+def finish_group(
+    trained: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions
+) -> None:
+    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next
+    commands."""
+    _show_training(
+        records.group_training_text(trained),
+        {"training": vars(trained), "evaluation": None},
+        trained.interrupted,
+        as_json=as_json,
+    )
+    with _evaluating(trained.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
+        evaluation = learning.evaluate_group(
+            trained.group, permissions=permissions, on_run=show_run, executor=executor
+        )
+    for result in evaluation.evaluations:
+        records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
+    path = quote(str(trained.group))
+    data: dict[str, Any] = {"training": vars(trained), "evaluation": records.group_json(evaluation)}
+    verdicts = {
+        result.run: run_verdict(result.run, RunRecord.read(result.run)) for result in evaluation.evaluations
+    }
+    unsolved = [
+        result
+        for result in evaluation.evaluations
+        if verdicts[result.run].is_unsolved(defines_success=result.success_defined)
+    ]
+    worst = min(unsolved, key=lambda result: (result.success_rate, result.mean_return), default=None)
+    causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
+    further = [
+        f"deepbots eval {path} --csv {quote(f'{trained.group.name}.csv')}",
+        f"deepbots compare {path} OTHER_GROUP",
+        f"tensorboard --logdir {path}",
+    ]
+    declines = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(trained.group).runs}
+    falls = {name: fall for name, fall in declines.items() if fall is not None}
+    data |= {
+        "cause": causes[0].as_json() if causes else None,
+        "declines": {name: fall.as_json() for name, fall in falls.items()},
+    }
+    fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
+    further = [*(cause.command for cause in causes[:1]), *further]
+    suffix = (
+        "" if worst is None else f" of {worst.run}, the worst of {counted(len(unsolved), 'unsolved seed')}"
+    )
+    terminal.show(
+        data,
+        "\n" + records.group_text(evaluation),
+        *fallen,
+        *_cause_lines(causes, suffix),
+        as_json=as_json,
+        next_commands=further,
+    )
+    if trained.failed:
+        raise typer.Exit(FAILED)
+
+
+def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next
+    commands."""
+    _show_training(
+        records.training_text(result),
+        {"training": result, "evaluation": None},
+        result.stop_requested,
+        as_json=as_json,
+    )
+    trained = Run.open(result.run)
+    is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
+    cases: list[EvaluationResult] = []
+    with _evaluating(result.run, quiet=quiet or is_confirmed):
+        with terminal.progress(always=False) as show_episode:
+            evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
+        try:
+            _evaluate_cases(trained, permissions, cases)
+        finally:  # after an interruption, the run keeps the cases that are finished
+            evaluated = records.evaluation_json(evaluation, cases)
+            if evaluation.confirmation is None or cases:
+                records.write_evaluation(trained, evaluated)
+    verdict = run_verdict(trained.path, trained.record)
+    run, film, logs = (
+        quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard")
+    )
+    longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
+    further = [
+        f"deepbots render {run} -o {film}",
+        f"deepbots resume {run} {longer}",
+        f"tensorboard --logdir {logs}",
+    ]
+    if verdict.solved:
+        further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
+    unsolved = verdict.is_unsolved(defines_success=trained.program.defines_success)
+    fall = decline_of(result.run, trained.record)
+    causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
+    if unsolved and not causes:
+        further.insert(0, f"deepbots eval {run} --details")
+    if causes:
+        commands = [causes[0].command, f"deepbots diagnose {run}"]
+        # The command of the cause comes in place of more timesteps.
+        others = [command for command in further if not command.startswith("deepbots resume ")]
+        further = [*dict.fromkeys(filter(None, [*commands, *others]))]
+    data = {
+        "training": result,
+        "evaluation": evaluated,
+        "solved": verdict.solved,
+        "decline": None if fall is None else fall.as_json(),
+        "cause": causes[0].as_json() if causes else None,
+    }
+    text = "\n" + records.evaluation_text(evaluation, cases)
+    no_cause = (
+        ["\nno cause found; `eval --details` shows from which starts the policy fails"]
+        if unsolved and not causes
+        else []
+    )
+    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # the text of this cause is the sentence
+    fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
+    terminal.show(
+        data, text, *fallen, *_cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
+    )
+
+
+def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
+    """Return why a training did not solve its task or fell apart, the most likely cause first;
+    changes since an earlier run come last."""
+    with terminal.transient_line("" if quiet else "looking for the cause ..."):
+        from deepbots_cli.insight.diagnosis import causes_after
+
+        try:
+            return sorted(causes_after(run, permissions), key=_is_change)
+        except DeepbotsError:  # for example, it has no finished episode
+            return []
+
+
+def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
+    """Return what was changed since a solved run, and the first cause with its advice."""
+    changed = [f"\n{cause.text}" for cause in causes if _is_change(cause)]
+    causes = [cause for cause in causes if not _is_change(cause)]
+    if not causes:
+        return changed
+    first = causes[0]
+    further_count = len(causes) - 1
+    more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
+    return [*changed, f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
+
+
+def _is_change(cause: Statement) -> bool:
+    """Return whether this is the fact of what was changed since a solved run, and no cause."""
+    return cause.cause == "changed_since_solved"
+
+
+_FRAME_RATE = 10
+"""The pictures per second, few because a browser that draws in software shares the cores with the
+training."""
+
+
+@contextmanager
+def training_page(*, enabled: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
+    """Context with a function that shows a run in the browser, if `enabled`. The page ends with the block.
+
+    The page has its own process, so that the training does not wait for it, and has a low priority once it
+    serves its address: on a busy machine, a page that began with a low priority served none for 40 s.
+    """
+    if enabled and find_spec("viser") is None:
+        raise MissingExtraError("view", "a page in the browser")
+    started: list[tuple[subprocess.Popen[str], Thread]] = []
+
+    def show(run: Path) -> None:
+        if enabled:
+            options = ["--fps", str(_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
+            command = python_command("deepbots_cli", "view", *options, "--", str(run))
+            nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
+            process = subprocess.Popen(
+                command, stdin=nowhere, stdout=pipe, text=True, env=python_environment()
+            )
+            started.append((process, Thread(target=_await_page, args=(process,), daemon=True)))
+            started[0][1].start()
+
+    try:
+        yield show
+    finally:
+        for process, waiting in started:
+            process.kill()  # the page reports SIGTERM, but not this
+            process.wait()
+            waiting.join()  # its standard output has ended
+
+
+def _await_page(page: subprocess.Popen[str]) -> None:
+    """Show the address of a page once it is served, and lower the priority of its process."""
+    assert page.stdout is not None
+    print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
+    if sys.platform != "win32":
+        # In Linux, the priority of a process is that of its first thread, so each thread is set.
+        threads = Path(f"/proc/{page.pid}/task")
+        with suppress(OSError):  # the process has ended
+            for thread in (
+                [int(folder.name) for folder in threads.iterdir()] if threads.is_dir() else [page.pid]
+            ):
+                os.setpriority(os.PRIO_PROCESS, thread, 15)

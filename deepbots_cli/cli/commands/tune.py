@@ -1,4 +1,4 @@
-"""`deepbots tune`: a new study."""
+"""`deepbots tune`: a new study; `apply`: its best values, written into the scenario file."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, get_args
 
 import typer
 
 from deepbots_cli import api
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -28,12 +30,14 @@ from deepbots_cli.cli.command import (
     whole_number,
 )
 from deepbots_cli.cli.studies import continue_study
+from deepbots_cli.cli.tables import table
+from deepbots_cli.cli.written_files import write_values
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.load import TUNE
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.campaigns.study import Objective, create_study
+from deepbots_cli.learning.campaigns.study import Objective, Study, create_study
 
 
 def command(
@@ -186,3 +190,39 @@ def _seeds(text: str) -> Sequence[int]:
     if ".." in text or "," in text:
         return seed_list(text)
     return range(whole_number(1, MAX_SEEDS)(text))
+
+
+def apply(
+    folder: Annotated[Path, typer.Argument(metavar="STUDY", help="A study of `tune`.")],
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FILE",
+            help="The scenario file to change; by default that of the study.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Write the best values of a search into the scenario file."""
+    study = Study.open(folder)
+    trials = study.trials()
+    best = next(iter(study.ranked(trials)), None)
+    if best is None:
+        raise UsageError(
+            f"{study.path} has no complete trial yet; continue it with: deepbots resume"
+            f" {quote(str(study.path))}"
+        )
+    name = scenario or study.record.source
+    file = write_values(name, best.values, f"set by {study.path.name}, {best.path.name}", permissions)
+    over_first = study.over_first(trials)
+    if over_first is not None and not over_first.is_clear:
+        terminal.note(f"note: {best.path.name} is not clearly better than the values of the scenario itself")
+    data = {"file": file, "member": best.path.name, "values": best.values, "over_first": over_first}
+    rows = [{"key": key, "value": text} for key, text in best.values.items()]
+    first = max(study.record.seeds) + 1
+    further = [f"deepbots lint {quote(name)}", f"deepbots train {quote(name)} --seeds {first}..{first + 4}"]
+    terminal.show(
+        data, f"{file}: values of {best.path.name}\n{table(rows)}", as_json=as_json, next_commands=further
+    )

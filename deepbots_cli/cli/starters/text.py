@@ -1,13 +1,15 @@
-"""The text of a starter: its templates, names, collections and numbers."""
+"""The text of a starter: the templates of `deepbots new --template` and of tasks, names, collections and numbers."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from enum import StrEnum
+from pathlib import Path, PurePosixPath
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from deepbots_cli.cli.written_files import Files
 from deepbots_cli.document.layout import plain_or_quoted
 
 _COLUMN = 40
@@ -64,3 +66,27 @@ def aligned(line: str) -> str:
 def scenario_title(name: str) -> str:
     """Return the name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
     return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
+
+
+_FOLDER = Path(__file__).parent
+
+
+class Template(StrEnum):
+    cartpole = "cartpole"
+    wheeled = "wheeled"
+    arm = "arm"
+    pit = "pit"
+    duel = "duel"
+
+
+def from_template(template: str, name: str) -> Files:
+    """Return the scenario `NAME.yaml`, and the robot file beside it if the template has one."""
+    text = (_FOLDER / f"{template}.yaml").read_text(encoding="utf-8")
+    text = text.replace("name: Start\n", f"name: {scenario_title(name)}\n").replace(
+        "start.urdf", f"{name}.urdf"
+    )
+    contents: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
+    robot = _FOLDER / f"{template}.urdf"
+    if robot.exists():
+        contents[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
+    return contents
