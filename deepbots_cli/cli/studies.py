@@ -84,7 +84,7 @@ class StudyDisplay(StudyReporter):
     def update(self, number: int, progress: TrialProgress) -> None:
         self._at_work[number] = progress
         if not self._quiet:
-            self._display.show_line(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
+            self._display.show(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
 
     def _work(self) -> str:
         """Return the progress of the trials at work."""

@@ -25,8 +25,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from deepbots_cli.document import Permissions
     from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.program import Program
@@ -56,9 +54,9 @@ def transient_line(text: str) -> Iterator[Callable[[str], None]]:
     """
     display = Display(transient=True)
     if text:
-        display.show_line(printable(text))
+        display.show(printable(text))
     try:
-        yield lambda further: display.show_line(printable(further))
+        yield lambda further: display.show(printable(further))
     finally:
         display.close()
 
@@ -203,20 +201,11 @@ class ProgressBar:
     def update(self, count: int) -> None:
         """Show that `count` of the total is done."""
         line = self._line(count, time.perf_counter())
-        if self._display.is_terminal:
-            self._display.show(lambda _height: self._bar(count, line), at_once=count >= self._total)
-        elif 10 * count // self._total > self._tenth:
-            self._tenth = 10 * count // self._total
+        tenth = 10 * count // self._total
+        if tenth > self._tenth and not self._display.is_terminal:
             self._display.print(line)
-
-    def _bar(self, count: int, line: str) -> RenderableType:
-        from rich.progress_bar import ProgressBar as Bar
-        from rich.table import Table
-        from rich.text import Text
-
-        row = Table.grid(padding=(0, 1))
-        row.add_row(Bar(self._total, count, width=20), Text(line, no_wrap=True, overflow="ellipsis"))
-        return row
+        self._tenth = max(tenth, self._tenth)
+        self._display.show(line, count, self._total, at_once=count >= self._total)
 
     def _line(self, count: int, now: float) -> str:
         parts = [f"{count:,} of {self._total:,} {self._unit}"]

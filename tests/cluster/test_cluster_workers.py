@@ -391,7 +391,8 @@ def test_the_table_of_trainings_fits_80_columns(monkeypatch: pytest.MonkeyPatch)
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
-    assert "12 training 1,000,000 of 40,000,000 31,415 -1234.5 12%" in text
+    assert "seed 12 training 1,000,000 of 40,000,000 steps" in text
+    assert "episodes 31,415 return -1234.5 success 12%" in text
     assert "1 training, 1 finished, 18 waiting" in text
 
 
@@ -405,7 +406,7 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
     lines.close()
     assert stream.getvalue().splitlines() == [
         "note: the worker of seed 8 was lost; another one resumes the training",
-        "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
+        "seed 7  finished  6,144 of 6,000 steps  episodes 146  return 42.2",
         "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
 
