@@ -2,16 +2,14 @@
 
 command.py             the commands as one program; arguments that several commands share
 commands/              the commands, a module for each or for those of one topic, imported when called
-sources.py             scenarios, folders, runs and robots as arguments
-processes.py           the processes of `--workers` and `--cluster`
+arguments.py           what arguments name: scenarios, folders, runs, robots, worker processes
 exits.py               exceptions to exit codes
 terminal.py            output, color, progress
 tables.py              tables as text
 records.py             results of trainings and evaluations as text, JSON and CSV; failed episodes
-written_files.py       the files that commands write: new ones, and changes of the user's files
+written_files.py       the files that commands write: new ones, changes of the user's files, recordings of exploits
 explanations.py        the entries of `explain` about a word
 studies.py             the display and the table of a study of `tune`
-exploits.py            the output of `lint --exploits`: recordings, and a record of the searched tasks
 help/                  the text of `--help` of each command, without its options
 starters/              the scenarios that `new` writes
 glossary.yaml          the glossary, printed by `explain`, and a page of the site

@@ -8,7 +8,7 @@ from statistics import fmean
 
 import typer
 
-from deepbots_cli.cli import processes, terminal
+from deepbots_cli.cli import arguments, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
@@ -38,7 +38,7 @@ def continue_study(
     permissions: Permissions,
 ) -> None:
     """Train the trials of a study that are left, and show its table."""
-    with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
+    with arguments.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
             is_done = run_study(study, reporter=display, permissions=permissions, executor=executor)

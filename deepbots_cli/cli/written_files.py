@@ -5,30 +5,39 @@ Changes are the fixes of `lint`, the layout of `fmt`, and the values of `apply`,
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import unified_diff
 from io import StringIO
+from itertools import islice
 from pathlib import Path, PurePosixPath
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from deepbots_cli.cli import terminal
+from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.document import Permissions, files, shipped, to_data
 from deepbots_cli.document.edits import assigned_text
 from deepbots_cli.document.load import setting_path
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import EngineError, UsageError
 from deepbots_cli.files import (
     atomic_write,
     check_folder,
     check_writable,
+    read_at_most,
     refuse_overwriting,
     unwritable_message,
 )
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.program import Program, identity
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 
 if TYPE_CHECKING:
+    from deepbots_cli.compiler import CheckedScenario
+    from deepbots_cli.lint import FoundExploits
     from deepbots_cli.lint.fixes import Rewrite
 
 Files = dict[PurePosixPath, bytes]
@@ -188,3 +197,87 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
         raise UsageError(f"{file} cannot be changed by `deepbots apply`; write the values yourself: {listed}")
     write_change(Rewrite(file, before, after))
     return file
+
+
+EXPLOITS = Path("exploits")
+_RECORD = "searched.json"
+_MAX_RECORD = 100_000
+"""The largest size of a record that is read, in bytes."""
+_MAX_RECORDS = 1000
+
+
+def folder_of_exploits(checked: CheckedScenario) -> Path:
+    """Return the folder of a scenario.
+
+    Raises:
+        UsageError: The folder cannot be written to.
+    """
+    folder = EXPLOITS / checked.document.path.stem
+    check_folder(folder)
+    return folder
+
+
+def keep_exploits(
+    exploits: FoundExploits,
+    checked: CheckedScenario,
+    name: str,
+    overrides: Sequence[str],
+    permissions: Permissions,
+) -> list[Finding]:
+    """Record the episode of each exploit, and record that the task was searched. Returns the findings with
+    the names of the recordings.
+
+    Recordings of an earlier search of the scenario are replaced.
+
+    Raises:
+        UsageError: The folder cannot be written to.
+    """
+    assert checked.program is not None  # a scenario with errors is not searched
+    folder = folder_of_exploits(checked)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(unwritable_message(folder, error)) from error
+    for old in folder.glob(f"*{RECORDING_SUFFIX}"):
+        # A search names its recordings after rules; those with other names stay.
+        if old.stem in {rule.name for rule in RULES.values() if rule.deep == "exploits"}:
+            old.unlink()
+    findings: list[Finding] = []
+    for finding, episode in exploits.exploits:
+        if episode is None:
+            findings.append(finding)
+            continue
+        file = folder / f"{finding.name}{RECORDING_SUFFIX}"
+        note = f"`deepbots view {quote(str(file))}` shows the episode"
+        try:
+            from deepbots_cli.view.episodes import Showing
+            from deepbots_cli.view.players import closing_player
+            from deepbots_cli.view.recordings import record
+
+            with closing_player(Showing(name, overrides, permissions), episode.driver) as player:
+                record(player, file, 0, [episode.number])
+        except EngineError as error:
+            note = f"the episode was not recorded: {error}"
+        findings.append(replace(finding, notes=(*finding.notes, note)))
+    if exploits.episodes:
+        searched = {
+            "task": identity.task_digest(checked.program),
+            "episodes": exploits.episodes,
+            "findings": [finding.code for finding in findings],
+        }
+        with atomic_write(folder / _RECORD) as draft:
+            draft.write_text(json.dumps(searched) + "\n", encoding="utf-8")
+    return findings
+
+
+def was_searched(program: Program) -> bool:
+    """Return whether `lint --exploits` has searched this task from this folder."""
+    digest = identity.task_digest(program)
+    for file in islice(EXPLOITS.glob(f"*/{_RECORD}"), _MAX_RECORDS):
+        try:
+            searched = json.loads(read_at_most(file, _MAX_RECORD)) if file.is_file() else None
+        except (OSError, ValueError, RecursionError):
+            continue
+        if isinstance(searched, dict) and searched.get("task") == digest:
+            return True
+    return False

@@ -38,7 +38,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.cli import main, processes
+from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
 from deepbots_cli.cluster.shards import RemoteShards
@@ -171,8 +171,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 def test_more_workers_than_cores_are_noted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.executor(2, None) as executor:
+    monkeypatch.setattr(arguments, "available_cores", lambda: 1)
+    with arguments.executor(2, None) as executor:
         assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 

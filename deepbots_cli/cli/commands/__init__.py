@@ -1,7 +1,7 @@
 """The commands in the groups and the order of `deepbots --help`, and the line of each in the help.
 
-A command is the function `command` of the module with its name, or the function with its name in the module of
-another command (`BESIDE`). The module is imported when the command is called. The rest of its help is in
+A command is the function `command` of the module with its name, or `command_NAME` in the module of another
+command (`BESIDE`). The module is imported when the command is called. The rest of its help is in
 `../help/NAME.txt`.
 """
 
@@ -94,18 +94,24 @@ GONE: Mapping[str, str] = {
 
 
 BESIDE: Mapping[str, str] = {
-    "apply": "tune",
+    "apply": "train",
+    "diagnose": "transfer",
     "diff": "compare",
     "doctor": "bench",
     "fmt": "lint",
+    "lsp": "compile",
     "play": "view",
-    "plot": "report",
+    "plot": "render",
     "replay": "view",
+    "report": "render",
     "resume": "train",
     "robustness": "transfer",
+    "runs": "compare",
     "scenarios": "new",
     "serve": "export",
     "studio": "view",
+    "test": "try_",
+    "tune": "train",
 }
 """The commands that share the module of another one."""
 
@@ -114,5 +120,5 @@ def function_name(name: str) -> tuple[str, str]:
     """Return the names of the module and of the function of a command; the module of a keyword of Python, such
     as `try`, ends with `_`."""
     if name in BESIDE:
-        return BESIDE[name], name
+        return BESIDE[name], f"command_{name}"
     return f"{name}_" if iskeyword(name) else name, "command"

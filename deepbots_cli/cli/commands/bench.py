@@ -21,7 +21,7 @@ import typer
 
 import deepbots_cli
 from deepbots_cli import api, engines
-from deepbots_cli.cli import processes, terminal
+from deepbots_cli.cli import arguments, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     ClusterAddress,
@@ -215,12 +215,12 @@ def _bench_shards(
     with terminal.transient_line("loading PyTorch ..."):
         from deepbots_cli.learning import scaling
     if address is None and workers is None and max(numbers) > 1:
-        workers = min(max(numbers), processes.available_cores())
+        workers = min(max(numbers), arguments.available_cores())
     terminal.note(
         f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
         " processes"
     )
-    with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
+    with arguments.executor(workers, address) as executor, terminal.progress("measurements") as show:
         timings = scaling.measure(
             scenario,
             numbers,
@@ -287,7 +287,7 @@ class Check(NamedTuple):
     found: str
 
 
-def doctor(as_json: Json = False) -> None:
+def command_doctor(as_json: Json = False) -> None:
     """Check the installation."""
     rows = [check._asdict() for check in checks()]
     broken = [check["what"] for check in rows if check["state"] == "broken"]

@@ -1,9 +1,11 @@
 """`deepbots compare`: groups of runs, their differences from the first one, and matches of agents that compete;
-`diff`: the differences of two scenarios."""
+`diff`: the differences of two scenarios; `runs`: runs, groups and studies, and the evaluations of a run."""
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
@@ -13,7 +15,8 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.analysis.changes import Change, Effect, scenario_changes
-from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli import arguments, records, terminal
+from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -25,10 +28,11 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
-from deepbots_cli.cli.sources import open_source
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
@@ -103,7 +107,7 @@ def command(
         judged = _compiled(scenario, permissions)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare
-    with processes.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
+    with arguments.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
         comparison = compare(
             runs,
             episodes=episodes,
@@ -353,7 +357,7 @@ _Side = Annotated[
 ]
 
 
-def diff(
+def command_diff(
     one: _Side,
     other: _Side,
     overrides: Overrides = None,
@@ -392,3 +396,194 @@ def _change_lines(changes: Sequence[Change], first_name: str, second_name: str) 
             for change in group_changes:
                 yield from (f"  {change.path}", *change.lines)
             yield ""
+
+
+class Sort(StrEnum):
+    date = "date"
+    name = "name"
+    steps = "steps"
+    cpu = "cpu"
+    returns = "return"
+    success = "success"
+
+
+def command_runs(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="A folder of runs, a study, a group, or a run; by default `runs`."
+        ),
+    ] = Path("runs"),
+    scenario: Annotated[
+        str | None,
+        option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME."),
+    ] = None,
+    solved: Annotated[bool, option("--solved", "Only runs that solve their task.")] = False,
+    live: Annotated[bool, option("--live", "Only runs that are training now.")] = False,
+    sort: Annotated[
+        Sort,
+        option(
+            "--sort",
+            "Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the"
+            " largest value.",
+        ),
+    ] = Sort.date,
+    as_json: Json = False,
+) -> None:
+    """List trainings, with their results."""
+    if folder_kind(folder) is SourceKind.RUN:
+        _show_run(folder, as_json=as_json)
+        return
+    if not folder.is_dir() and folder != Path("runs"):
+        raise UsageError(f"there is no folder {folder}")
+    name_part = "" if scenario is None else scenario.lower().replace("_", "")
+    runs = [
+        run
+        for run in sort_runs(list_runs(folder), sort.value)
+        if name_part in run.scenario.lower().replace("_", "")
+        and (run.solved or not solved)
+        and (run.state == "training" or not live)
+    ]
+    if as_json:
+        terminal.show_json([_run_data(run) for run in runs])
+    elif runs:
+        files: dict[str, set[str]] = {}
+        for run in runs:
+            files.setdefault(run.scenario, set()).add(run.source)
+        rows = [_run_row(run, with_file=len(files[run.scenario]) > 1) for run in runs]
+        words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(
+            folder_kind(folder) or SourceKind.RUN, "runs in"
+        )
+        terminal.print_result(f"{words} {folder}\n" + table(rows))
+        for note in (note for run in runs for note in _run_notes(run)):
+            terminal.note(note)
+    elif scenario is not None or solved or live:
+        terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
+    else:
+        terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
+
+
+def _run_notes(run: ListedRun) -> Iterator[str]:
+    """Yield notes on a run that the table does not show, with its name."""
+    name = run.path.name
+    yield from (f"{name}: {note}" for note in _own_notes(run))
+    yield from (
+        f"{name}/{inner.path.name}: {inner.decline.text}" for inner in run.runs if inner.decline is not None
+    )
+    if run.remarks:
+        yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
+
+
+def _own_notes(run: ListedRun) -> Iterator[str]:
+    """Yield notes that the table does not show: damage, models that were chosen by another rule, and a
+    training that got worse."""
+    if run.problem is not None:
+        yield run.problem
+    if chosen_by_return := list(_chosen_by_return(run)):
+        count = len(chosen_by_return)
+        models = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
+        models = f"the best model of {count} of its runs" if count > 1 else models
+        choices = [path for path in chosen_by_return if _has_other_models(path)]
+        again = "for each, choose again with" if len(choices) > 1 else "choose again with"
+        command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
+        yield f"an earlier version chose {models} by return{command}"
+    if run.decline is not None:
+        yield run.decline.text
+
+
+def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
+    """Yield the runs in a run, a group or a study whose best model an earlier version chose by return."""
+    if run.chosen_by == "return":
+        yield run.path
+    for inner in run.runs:
+        yield from _chosen_by_return(inner)
+
+
+def _has_other_models(run: Path) -> bool:
+    """Return whether `eval --keep` has a choice: a model that differs from the best one."""
+    best = run / "models" / "agent" / "best.zip"
+    # By content: by default, `filecmp` takes files with the same size and time as equal.
+    return best.is_file() and any(
+        not filecmp.cmp(best, model, shallow=False) for model in best.parent.glob("*.zip")
+    )
+
+
+def _run_data(run: ListedRun) -> dict[str, Any]:
+    fall = None if run.decline is None else run.decline.as_json()
+    return {
+        **vars(run),
+        "name": run.path.name,
+        "decline": fall,
+        "runs": [_run_data(inner) for inner in run.runs],
+    }
+
+
+def _run_row(run: ListedRun, *, with_file: bool = False) -> Row:
+    """Return a row of the table; `with_file` if scenarios of several files have the same name."""
+    finished = sum(inner.state == "finished" for inner in run.runs)
+    state: str = run.state
+    if run.planned is not None:
+        state += f", {len(run.runs)} of {run.planned} trials"
+    elif run.runs and state != "finished":
+        state += f", {finished} of {len(run.seeds)} done"
+    elif state == "training" and run.total_timesteps:
+        state += f" {(run.steps or 0) / run.total_timesteps:.0%}"
+    return {
+        "run": run.path.name,
+        "scenario": f"{run.scenario} ({Path(run.source).name})" if with_file else run.scenario,
+        "seed": _seeds(run.seeds),
+        "state": state,
+        "steps": run.steps,
+        "best_at": run.best_steps,
+        "level": None if run.mean_level is None else round(run.mean_level, 2),
+        **records.scores(run, intervals=False),
+        "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
+        "solved": run.solved,
+        "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
+        "teacher": run.teacher,
+        "set": short_settings(run.settings),
+        "digest": run.digest[:8],
+        "updated": run.updated[:16].replace("T", " "),
+    }
+
+
+def _seeds(seeds: tuple[int, ...]) -> str:
+    """Return seeds as text; `0..4` for seeds that follow each other."""
+    if len(seeds) > 2 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
+        return f"{seeds[0]}..{seeds[-1]}"
+    return ", ".join(map(str, seeds))
+
+
+def _show_run(folder: Path, *, as_json: bool) -> None:
+    """Show a run, and its evaluations."""
+    run = read_listed(folder)
+    entries = evaluations(folder)
+    data = [
+        {"number": number, "problem": entry}
+        if isinstance(entry, str)
+        else {"number": number, **entry.model_dump(exclude={"outcomes"})}
+        for number, entry in entries
+    ]
+    rows = [_evaluation(folder, number, entry) for number, entry in entries if not isinstance(entry, str)]
+    tables = [f"run {folder}\n{table([_run_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
+    terminal.show({**_run_data(run), "evaluations": data}, *tables, as_json=as_json)
+    notes = list(_own_notes(run))
+    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {quote(str(folder))}"]
+    notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
+    if not as_json:
+        for note in notes:
+            terminal.note(note)
+
+
+def _evaluation(folder: Path, number: int, record: EvaluationResult) -> Row:
+    return {
+        "number": number,
+        "evaluated": record.evaluated[:16].replace("T", " "),
+        "model": records.shown_model(folder, record.model),
+        "after_steps": record.model_steps,
+        "remarks": "; ".join(record.remarks) or record.elsewhere or records.case_label(record),
+        "episodes": record.episodes,
+        "seed": str(record.seed),
+        **records.scores(record.own_scores),
+        "solved": record.solved,
+    }

@@ -16,7 +16,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli import arguments, records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     FAILED_EPISODES,
@@ -314,10 +314,10 @@ def _evaluate_run(
         from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
-    processes.check_dividable(request.workers, request.address, parts, reason)
+    arguments.check_dividable(request.workers, request.address, parts, reason)
     evaluations: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
-    with processes.executor(request.workers, request.address, parts) as executor:
+    with arguments.executor(request.workers, request.address, parts) as executor:
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
             # Engines are compared on the same starts, so that each of several plays all episodes.
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
@@ -506,7 +506,7 @@ def _kept(
     with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.keeping import keep
     with (
-        processes.executor(workers, address) as executor,
+        arguments.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,
     ):
         kept_model = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
@@ -584,11 +584,11 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
     scenarios = request.scenarios(group.record.engine)
     ready = group.runs_with_model
     reason = f"{request.run} contains {counted(len(ready), 'trained run')}"
-    processes.check_dividable(request.workers, request.address, len(ready), reason)
+    arguments.check_dividable(request.workers, request.address, len(ready), reason)
     options = {**request.options, **further_options, "case": request.case, "stage": request.stage}
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
-    with processes.executor(request.workers, request.address, len(ready)) as executor:
+    with arguments.executor(request.workers, request.address, len(ready)) as executor:
         with terminal.transient_line("loading the policies ..."):
             from deepbots_cli.learning.comparison import compare_engines, evaluate_group
         for compiled in scenarios:

@@ -15,6 +15,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.arguments import run_to_export
 from deepbots_cli.cli.command import (
     ADVANCED,
     EPISODES,
@@ -27,7 +28,6 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.sources import run_to_export
 from deepbots_cli.cli.written_files import check_new_folder, refuse_links_within, write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
@@ -306,7 +306,7 @@ def _check(
 _LINK = "Link"
 
 
-def serve(
+def command_serve(
     source: Annotated[
         str,
         typer.Argument(
@@ -415,7 +415,7 @@ def serve(
         raise UsageError(
             "--log, --seconds and --trusted belong to the policy; leave them out with --as-robot"
         )
-    from deepbots_cli.cli.sources import open_source
+    from deepbots_cli.cli.arguments import open_source
     from deepbots_cli.insight.robot import serve_robot
 
     side = open_source(source, overrides or (), permissions, engine)
@@ -460,7 +460,7 @@ def _serve_policy(
 def _exported_bundle(folder: Path, stack: ExitStack) -> Path:
     """Export the bundle of the best model of a run, or of a named model, into a folder that lasts as long as
     `stack`."""
-    from deepbots_cli.cli.sources import run_to_export
+    from deepbots_cli.cli.arguments import run_to_export
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_cli.learning.runs.run import ModelRef
 

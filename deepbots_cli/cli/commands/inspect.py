@@ -13,8 +13,8 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.arguments import OpenedSource, is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, XacroArguments, option
-from deepbots_cli.cli.sources import OpenedSource, is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary

@@ -19,9 +19,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, written_files
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
-from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.sources import (
+from deepbots_cli.cli.arguments import (
     STDIN,
     is_robot,
     robot_findings,
@@ -29,6 +27,8 @@ from deepbots_cli.cli.sources import (
     scenario_names,
     xacro_arguments,
 )
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
+from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
@@ -488,9 +488,7 @@ class LintOptions:
 
     def _exploits(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
         """Return the findings of a search for exploits, whose episodes are recorded."""
-        from deepbots_cli.cli import exploits
-
-        exploits.folder_of(checked)
+        written_files.folder_of_exploits(checked)
         with terminal.transient_line(f"{called}: searching for exploits"):
             searched = find_exploits(checked)
         if searched.incomplete:
@@ -501,7 +499,7 @@ class LintOptions:
                 " succeeds serves the search"
             )
         with terminal.transient_line(f"{called}: recording exploits"):
-            return exploits.keep(searched, checked, name, self.overrides, self.permissions)
+            return written_files.keep_exploits(searched, checked, name, self.overrides, self.permissions)
 
     def called(self, name: str) -> str:
         """Return the name of the scenario `name` in findings."""
@@ -590,7 +588,7 @@ def _page(code: str) -> tuple[str, str]:
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
 
 
-def fmt(
+def command_fmt(
     paths: Annotated[
         list[Path] | None,
         typer.Argument(metavar="FILE", help="Scenario files, or folders of them; by default this folder."),

@@ -17,11 +17,11 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
+from deepbots_cli.cli.arguments import RobotError, open_robot, robot_path, xacro_arguments
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
+from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
 from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
-from deepbots_cli.cli.starters.text import Template, from_template, scenario_title
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.cli.written_files import Files, modeline, write_new
 from deepbots_cli.compiler.inventory import scenario_names
@@ -556,7 +556,7 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     ]
 
 
-def scenarios(as_json: Json = False) -> None:
+def command_scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with deepbots."""
     rows: list[Row] = []
     for name in shipped.scenario_names():

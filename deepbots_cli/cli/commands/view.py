@@ -128,7 +128,7 @@ ScenarioOrRun = Annotated[
 ]
 
 
-def play(
+def command_play(
     shown: ScenarioOrRun,
     output: Annotated[
         Path | None,
@@ -214,7 +214,7 @@ def _training_words(opened: ShowingState) -> list[str]:
     ]
 
 
-def studio(
+def command_studio(
     source: Annotated[
         Path,
         typer.Argument(
@@ -255,7 +255,7 @@ def studio(
     prepared.serve()
 
 
-def replay(
+def command_replay(
     recording: Annotated[
         str,
         typer.Argument(
