@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, module_name
+from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, function_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
@@ -26,6 +26,9 @@ MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""
 MAX_SEEDS = 1000
 """The largest number of seeds of a group."""
+
+FAILED_EPISODES = "failed"
+"""The value of `--episodes` for the failed episodes of the last evaluation."""
 
 ADVANCED = "Advanced"
 """The group of options that are rarely needed or dangerous; it is the last in the help."""
@@ -190,6 +193,11 @@ def seed_list(text: str) -> tuple[int, ...]:
     return tuple(seeds)
 
 
+def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
+    """Parse a number, or `failed`."""
+    return text if text == FAILED_EPISODES else whole_number(minimum, maximum)(text)
+
+
 def names(texts: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of an option that may be repeated; `none` alone stands for no name."""
     return () if texts is None or list(texts) == ["none"] else tuple(texts)
@@ -333,6 +341,40 @@ EngineOrRun = Annotated[
     ),
 ]
 
+Shown = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|MODEL|RECORDING",
+        help="A scenario file, the name of a shipped scenario, a run directory, a model in it, a recording"
+        " or the log of a robot.",
+    ),
+]
+Host = Annotated[
+    str,
+    option(
+        "--host ADDRESS",
+        "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens"
+        " only with the token in the printed address.",
+        ADVANCED,
+    ),
+]
+Port = Annotated[
+    int | None,
+    integer(
+        "--port N", "Port of the page; by default the first free port from 8787.", 0, 65535, group=ADVANCED
+    ),
+]
+Open = Annotated[bool, option("--open", "Open the page in the browser.")]
+Episode = Annotated[
+    int,
+    integer(
+        "--episode K",
+        "Begin with the start of held-out episode K of `deepbots eval`, counted from 0.",
+        0,
+        group=EPISODES,
+    ),
+]
+
 
 # The command
 
@@ -411,7 +453,8 @@ def _command(name: str) -> Any:
     """Return the command of this name. It is cached for programs that call `main` several times, because
     typer takes 4 ms to read its annotations."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    run = import_module(f"deepbots_cli.cli.commands.{module_name(name)}").command
+    module, function = function_name(name)
+    run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
     app.command(name, cls=Command, help=help_text(name))(
         _with_permission_options(
             _with_role_options(run, ADVANCED if name == "eval" else SCENARIO) if name in _WITH_ROLES else run

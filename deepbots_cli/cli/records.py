@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import last_episodes, run_verdict
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
@@ -600,6 +601,50 @@ def recorded_rows(ends: Iterable[tuple[int, WorldFrame]], *, have_rivals: bool =
 def recorded_table(rows: Sequence[Row]) -> str:
     hidden = {"ended_by", *(name for row in rows for name, value in row.items() if value is None)}
     return table([{name: value for name, value in row.items() if name not in hidden} for row in rows])
+
+
+# Failed episodes
+
+
+def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationResult]:
+    """Return the last evaluation of a run, or of a named model of it, in its own scenario and engine, with
+    its episodes.
+
+    Raises:
+        UsageError: There is none.
+    """
+    evaluation = last_episodes(ref)
+    if evaluation is None:
+        path = ref.path if ref.is_named else ref.run.path
+        suffix = f" of {ref.name}" if ref.is_named else ""
+        raise UsageError(
+            f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with:"
+            f" deepbots eval {quote(str(path))}"
+        )
+    return evaluation
+
+
+def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int], EvaluationResult]:
+    """Return the numbers of the failed episodes of the last evaluation, of one of several agents with
+    `agent`, and the evaluation.
+
+    Raises:
+        RunError: The run has no such agent.
+        UsageError: There is no evaluation, or none of its episodes failed.
+    """
+    _, record = last_evaluation(ref)
+    program = ref.run.program
+    if agent is not None:
+        member = ref.run.member(agent)
+        outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
+        record = record.model_copy(update={"outcomes": outcomes})
+        program = member.program
+    failed = record.failed(program)
+    if not failed:
+        raise UsageError(
+            f"none of the {len(record.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+        )
+    return failed, record
 
 
 # Files

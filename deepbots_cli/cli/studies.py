@@ -8,7 +8,7 @@ from statistics import fmean
 
 import typer
 
-from deepbots_cli.cli import processes, terminal
+from deepbots_cli.cli import arguments, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
@@ -38,7 +38,7 @@ def continue_study(
     permissions: Permissions,
 ) -> None:
     """Train the trials of a study that are left, and show its table."""
-    with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
+    with arguments.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
             is_done = run_study(study, reporter=display, permissions=permissions, executor=executor)
@@ -84,7 +84,7 @@ class StudyDisplay(StudyReporter):
     def update(self, number: int, progress: TrialProgress) -> None:
         self._at_work[number] = progress
         if not self._quiet:
-            self._display.show_line(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
+            self._display.show(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
 
     def _work(self) -> str:
         """Return the progress of the trials at work."""

@@ -27,9 +27,9 @@ from deepbots_cli.insight.training import (
     usual_settings,
 )
 from deepbots_cli.learning.report import longer_goal
-from deepbots_cli.learning.runs.verdict import SEED, ChangedValue
 from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.statistics import wilson
+from deepbots_cli.learning.runs.verdict import SEED, ChangedValue
 from deepbots_cli.program.task import SAME_OBSERVATION, Observation
 from deepbots_cli.words import number_text, rate_text
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from nicegui import events, ui
 
-from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.cli.starters.draft import Template, from_template
 from deepbots_cli.document.shipped import scenario_names, scenario_path
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.session import Session

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepbots_cli.cli.new_files import refuse_links_within
+from deepbots_cli.cli.written_files import refuse_links_within
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most

@@ -31,7 +31,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, doctor
+from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, bench
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
@@ -104,7 +104,7 @@ def test_only_one_module_starts_python():
     naming = [
         path.name for path in package.rglob("*.py") if "sys.executable" in path.read_text(encoding="utf-8")
     ]
-    assert sorted(naming) == ["doctor.py", "processes.py"]  # the former prints it
+    assert sorted(naming) == ["bench.py", "processes.py"]  # the former prints it
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
@@ -241,7 +241,7 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
             raise PackageNotFoundError(name)
         return "1.0"
 
-    monkeypatch.setattr(doctor, "version", version)
+    monkeypatch.setattr(bench, "version", version)
     assert deepbots("doctor").err == f"{message}\n"
 
 

@@ -30,7 +30,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli import exploits, main
+from deepbots_cli.cli import main, written_files
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.explanations import Topic, topics
 from deepbots_cli.compiler import check
@@ -563,8 +563,8 @@ def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepb
     )
     verified = deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap")
     assert verified.out.split(": ")[1] == "1 episode and 60 steps are the same to the bit\n"
-    assert exploits.was_searched(api.compile("parked.yaml").program)
-    assert not exploits.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
+    assert written_files.was_searched(api.compile("parked.yaml").program)
+    assert not written_files.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
 
 
 @pytest.mark.usefixtures("simulated_here")
@@ -588,7 +588,7 @@ def test_a_damaged_record_counts_as_no_search(deepbots, parked, content):
     record = parked / "exploits" / "parked" / "searched.json"
     record.parent.mkdir(parents=True)
     record.write_text(content, encoding="latin-1")
-    assert not exploits.was_searched(api.compile("parked.yaml").program)
+    assert not written_files.was_searched(api.compile("parked.yaml").program)
 
 
 def test_selecting_an_exploit_rule_without_a_search_is_reported(deepbots, parked):

@@ -25,9 +25,8 @@ import yaml
 from deepbots_cli import api, frames
 from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
-from deepbots_cli.cli.new_files import write_new
-from deepbots_cli.cli.starters.draft import Draft
-from deepbots_cli.cli.starters.templates import Template
+from deepbots_cli.cli.starters.draft import Draft, Template
+from deepbots_cli.cli.written_files import write_new
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.build import Build

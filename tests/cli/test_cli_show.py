@@ -25,9 +25,9 @@ from PIL import Image
 
 from deepbots_cli import api
 from deepbots_cli.analysis.shown_units import ShownUnits
-from deepbots_cli.cli.throughput import note_faster_engine
+from deepbots_cli.cli.terminal import note_faster_engine
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document import shipped
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.insight.speed import EngineSpeeds, engine_speeds, measure
 from deepbots_cli.learning.runs.evaluations import draw_labels, drawn_effects
@@ -413,11 +413,11 @@ def test_the_faster_engine_is_named_where_it_saves_half_a_minute_and_none_is_cho
     pytest.importorskip("pybullet")
     cartpole = api.compile("cartpole").program
     chosen = api.compile("cartpole", overrides=["world.engine=pybullet"]).program
-    note_faster_engine(cartpole, 10_000_000)
+    note_faster_engine(cartpole, 10_000_000, Permissions())
     assert "note: mujoco steps this world" in capfd.readouterr().err
-    note_faster_engine(cartpole, 600)
-    note_faster_engine(cartpole, 20_000)
-    note_faster_engine(chosen, 10_000_000)
+    note_faster_engine(cartpole, 600, Permissions())
+    note_faster_engine(cartpole, 20_000, Permissions())
+    note_faster_engine(chosen, 10_000_000, Permissions())
     assert "mujoco" not in capfd.readouterr().err
 
 

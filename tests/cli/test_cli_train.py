@@ -28,7 +28,7 @@ import pytest
 
 from deepbots_cli.cli import main, terminal
 from deepbots_cli.cli.command import without_old_spelling
-from deepbots_cli.cli.training_page import training_page
+from deepbots_cli.cli.commands.train import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.learning.runs.records import RunRecord

@@ -38,7 +38,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.cli import main, processes
+from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
 from deepbots_cli.cluster.shards import RemoteShards
@@ -170,8 +170,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 def test_more_workers_than_cores_are_noted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.executor(2, None) as executor:
+    monkeypatch.setattr(arguments, "available_cores", lambda: 1)
+    with arguments.executor(2, None) as executor:
         assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
@@ -390,7 +390,8 @@ def test_the_table_of_trainings_fits_80_columns(monkeypatch: pytest.MonkeyPatch)
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
-    assert "12 training 1,000,000 of 40,000,000 31,415 -1234.5 12%" in text
+    assert "seed 12 training 1,000,000 of 40,000,000 steps" in text
+    assert "episodes 31,415 return -1234.5 success 12%" in text
     assert "1 training, 1 finished, 18 waiting" in text
 
 
@@ -404,7 +405,7 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
     lines.close()
     assert stream.getvalue().splitlines() == [
         "note: the worker of seed 8 was lost; another one resumes the training",
-        "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
+        "seed 7  finished  6,144 of 6,000 steps  episodes 146  return 42.2",
         "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.cli.starters.draft import Template, from_template
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.document import load

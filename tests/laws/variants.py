@@ -17,7 +17,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli.sources import open_source
+from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.syntax import Number

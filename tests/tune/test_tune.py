@@ -54,7 +54,7 @@ tune:
 
 DRIVER = """\
 import os, sys
-from deepbots_cli.cli.commands import runs, train, tune
+from deepbots_cli.cli.commands import compare, train
 from deepbots_cli.learning.campaigns import study, trials
 assert "optuna" not in sys.modules
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli import api, diagnostics
-from deepbots_cli.cli.new_files import write_new
+from deepbots_cli.cli.written_files import write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name

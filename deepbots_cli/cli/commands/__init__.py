@@ -1,7 +1,8 @@
 """The commands in the groups and the order of `deepbots --help`, and the line of each in the help.
 
-A command is the function `command` of the module with its name, which is imported when it is called. The rest
-of its help is in `../help/NAME.txt`.
+A command is the function `command` of the module with its name, or `command_NAME` in the module of another
+command (`BESIDE`). The module is imported when the command is called. The rest of its help is in
+`../help/NAME.txt`.
 """
 
 from __future__ import annotations
@@ -92,7 +93,32 @@ GONE: Mapping[str, str] = {
 """The options, and the values of options, that are gone, and what to do instead."""
 
 
-def module_name(name: str) -> str:
-    """Return the name of the module of a command; that of a keyword of Python, such as `try`, ends with
-    `_`."""
-    return f"{name}_" if iskeyword(name) else name
+BESIDE: Mapping[str, str] = {
+    "apply": "train",
+    "diagnose": "transfer",
+    "diff": "compare",
+    "doctor": "bench",
+    "fmt": "lint",
+    "lsp": "compile",
+    "play": "view",
+    "plot": "render",
+    "replay": "view",
+    "report": "render",
+    "resume": "train",
+    "robustness": "transfer",
+    "runs": "compare",
+    "scenarios": "new",
+    "serve": "export",
+    "studio": "view",
+    "test": "try_",
+    "tune": "train",
+}
+"""The commands that share the module of another one."""
+
+
+def function_name(name: str) -> tuple[str, str]:
+    """Return the names of the module and of the function of a command; the module of a keyword of Python, such
+    as `try`, ends with `_`."""
+    if name in BESIDE:
+        return BESIDE[name], f"command_{name}"
+    return f"{name}_" if iskeyword(name) else name, "command"

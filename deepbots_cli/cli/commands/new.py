@@ -1,5 +1,5 @@
 """`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a
-copy of a shipped one with the files that it reads."""
+copy of a shipped one with the files that it reads; `scenarios`: the shipped ones."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
@@ -16,17 +17,17 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
+from deepbots_cli.cli.arguments import RobotError, open_robot, robot_path, xacro_arguments
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
+from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
 from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
-from deepbots_cli.cli.starters.templates import Template, from_template
-from deepbots_cli.cli.starters.text import scenario_title
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.cli.written_files import Files, modeline, write_new
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import did_you_mean
-from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
+from deepbots_cli.document import Permissions, ScalarNode, files, load, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
@@ -44,7 +45,6 @@ from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.starters.webots import Starter
-
 
 _WORKFLOW = """\
 name: lint
@@ -257,11 +257,8 @@ def _name_faster_engine(program: Program) -> None:
     ]
     if sum(isinstance(shape, Mesh) for shape in shapes) > _MAX_TIMED_MESHES:
         return
-    try:
-        from deepbots_cli.cli import throughput
-    except ModuleNotFoundError:
-        return
-    throughput.note_faster_engine(program)
+    with suppress(ModuleNotFoundError):
+        terminal.note_faster_engine(program, None, Permissions())
 
 
 def validated_name(name: str) -> str:
@@ -557,3 +554,14 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
             force=force,
         ),
     ]
+
+
+def command_scenarios(as_json: Json = False) -> None:
+    """List the scenarios that come with deepbots."""
+    rows: list[Row] = []
+    for name in shipped.scenario_names():
+        path = shipped.scenario_path(name)
+        root = load(path).root if path else None
+        summary = root.get("summary") if root else None
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
+    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)

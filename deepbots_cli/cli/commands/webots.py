@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, Force, Json, integer, known_engine, option
+from deepbots_cli.cli.command import ADVANCED, Force, Host, Json, Open, Port, integer, known_engine, option
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.pages import Host, Open, Port
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.words import counted

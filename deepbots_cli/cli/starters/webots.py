@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from deepbots_cli import api
-from deepbots_cli.cli.starters.text import aligned, yaml_name
+from deepbots_cli.cli.starters.draft import aligned, yaml_name
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.imports.draft import read_project

@@ -1,9 +1,11 @@
-"""The arguments of commands: scenarios, folders of them, run directories, and robot files."""
+"""What the arguments of commands name: scenarios, folders of them, run directories, robot files, and the processes of
+`--workers` and `--cluster`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
+from deepbots_cli.cli import terminal
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import did_you_mean, nearest_word
 from deepbots_cli.document import Permissions, files, shipped
@@ -21,8 +24,10 @@ from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
+    from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.runs.run import ModelName, Run
 
 STDIN = "-"
@@ -237,3 +242,56 @@ def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
         if name != STDIN and not is_robot(name):
             Source.open(name, Permissions(), SourceKind.SCENARIO)
     return list(names)
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    # `cpu_count` has all cores of the machine, also those that a container or `taskset` excludes.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
+    """Check that there are several parts for the workers.
+
+    Raises:
+        UsageError: There are workers for `count` parts, fewer than two; `reason` is the cause.
+    """
+    if workers is not None:
+        option = "--workers"
+    elif address is not None:
+        option = "--cluster"
+    else:
+        option = None
+    if option is not None and count < 2:
+        raise UsageError(f"{option} has nothing to divide, since {reason}")
+
+
+@contextmanager
+def executor(
+    workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False
+) -> Iterator[Executor]:
+    """Context with the executor of at most `count` calls or shards: this process, unless an option names
+    workers, which end with the block.
+
+    Raises:
+        UsageError: Both options are given, or the cluster does not answer.
+    """
+    if workers is not None and address is not None:
+        raise UsageError("--workers and --cluster cannot be combined")
+    if workers is None and address is None:
+        from deepbots_cli.learning.executor import SERIAL
+
+        yield SERIAL
+        return
+    from deepbots_cli.cluster import Cluster
+
+    if workers is not None:
+        workers = workers if count is None else min(workers, count)
+        if workers > (cores := available_cores()) and not quiet:
+            terminal.note(
+                f"{workers} workers share {counted(cores, 'core')}; more workers than cores are not faster"
+            )
+    with ExitStack() as stack:
+        with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
+            cluster = stack.enter_context(Cluster(workers=workers, address=address))
+        yield cluster
