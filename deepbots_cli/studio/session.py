@@ -315,7 +315,7 @@ class Session:
             self._keep_draft(file)
         if self._language is not None:
             self._language.close()
-        await self.robot.close()
+        self.robot.close()
 
     async def read_runs(self) -> None:
         """List the runs of the folder again."""

@@ -520,7 +520,7 @@ def test_the_process_of_the_robot_asks_for_its_own_token(tmp_path):
         await _until(lambda: bool(robot.address), 60)
         address = robot.address
         await asyncio.to_thread(check, address)
-        await robot.close()
+        robot.close()
         return address
 
     def check(address: str) -> None:
