@@ -27,7 +27,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout import Episode, robot_logs
 from deepbots_cli.rollout.robot_logs import RobotLog
 from deepbots_cli.view.episodes import Showing
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.replay import open_player
 
 pytest.importorskip("onnxruntime")
 

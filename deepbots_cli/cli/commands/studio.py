@@ -12,6 +12,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, integer, option
 from deepbots_cli.document import Permissions
+from deepbots_cli.errors import MissingExtraError
 
 
 def command(
@@ -44,7 +45,10 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Write, watch and train a scenario on one page of the browser."""
-    from deepbots_cli.studio.server import studio
+    try:
+        from deepbots_cli.studio.server import studio
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("studio", "the studio") from error
 
     prepared = studio(source, permissions=permissions, host=host, port=port)
     terminal.print_result(prepared.address)
