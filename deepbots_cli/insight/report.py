@@ -52,7 +52,7 @@ from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 from deepbots_cli.view import pictures, training_logs, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.replay import open_player
 from deepbots_cli.view.training_logs import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
 from deepbots_cli.words import counted, number_text, rate_text

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from pydantic import TypeAdapter
@@ -24,7 +24,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.frames import rotate
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.processes import Process, ending
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot, Sensor
 from deepbots_cli.program.task import idle_action
@@ -569,42 +569,43 @@ def measure(
         UsageError: The copies cannot be written.
         RuntimeError: The process failed by a fault of deepbots, and DEEPBOTS_DEBUG is 1; holds its traceback.
     """
-    import subprocess  # with tempfile 10 ms of CPU, which static linting does not need
-    import tempfile
+    import tempfile  # 5 ms of CPU, which static linting does not need
 
-    command = python_command("deepbots_cli.lint.simulation_process", *map(str, limits))
-    # The limit of memory also counts the address space that each thread reserves for its stack.
-    environment = python_environment(
-        {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    )
+    lines: list[bytes] = []
+    codes: SimpleQueue[int] = SimpleQueue()
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         inputs.write(Path(folder))
-        request = json.dumps({"folder": folder, "allow_code": permissions.code, "search": search}).encode()
-        pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-        with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, env=environment) as process:
-            try:
-                out, _ = process.communicate(request, limits.wall)
-                is_late = False
-            except subprocess.TimeoutExpired:
-                process.kill()
-                # The lines that were written before the end are read, too.
-                out, _ = process.communicate()
-                is_late = True
-            except BaseException:
-                # Also after Ctrl-C: `Popen.__exit__` waits for the process.
-                process.kill()
-                raise
-    report = _read(out)
+        process = Process(
+            "deepbots_cli.lint.simulation_process",
+            *map(str, limits),
+            hear=lines.append,
+            on_end=codes.put,
+            # The limit of memory also counts the address space that each thread reserves for its stack.
+            environment=dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+            quiet=True,
+        )
+        try:
+            request = {"folder": folder, "allow_code": permissions.code, "search": search}
+            process.send(json.dumps(request).encode() + b"\n")
+            code = codes.get(timeout=limits.wall)
+            is_late = False
+        except Empty:
+            process.end()
+            code = codes.get()  # the lines that were written before the end are read, too
+            is_late = True
+        finally:
+            process.end()  # also after Ctrl-C
+    report = _read(lines)
     if not report.done and report.halt is None:
-        report.halt = Halt("slow", f"{limits.wall:g} s") if is_late else _halt(process.returncode, limits)
+        report.halt = Halt("slow", f"{limits.wall:g} s") if is_late else _halt(code, limits)
     return report
 
 
-def _read(out: bytes) -> SimulationReport:
+def _read(lines: Iterable[bytes]) -> SimulationReport:
     """Read the lines of entries, and `~17` before step 17; a last line that is cut off is ignored."""
     report = SimulationReport()
-    for line in out.split(b"\n"):
-        if line.startswith(b"~") and line[1:].isdigit():
+    for line in lines:
+        if line.startswith(b"~") and line[1:].strip().isdigit():
             report.where = report.where._replace(step=int(line[1:]))
             continue
         entry = decode(line)
@@ -617,8 +618,7 @@ def _read(out: bytes) -> SimulationReport:
 
 def _halt(code: int, limits: Limits) -> Halt:
     """Return the reason why the process ended early."""
-    # subprocess gives the negative number of the signal that ended the process.
-    name = signal.Signals(-code).name if -code in signal.valid_signals() else ""
+    name = ending(code)
     # `lint.simulation_process` sets the timer of SIGPROF, and the limit of CPU time, which sends SIGXCPU.
     if name == "SIGPROF":
         return Halt("hang", f"{limits.step_seconds:g} s of CPU time")
@@ -626,4 +626,4 @@ def _halt(code: int, limits: Limits) -> Halt:
         return Halt("slow", f"{limits.cpu} s of CPU time")
     if code == OUT_OF_MEMORY:
         return Halt("memory", f"{limits.memory} MiB")
-    return Halt("crash" if name in _CRASHES else "killed", name or f"exit code {code}")
+    return Halt("crash" if name in _CRASHES else "killed", name)

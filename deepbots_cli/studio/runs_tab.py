@@ -20,10 +20,9 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.charts import comparison_chart
-from deepbots_cli.studio.commands import RUNS_FOLDER, title_of
-from deepbots_cli.studio.outputs import Result, text_with_code
+from deepbots_cli.studio.commands import RUNS_FOLDER, Task, title_of
+from deepbots_cli.studio.layout import Result, text_with_code
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import Task
 from deepbots_cli.studio.trainings import Curves, read_curves, result_text, solved_return
 
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")

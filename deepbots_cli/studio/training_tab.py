@@ -12,8 +12,7 @@ from nicegui import ui
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.charts import training_chart
-from deepbots_cli.studio.layout import ICONS
-from deepbots_cli.studio.outputs import Result
+from deepbots_cli.studio.layout import ICONS, Result
 from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import Curves, result_text, score_text

@@ -24,14 +24,12 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
-from deepbots_cli.view import access, server
+from deepbots_cli.view import server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
-from deepbots_cli.view.manual_input import ManualInput, turns_left
 from deepbots_cli.view.panel import Panel, notice, set_theme
-from deepbots_cli.view.playback import MAX_STEPPING_S, Playback, ShownWorld
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.playback import MAX_STEPPING_S, ManualInput, Playback, ShownWorld, turns_left
 from deepbots_cli.view.recordings import DrivenEpisodes
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.replay import ReplayPlayer, open_player
 from deepbots_cli.view.scene import SceneCameras, WorldScene
 
 FRAME_RATE = 30
@@ -65,7 +63,7 @@ class Page:
         source: Showing,
         *,
         compare: Showing | None = None,
-        host: str = access.LOOPBACK,
+        host: str = server.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
         seed: int = 0,

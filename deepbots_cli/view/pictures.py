@@ -514,10 +514,10 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
 
 def _write_page(player: Player, path: Path, world_frames: Iterator[WorldFrame], speed: float) -> None:
     """Write a page that turns and scrubs without a server: viser's recording of its scene."""
-    from deepbots_cli.view import access, server
+    from deepbots_cli.view import server
     from deepbots_cli.view.scene import WorldScene, aim_camera
 
-    page, _ = server.serve(access.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
+    page, _ = server.serve(server.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
     try:
         program = player.program
         first = next(world_frames)

@@ -21,8 +21,8 @@ from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.view import server
-from deepbots_cli.view.manual_input import RELEASE_TIMEOUT_S
 from deepbots_cli.view.panel import heading, hint, notice, set_theme
+from deepbots_cli.view.playback import RELEASE_TIMEOUT_S
 from deepbots_cli.view.scene import (
     MAX_CELLS,
     add_shape,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from deepbots_cli.frames import Frame
-    from deepbots_cli.view.manual_input import Axes, Keys
+    from deepbots_cli.view.playback import Axes, Keys
     from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.shapes import Shape
     from deepbots_cli.webots.simulation import Simulation

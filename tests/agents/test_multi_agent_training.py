@@ -23,7 +23,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.cluster.local_processes import LocalProcesses
+from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.agents.multi_agent import own_model

@@ -41,9 +41,8 @@ from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import plot
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.replay import ReplayPlayer, open_player
 from deepbots_cli.view.training_logs import read_logs
 from tests.agents.carts import write_scenario
 from tests.agents.test_multi_agent_training import SHARED

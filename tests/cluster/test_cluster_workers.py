@@ -40,9 +40,9 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
-from deepbots_cli.cluster.shards import RemoteShards
-from deepbots_cli.cluster.worker_pool import WorkerLost, WorkerPool
+from deepbots_cli.cluster.ray_cluster import node_messages_silenced
+from deepbots_cli.cluster.session import RemoteShards
+from deepbots_cli.cluster.worker_pool import LocalProcesses, Owed, Worker, WorkerLost, WorkerPool
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import evaluate, evaluate_group, resume, resume_group, train, train_group
@@ -411,12 +411,11 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
 
 
 def test_the_library_starts_the_function_that_is_replaced() -> None:
-    ray_internals = pytest.importorskip("deepbots_cli.cluster.ray_internals", exc_type=ImportError)
-    from ray._private import worker
+    worker = pytest.importorskip("ray._private.worker", exc_type=ImportError)
 
     assert "target=listen_error_messages" in inspect.getsource(worker.connect)
     original = worker.listen_error_messages
-    with ray_internals.node_messages_silenced():
+    with node_messages_silenced():
         assert worker.listen_error_messages is not original
     assert worker.listen_error_messages is original
 
@@ -550,7 +549,7 @@ class DeadlyProcesses(LocalProcesses):
 
     def ask(self, worker: Worker, method: str, *arguments: object) -> Owed:
         if self.is_deadly and method == "work":
-            worker.process.kill()
+            worker.process.end()
         return super().ask(worker, method, *arguments)
 
 
@@ -570,12 +569,11 @@ def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> 
     with LocalProcesses(2) as processes:
         killed, survivor = processes.start(Echo), processes.start(Echo)
         processes.wait([processes.ask(worker, "work", 1) for worker in (killed, survivor)], count=2)
-        killed.process.kill()
-        killed.process.wait()
+        killed.process.end()
         processes.wait([processes.ask(survivor, "work", 2)])  # meanwhile its end is noticed
         processes.wait([], timeout_s=0.0)
         deadline = time.monotonic() + 20.0
-        while not killed.process.stdin.closed and time.monotonic() < deadline:  # type: ignore[union-attr]
+        while not killed.loss and time.monotonic() < deadline:
             processes.wait([processes.ask(survivor, "work", 3)])
         lost = processes.ask(killed, "work", 4)
         assert processes.wait([lost], timeout_s=20.0) == [lost]

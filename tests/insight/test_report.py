@@ -37,8 +37,7 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.players import closing_player
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.replay import ReplayPlayer, closing_player
 from deepbots_cli.view.training_logs import StageStart
 from tests.view.browser import CHROMIUM, browser
 

@@ -27,7 +27,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout import Episode, recordings
 from deepbots_cli.rollout.recordings import RobotLog
 from deepbots_cli.view.episodes import Showing
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.replay import open_player
 
 pytest.importorskip("onnxruntime")
 

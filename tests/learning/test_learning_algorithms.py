@@ -1012,7 +1012,7 @@ def test_the_library_has_each_private_member() -> None:
     assert {name for name in used if not any(hasattr(part, name) for part in parts)} == set()
 
 
-INTERNALS = {"learning/sb3": "internals.py", "cluster": "ray_internals.py"}
+INTERNALS = {"learning/sb3": "internals.py", "cluster": "ray_cluster.py"}
 
 
 @pytest.mark.parametrize("package", INTERNALS)

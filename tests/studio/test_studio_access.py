@@ -45,13 +45,13 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.charts import comparison_chart, training_chart
+from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
-from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.language import Language
+from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.studio.trainings import Curves, result_text
-from deepbots_cli.view import access
+from deepbots_cli.view.server import LOOPBACK, Gate, listening_socket
 
 TOKEN = "a-token-of-22-letters-"
 SCENARIO = "deepbots: 1\nname: Mine\n"
@@ -78,9 +78,9 @@ async def _inner(scope, receive, send) -> None:
 @contextmanager
 def _serving(robot_address: str = "") -> Iterator[int]:
     """A server in a thread; yields its port."""
-    listener = access.listening_socket(access.LOOPBACK, 0)
+    listener = listening_socket(LOOPBACK, 0)
     port = listener.getsockname()[1]
-    application = Guarded(_inner, access.Gate(access.LOOPBACK, port, TOKEN), lambda: robot_address)
+    application = Guarded(_inner, Gate(LOOPBACK, port, TOKEN), lambda: robot_address)
     server = uvicorn.Server(uvicorn.Config(application, log_level="critical", lifespan="on"))
     thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
     thread.start()
@@ -520,7 +520,7 @@ def test_the_process_of_the_robot_asks_for_its_own_token(tmp_path):
         await _until(lambda: bool(robot.address), 60)
         address = robot.address
         await asyncio.to_thread(check, address)
-        await robot.close()
+        robot.close()
         return address
 
     def check(address: str) -> None:

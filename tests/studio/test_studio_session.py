@@ -42,11 +42,10 @@ from deepbots_cli.studio import server
 from deepbots_cli.studio import session as sessions
 from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.meanings import Meaning
+from deepbots_cli.studio.language import Meaning
 from deepbots_cli.studio.robot_pane import robot_text
 from deepbots_cli.studio.server import studio
-from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.shown import TABS
+from deepbots_cli.studio.session import TABS, Session
 from deepbots_cli.studio.trainings import result_text
 from tests.studio.served import Served, served
 from tests.studio.test_studio_page import SCENARIO

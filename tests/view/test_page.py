@@ -34,12 +34,12 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import Recording
-from deepbots_cli.view import access, server, viser_internals
+from deepbots_cli.view import server
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
-from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.playback import ManualInput
+from deepbots_cli.view.replay import open_player
 from tests.private_members import private_members
 
 pytest.importorskip("viser")
@@ -686,7 +686,7 @@ def page():
     """The port of a server on loopback, and what arrived by `/drive`."""
     arrived: list[object] = []
     running, address = server.serve(
-        access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
+        server.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
     )
     assert address == f"http://127.0.0.1:{running.get_port()}/"
     yield running.get_port(), arrived
@@ -850,12 +850,12 @@ def test_another_version_of_the_page_is_refused(page):
 
 def test_a_port_in_use_and_an_unknown_host_are_errors(page):
     with pytest.raises(UsageError, match=f"port {page[0]} of 127.0.0.1 is in use"):
-        server.serve(access.LOOPBACK, page[0], "test", lambda keys, axes: None)
+        server.serve(server.LOOPBACK, page[0], "test", lambda keys, axes: None)
     with pytest.raises(UsageError, match="there is no host"):
         server.serve("no-such-host.invalid", 0, "test", lambda keys, axes: None)
 
 
-MODULE = Path(viser_internals.__file__)
+MODULE = Path(server.__file__)
 USERS = [
     path for path in sorted(MODULE.parent.glob("*.py")) if "viser" in path.read_text() and path != MODULE
 ]
@@ -863,7 +863,7 @@ USERS = [
 
 def test_the_library_has_each_private_member() -> None:
     with redirect_stdout(StringIO()):
-        page = viser.ViserServer(access.LOOPBACK, 0, verbose=False)
+        page = viser.ViserServer(server.LOOPBACK, 0, verbose=False)
     try:
         box = page.gui.add_checkbox("Box", initial_value=True)
         used = {name for _, name in private_members(MODULE)}

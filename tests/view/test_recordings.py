@@ -37,8 +37,7 @@ from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, SensorRays, WorldFrame, action_fields, observation_fields
-from deepbots_cli.view.players import open_player
-from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
+from deepbots_cli.view.replay import ReplayPlayer, open_player, verify, version_changes
 from tests.few import few
 
 pytest.importorskip("mcap")

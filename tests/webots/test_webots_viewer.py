@@ -32,7 +32,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.view import access
+from deepbots_cli.view import server
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.looks import MAX_PICTURE_BYTES
 from deepbots_cli.webots.pace import MAX_DELAY_S, Pace
@@ -90,7 +90,7 @@ class Page:
 def viewed(simulation: Simulation, pace: Pace | None = None) -> Iterator[tuple[Viewer, Page]]:
     """A viewer of a world, which `supervisor` acts on."""
     pace = pace or Pace(simulation, is_fast=True)
-    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0) as viewer:
+    with Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0) as viewer:
         supervisor.activate(simulation)
         try:
             yield viewer, Page(viewer)
@@ -186,10 +186,10 @@ def test_a_busy_port_and_a_missing_extra_are_errors(monkeypatch):
     simulation = simulate(BALL)
     pace = Pace(simulation, is_fast=True)
     with viewed(simulation, pace) as (_, page), pytest.raises(UsageError, match=f"port {page.port} of"):
-        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, page.port)
+        Viewer(simulation, pace, "w.wbt", server.LOOPBACK, page.port)
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingExtraError, match="a page in the browser needs the 'view' extra"):
-        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0)
+        Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0)
 
 
 # Keys
@@ -314,7 +314,7 @@ def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
     pace = Pace(simulation, is_fast=True)
     pace.pause()
     runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))], pace=pace)
-    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0, can_restart=True) as viewer:
+    with Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0, can_restart=True) as viewer:
         threading.Timer(0.5, pace.restart).start()
         outcome = runner.run()
         assert (outcome.exit_code, outcome.is_stuck, pace.wants_restart) == (0, False, True)

@@ -40,7 +40,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.words import counted
@@ -244,7 +244,10 @@ def command_studio(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Write, watch and train a scenario on one page of the browser."""
-    from deepbots_cli.studio.server import studio
+    try:
+        from deepbots_cli.studio.server import studio
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("studio", "the studio") from error
 
     prepared = studio(source, permissions=permissions, host=host, port=port)
     terminal.print_result(prepared.address)
