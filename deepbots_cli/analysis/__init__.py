@@ -21,7 +21,7 @@ from functools import cached_property
 
 from deepbots_cli.analysis.conditions import shadowed_endings
 from deepbots_cli.analysis.definitions import unobserved_reads
-from deepbots_cli.analysis.ranges import RangedDefinitions
+from deepbots_cli.analysis.ranges import RangeAnalysis
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
@@ -29,7 +29,7 @@ from deepbots_cli.program.values import Expression
 __all__ = ["Analysis", "possible_returns", "unobserved_reads"]
 
 
-class Analysis(RangedDefinitions):
+class Analysis(RangeAnalysis):
     """The analysis of one program, whose results are computed once for all rules."""
 
     @cached_property

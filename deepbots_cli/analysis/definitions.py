@@ -57,7 +57,7 @@ class _CachedLowering(Lowering):
         return cached[1]
 
 
-class Definitions:
+class DefinitionAnalysis:
     """What the names of one program mean and depend on, computed once for all rules.
 
     A sensor is replaced by the fact that it measures only if its readings are exact. A value with noise, or
@@ -371,7 +371,7 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
     values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading does not
     make the heading known. Noise and clipping are left out.
     """
-    analysis = Definitions(program).ideal
+    analysis = DefinitionAnalysis(program).ideal
     agent = program.agent
 
     def source(node: Name | EngineRead) -> Hashable:
@@ -436,7 +436,7 @@ def _reads_in(node: TypedNode) -> Iterator[TypedNode]:
 class Identities:
     """Numbers the quantities of a program."""
 
-    def __init__(self, definitions: Definitions) -> None:
+    def __init__(self, definitions: DefinitionAnalysis) -> None:
         self._definitions = definitions
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}

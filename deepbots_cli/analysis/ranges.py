@@ -14,7 +14,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Self
 
-from deepbots_cli.analysis.definitions import Definitions
+from deepbots_cli.analysis.definitions import DefinitionAnalysis
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, function_named
@@ -44,7 +44,7 @@ class Ranges:
 
     def __init__(
         self,
-        analysis: RangedDefinitions,
+        analysis: RangeAnalysis,
         assumed: Mapping[str, Interval] = _NO_RANGES,
         steps: tuple[float, float] | None = None,
         condition: tuple[int, Interval] | None = None,
@@ -228,7 +228,7 @@ class StartRanges(Ranges):
     Positions are unknown where the world settles, and for copies of a robot.
     """
 
-    def __init__(self, analysis: RangedDefinitions) -> None:
+    def __init__(self, analysis: RangeAnalysis) -> None:
         super().__init__(analysis, {"episode_return": ZERO, "previous_reward": ZERO}, (0.0, 0.0))
         program = analysis.program
         self._is_placed = not program.reset.settle and program.agent.copies is None
@@ -371,8 +371,8 @@ class StartRanges(Ranges):
                 return args[0]
 
 
-class RangedDefinitions(Definitions):
-    """The definitions of a program with the ranges of their values."""
+class RangeAnalysis(DefinitionAnalysis):
+    """The analysis of definitions, with the ranges of their values."""
 
     def __init__(self, program: Program, *, exact: Self | None = None) -> None:
         super().__init__(program, exact=exact)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, hypot
 
-from deepbots_cli.analysis.ranges import RangedDefinitions, Ranges
+from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, ZERO, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
@@ -39,7 +39,7 @@ class RewardTerms:
     `terms` are the terms that are not written in Python; `is_complete` is true if these are all.
     """
 
-    def __init__(self, analysis: RangedDefinitions) -> None:
+    def __init__(self, analysis: RangeAnalysis) -> None:
         self.analysis = analysis
         self.program = analysis.program
         self.terms = [
@@ -128,7 +128,7 @@ def return_range(reward: RewardTerms) -> Interval:
     return Interval(low, high)
 
 
-def uses_earlier_values(analysis: RangedDefinitions, node: Scalar) -> bool:
+def uses_earlier_values(analysis: RangeAnalysis, node: Scalar) -> bool:
     """Return whether a value depends on earlier values."""
     return any(
         isinstance(part, State) and part.function in _EARLIER_VALUE_FUNCTIONS
@@ -155,7 +155,7 @@ faster."""
 # Bodies and joints
 
 
-def joint_speed(analysis: RangedDefinitions, robot: str, joint: str) -> float:
+def joint_speed(analysis: RangeAnalysis, robot: str, joint: str) -> float:
     """Return the largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing
     limits it."""
     controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
@@ -171,7 +171,7 @@ def joint_speed(analysis: RangedDefinitions, robot: str, joint: str) -> float:
     return INF
 
 
-def base_speed(analysis: RangedDefinitions, robot: str) -> float:
+def base_speed(analysis: RangeAnalysis, robot: str) -> float:
     """Return the largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite
     where that is unknown."""
     program = analysis.program
@@ -194,7 +194,7 @@ def base_speed(analysis: RangedDefinitions, robot: str) -> float:
     return max(_speed_on_wheels(analysis, body.name, body.model) for body in moving)
 
 
-def _speed_on_wheels(analysis: RangedDefinitions, robot: str, model: RobotModel) -> float:
+def _speed_on_wheels(analysis: RangeAnalysis, robot: str, model: RobotModel) -> float:
     """Return the largest speed (m/s) of the origin of a robot that stands on the wheels of one axle and on
     parts that slide; infinite for any other robot.
 
@@ -260,7 +260,7 @@ def _stands_on_one_axle(model: RobotModel, wheels: Sequence[Joint]) -> bool:
     return is_one_axle and any(distance(point) > _SAME_PLACE for point in contact_points(model, _GROUND_GAP))
 
 
-def _speed_of(analysis: RangedDefinitions, subject: str) -> float:
+def _speed_of(analysis: RangeAnalysis, subject: str) -> float:
     """Return the largest speed (m/s) of the origin of a body."""
     base = subject.partition("#")[0]
     for body in analysis.program.world.robots:
@@ -275,7 +275,7 @@ def _speed_of(analysis: RangedDefinitions, subject: str) -> float:
 # Values
 
 
-def rate_of(analysis: RangedDefinitions, node: Scalar, *, exact: bool = False) -> float:
+def rate_of(analysis: RangeAnalysis, node: Scalar, *, exact: bool = False) -> float:
     """Return the largest change of a value per second; infinite where nothing limits it.
 
     `exact` leaves out measures that may be a little faster than their body.
@@ -288,7 +288,7 @@ def rate_of(analysis: RangedDefinitions, node: Scalar, *, exact: bool = False) -
     return analysis.rates[exact][node]
 
 
-def _rate(analysis: RangedDefinitions, node: Scalar, *, exact: bool) -> float:
+def _rate(analysis: RangeAnalysis, node: Scalar, *, exact: bool) -> float:
     pair = analysis.distance_pair(node)
     if pair is not None and (not exact or isinstance(node, Op)):
         return sum(_speed_of(analysis, body) for body in pair)
@@ -313,7 +313,7 @@ def _rate(analysis: RangedDefinitions, node: Scalar, *, exact: bool) -> float:
 
 
 def _rate_of_operation(
-    analysis: RangedDefinitions, op: str, args: Sequence[Scalar], rates: Sequence[float]
+    analysis: RangeAnalysis, op: str, args: Sequence[Scalar], rates: Sequence[float]
 ) -> float:
     intervals = [analysis.ranges.of(arg) for arg in args]
     match op:
@@ -379,7 +379,7 @@ class SpeedRanges(Ranges):
         return rate_of(self.analysis, quantity, exact=True) * self.analysis.program.world.timestep
 
 
-def change_of(analysis: RangedDefinitions, first: Scalar, second: Scalar) -> Scalar | None:
+def change_of(analysis: RangeAnalysis, first: Scalar, second: Scalar) -> Scalar | None:
     """Return the quantity whose change in a timestep the difference of two values is, as in `previous(x) -
     x`; None for any other."""
     a, b = analysis.resolve_aliases(first), analysis.resolve_aliases(second)
@@ -443,7 +443,7 @@ def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval
     return _clipped(change, limit) if 0.0 in change else change
 
 
-def speed_notes(analysis: RangedDefinitions) -> tuple[str, ...]:
+def speed_notes(analysis: RangeAnalysis) -> tuple[str, ...]:
     """Return the largest speeds of the robots, for a note."""
     speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
     return tuple(
