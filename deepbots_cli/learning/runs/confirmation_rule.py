@@ -29,7 +29,7 @@ from statistics import NormalDist, fmean, stdev
 from deepbots_cli.learning.runs.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
-from deepbots_cli.scenario.fields.training import MAX_SOLVED_EPISODES
+from deepbots_cli.scenario.quantities import MAX_SOLVED_EPISODES
 from deepbots_cli.words import number_text
 
 FALSE_STOPS = 0.05
