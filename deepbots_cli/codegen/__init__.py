@@ -29,7 +29,7 @@ from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.expressions.targets import BATCH, SCALAR, Target
+from deepbots_cli.expressions.text import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.members import world_of

@@ -14,8 +14,7 @@ import textwrap
 from collections.abc import Hashable, Iterable, Sequence
 
 from deepbots_cli.codegen.lines import WIDTH
-from deepbots_cli.expressions.code import number_code
-from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
+from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, number_code
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.program import generated
 

@@ -29,7 +29,7 @@ from deepbots_cli.codegen.step import (
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Op, Scalar
-from deepbots_cli.expressions.targets import BATCH
+from deepbots_cli.expressions.text import BATCH
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Direction
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange

@@ -90,11 +90,11 @@ from deepbots_cli.program.task import (
     Truncation,
 )
 from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.search import SearchSpace
 from deepbots_cli.scenario.training import Auto
 from deepbots_cli.scenario.validate import validate
-from deepbots_cli.scenario.walk import visit_values
 
 __all__ = ["CheckedScenario", "check"]
 

@@ -22,8 +22,8 @@ from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, with
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
-from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate
 
 AGENTS = "agents"

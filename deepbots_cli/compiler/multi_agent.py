@@ -50,8 +50,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
-from deepbots_cli.scenario.agent import AgentOfSeveral
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.task import AgentOfSeveral
 
 Named = TypeVar("Named", Robot, RobotBody)
 

@@ -59,8 +59,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.agent import ContinuousAction, DiscreteAction, Observed
-from deepbots_cli.scenario.agent import Goal as GoalSpec
+from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.task import Goal as GoalSpec
 
 _NOT_YET = 'remove it; see "Not yet" in docs/language.md for what is not supported'
 _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (

@@ -23,11 +23,9 @@ from deepbots_cli.expressions.types import (
     TypedNode,
 )
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import RESERVED
-from deepbots_cli.scenario.fields.quantities import Quantity
-from deepbots_cli.scenario.isaac_lab import term_help
-from deepbots_cli.scenario.synonyms import word_for
+from deepbots_cli.scenario.documentation import term_help, word_for
+from deepbots_cli.scenario.fields import RESERVED, FieldType
+from deepbots_cli.scenario.quantities import Quantity
 
 _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, if it contains a closing parenthesis."""

@@ -12,7 +12,7 @@ from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.program import Program
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.scenario.fields import choices_help
 
 if TYPE_CHECKING:
     from deepbots_robot.topics import Field, Topic

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.expressions.written import unit_named
+from deepbots_cli.expressions.text import unit_named
 from deepbots_cli.insight.statements import (
     MAX_LISTED,
     Numbers,

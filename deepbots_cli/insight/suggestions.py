@@ -22,7 +22,7 @@ from deepbots_cli.document.nodes import MappingNode, ScalarNode, entries_at, nod
 from deepbots_cli.insight.inspection import Row, link_rows
 from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides
 from deepbots_cli.robots.model import Joint, Link
-from deepbots_cli.scenario.fields.base import with_article
+from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 
 _MAX_SUGGESTIONS = 4

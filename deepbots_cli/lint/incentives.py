@@ -8,7 +8,7 @@ from math import ceil, floor, log10, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
-from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
@@ -340,7 +340,7 @@ class _StillRanges(Ranges):
                 return meaning
 
 
-def _has_memory(analysis: Analysis, node: Scalar) -> bool:
+def _has_memory(analysis: RangeAnalysis, node: Scalar) -> bool:
     """Return whether a value depends on earlier timesteps."""
     return any(isinstance(part, State) for part in analysis.walk_definitions(node))
 
@@ -430,7 +430,7 @@ def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | 
     return ways if compared else [None]
 
 
-def _first_step(analysis: Analysis, ending: Expression) -> float:
+def _first_step(analysis: RangeAnalysis, ending: Expression) -> float:
     """Return the first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) >
     5 s`."""
     first = 0.0
@@ -451,7 +451,7 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
     return min(first, float(analysis.last_step))
 
 
-def _steps_from(analysis: Analysis, ending: Expression) -> float:
+def _steps_from(analysis: RangeAnalysis, ending: Expression) -> float:
     """Return the steps of the agent after the first one in which an ending may hold."""
     return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 

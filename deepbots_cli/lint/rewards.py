@@ -11,8 +11,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, return_range
-from deepbots_cli.analysis.speeds import highest_return, speed_notes
+from deepbots_cli.analysis.returns import RewardTerms, highest_return, return_range, speed_notes
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -363,7 +362,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 @rule("DB711", versions="every")
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     """Report that every episode has the same return, whatever the policy does."""
-    possible = return_range(context.analysis)
+    possible = return_range(context.analysis.reward)
     if context.program.agent.training is None or not possible.is_single:
         return
     worth = possible.low
@@ -384,14 +383,16 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """Report that no episode can reach the required mean return, or that every episode does."""
     for analysis, required, path in _wanted_returns(context):
-        possible = return_range(analysis)
+        possible = return_range(analysis.reward)
         if required > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
             headline = (
                 f"no episode reaches the required return of {required:g}: the highest possible return"
                 f" is {number_text(possible.high)}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif required > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
+        elif required > (limited := highest_return(analysis.ideal.reward)) + _RELATIVE_ROUNDING * abs(
+            limited
+        ):
             headline = (
                 f"no episode reaches the required return of {required:g}: limits of speed allow at most"
                 f" {number_text(limited)}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import (
     ORDER_PRESERVING,
     ConditionComparison,
@@ -14,7 +13,7 @@ from deepbots_cli.analysis.conditions import (
     only_comparison,
     thresholds,
 )
-from deepbots_cli.analysis.ranges import Ranges, with_unit
+from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges, with_unit
 from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
@@ -294,7 +293,7 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     return [] if any(concerned & _concerns(analysis, node) for node in right_nodes) else wrong
 
 
-def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
+def _concerns(analysis: RangeAnalysis, node: Scalar) -> set[str]:
     """Return the names without definition that a value depends on, and the bodies on whose places it
     depends."""
     bodies: set[str] = set()

@@ -46,9 +46,17 @@ from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, section_fields
 from deepbots_cli.scenario.documentation import example_of, section_description
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import COLORS, ColorValue, FilePath, Flag, Pattern, Reference, Word
-from deepbots_cli.scenario.fields.quantities import MEASURES, Column, Expression, Quantity, Range
+from deepbots_cli.scenario.fields import (
+    COLORS,
+    ColorValue,
+    FieldType,
+    FilePath,
+    Flag,
+    Pattern,
+    Reference,
+    Word,
+)
+from deepbots_cli.scenario.quantities import MEASURES, Column, Expression, Quantity, Range
 from deepbots_cli.scenario.scenario import VERSION
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")

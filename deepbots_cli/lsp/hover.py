@@ -37,8 +37,7 @@ from deepbots_cli.scenario.base import (
     unit_of,
 )
 from deepbots_cli.scenario.documentation import default_of, key_description, section_description
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import Pattern, Reference
+from deepbots_cli.scenario.fields import FieldType, Pattern, Reference
 from deepbots_cli.words import counted
 
 _CODE = re.compile(r"DB\d{3}")

@@ -30,8 +30,14 @@ from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import packages
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import REFERENCE_KINDS, FilePath, Pattern, Reference, ReferenceKind
+from deepbots_cli.scenario.fields import (
+    REFERENCE_KINDS,
+    FieldType,
+    FilePath,
+    Pattern,
+    Reference,
+    ReferenceKind,
+)
 from deepbots_cli.scenario.scenario import Scenario
 
 

@@ -24,8 +24,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.program import identity
 from deepbots_cli.program.identity import to_json
 from deepbots_cli.scenario.actuators import ACTUATORS
+from deepbots_cli.scenario.documentation import synonyms, word_for
 from deepbots_cli.scenario.sensors import SENSORS
-from deepbots_cli.scenario.synonyms import synonyms, word_for
 from deepbots_cli.scenario.world import OBJECTS, TILES
 from tests.compile.conftest import shipped_text
 from tests.few import every

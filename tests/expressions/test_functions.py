@@ -32,7 +32,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, Family, sca
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values, lower, stream_name
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, State, walk
-from deepbots_cli.expressions.targets import to_python
+from deepbots_cli.expressions.text import to_python
 from deepbots_cli.expressions.types import Context, RowComponents
 from deepbots_cli.runtime import formulas
 

@@ -55,10 +55,9 @@ from deepbots_cli.expressions.syntax import (
     Unary,
     Vector,
 )
-from deepbots_cli.expressions.targets import to_python
+from deepbots_cli.expressions.text import to_python, units_in
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect_value
-from deepbots_cli.expressions.written import units_in
 from tests.golden.cases import mistakes
 
 

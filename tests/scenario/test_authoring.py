@@ -31,15 +31,13 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario import validate, visit_values
 from deepbots_cli.scenario.actuators import ACTUATORS, VelocityMotor
-from deepbots_cli.scenario.base import Section, section_fields, unit_of
+from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_sections
 from deepbots_cli.scenario.documentation import key_description
-from deepbots_cli.scenario.fields.names import Pattern, Reference
-from deepbots_cli.scenario.fields.quantities import Expression, Quantity, Range, count_literal
-from deepbots_cli.scenario.fields.training import read_schedule
+from deepbots_cli.scenario.fields import Pattern, Reference
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
+from deepbots_cli.scenario.quantities import Expression, Quantity, Range, count_literal, read_schedule
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
-from deepbots_cli.scenario.walk import walk_sections
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS, Arena, World
 from tests.golden.cases import mistakes
 

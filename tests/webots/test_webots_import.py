@@ -32,7 +32,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.robots.model import Box, Sphere
-from deepbots_cli.scenario.fields.names import Name
+from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.findings import WorldError, WorldFindings
 from deepbots_cli.webots.imports import hints
 from deepbots_cli.webots.imports.world import scenario_name

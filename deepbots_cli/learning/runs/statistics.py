@@ -14,7 +14,7 @@ from statistics import NormalDist, fmean, stdev, variance
 
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
-from deepbots_cli.scenario.fields.training import MAX_SOLVED_EPISODES
+from deepbots_cli.scenario.quantities import MAX_SOLVED_EPISODES
 from deepbots_cli.words import beside, number_text
 
 Interval = tuple[float, float]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
-from deepbots_cli.scenario.fields.names import RESERVED, suggested_name
+from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import cast
+from typing import Self, cast
 from weakref import proxy
 
-from deepbots_cli.analysis.conditions import shadowed_endings
-from deepbots_cli.analysis.ranges import Ranges, StartRanges
-from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
@@ -60,18 +57,18 @@ class _CachedLowering(Lowering):
         return cached[1]
 
 
-class Analysis:
-    """The analysis of one program, whose results are computed once for all rules.
+class DefinitionAnalysis:
+    """What the names of one program mean and depend on, computed once for all rules.
 
     A sensor is replaced by the fact that it measures only if its readings are exact. A value with noise, or
     in a message that may be late or lost, is not followed. The `ideal` analysis ignores faults and noise.
     """
 
-    def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
+    def __init__(self, program: Program, *, exact: Self | None = None) -> None:
         """Create an analysis. `exact` is the analysis of the same program of which this is the ideal one;
         they share lowered trees."""
         self.program = program
-        self._self = cast("Analysis", proxy(self))
+        self._self = cast("Self", proxy(self))
         """A weak reference for ranges and rewards, which the analysis refers to: collecting the cycles took 7
         % of the time of linting 200 files."""
         self.leaves: dict[str, ValueType] = exact.leaves if exact else {}
@@ -119,7 +116,6 @@ class Analysis:
         self._sources: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self.identity = Identities(self._self).of
         """A number that two trees share if they mean the same quantity."""
-        self._ranges: dict[tuple[float, float], Ranges] = {}
         self.rates: dict[bool, dict[Scalar, float]] = {}
         """The largest changes of values per second, as computed by `speeds.rate_of`: all, and the exact
         ones."""
@@ -129,33 +125,8 @@ class Analysis:
         """The step at which an episode is truncated at the latest."""
 
     @cached_property
-    def ideal(self) -> Analysis:
-        return Analysis(self.program, exact=self)
-
-    @cached_property
-    def ranges(self) -> Ranges:
-        """The value ranges in any step of an episode."""
-        return Ranges(self._self)
-
-    @cached_property
-    def start(self) -> StartRanges:
-        """The value ranges right after a reset."""
-        return StartRanges(self._self)
-
-    @cached_property
-    def reward(self) -> RewardTerms:
-        return RewardTerms(self._self)
-
-    @cached_property
-    def shadowed(self) -> Mapping[Expression, Expression]:
-        """The endings that have no effect, each with the ending that always holds first."""
-        return shadowed_endings(self)
-
-    def ranges_in(self, first: float, last: float) -> Ranges:
-        """Return the value ranges in these steps."""
-        if (first, last) not in self._ranges:
-            self._ranges[first, last] = Ranges(self._self, {}, (first, last))
-        return self._ranges[first, last]
+    def ideal(self) -> Self:
+        return type(self)(self.program, exact=self)
 
     @property
     def placements(self) -> list[Placement]:
@@ -391,13 +362,6 @@ def _goal_reached(goal: Goal) -> Expression:
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
 
 
-def possible_returns(program: Program) -> tuple[float, float]:
-    """Return the least and the largest return of an episode that rewards and time limit allow; infinite where
-    they imply none."""
-    interval = return_range(Analysis(program))
-    return interval.low, interval.high
-
-
 def unobserved_reads(program: Program, script: str) -> list[str]:
     """Return the values that a script reads and the policy does not observe, as the scenario writes them: for
     a signal, the parts that are not observed.
@@ -407,7 +371,7 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
     values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading does not
     make the heading known. Noise and clipping are left out.
     """
-    analysis = Analysis(program).ideal
+    analysis = DefinitionAnalysis(program).ideal
     agent = program.agent
 
     def source(node: Name | EngineRead) -> Hashable:
@@ -472,8 +436,8 @@ def _reads_in(node: TypedNode) -> Iterator[TypedNode]:
 class Identities:
     """Numbers the quantities of a program."""
 
-    def __init__(self, analysis: Analysis) -> None:
-        self._analysis = analysis
+    def __init__(self, definitions: DefinitionAnalysis) -> None:
+        self._definitions = definitions
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
 
@@ -488,7 +452,7 @@ class Identities:
     def _identity(self, node: Scalar) -> int:
         match node:
             case Name():
-                meaning = self._analysis.resolve_aliases(node)
+                meaning = self._definitions.resolve_aliases(node)
                 return (
                     self._number("name", meaning.name, meaning.component)
                     if isinstance(meaning, Name)

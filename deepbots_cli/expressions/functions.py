@@ -1,39 +1,379 @@
-"""The table of all functions: of the world, of numbers and vectors, of an episode, and of other packages;
-the operators of scalar trees in the same form.
+"""The functions of the language: one entry per function, in one table; the operators of scalar trees in the same
+form.
+
+Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the
+entries and nothing else, so one entry makes a function. `runtime` reads functions of the world from the
+engine, or computes them from readings.
 
 The world frame has z up; a body has x forward, y left and z up. Angles are in radians.
 
-`runtime` reads them from the engine, or computes them from readings.
+Other packages add functions of the family `PURE` by an entry point of the group `deepbots.functions`, which
+names a `Function` or a list of them:
+
+    [project.entry-points."deepbots.functions"]
+    more = "my_package.functions:FUNCTIONS"
+
+    FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2 * x")]
 """
 
 from __future__ import annotations
 
+import ast
 import keyword
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from enum import Enum, IntEnum, auto
 from fractions import Fraction
-from functools import cache
+from functools import cache, reduce
+from typing import Any, NamedTuple
 
 from deepbots_cli.expressions import intervals as iv
-from deepbots_cli.expressions.code import Code, names_in, printed, template
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
-from deepbots_cli.expressions.functions.record import (
-    Family,
-    Form,
-    Function,
-    Param,
-    Reduction,
-    fixed_dimension,
-    fixed_interval,
-    hull_of_arguments,
-    interval_of_first,
-)
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
 from deepbots_cli.expressions.syntax import KEYWORDS
-from deepbots_cli.expressions.types import QUATERNION, SPACE, Invocation, Kind, TypedNode, walk
+from deepbots_cli.expressions.types import (
+    QUATERNION,
+    SPACE,
+    Components,
+    Context,
+    Invocation,
+    Kind,
+    TypedNode,
+    walk,
+)
 from deepbots_cli.plugins import PluginTable
+
+
+class Family(Enum):
+    """The input that a function needs; it determines where the function may be called."""
+
+    PURE = auto()
+    WORLD = auto()
+    MESSAGE = auto()
+    STATEFUL = auto()
+    DRAW = auto()
+
+
+_WORLD = frozenset({Family.PURE, Family.WORLD})
+_TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
+_BOARD = frozenset({Family.PURE, Family.STATEFUL})
+_DRAWN = frozenset({Family.PURE, Family.DRAW})
+ALLOWED_FAMILIES: dict[Context, frozenset[Family]] = {
+    Context.FIXED: frozenset({Family.PURE}),
+    Context.PARAMETER: _DRAWN,
+    Context.FIELD: _DRAWN,
+    Context.EMIT: _BOARD,
+    Context.APPLY: _BOARD,
+    Context.RECEIVE: _TASK,
+    Context.SIGNAL: _TASK,
+    Context.OBSERVATION: frozenset({Family.PURE}),
+    Context.FORBID: frozenset({Family.PURE}),
+    Context.SCRIPT: _TASK - {Family.STATEFUL},
+    Context.TEST: _WORLD,
+    Context.GOAL: _WORLD,
+    Context.REWARD: _TASK,
+    Context.ENDING: _TASK,
+    Context.RESET: _DRAWN,
+    Context.REQUIRE: _WORLD,
+}
+"""The families that each place may call."""
+
+
+class Form(Enum):
+    """The form of an argument: a value, `low .. high`, `mean +- std`, `a | b`, or a name in the world."""
+
+    VALUE = auto()
+    RANGE = auto()
+    SPREAD = auto()
+    OPTIONS = auto()
+    SUBJECT = auto()
+
+
+class Param(NamedTuple):
+    """One argument. `dimension` None means: any, but the same for all such arguments of the call.
+
+    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `variadic`
+    lets the last argument be given once or more often. A value that can be below `domain` is DB406.
+    """
+
+    name: str
+    form: Form = Form.VALUE
+    dimension: Dimension | None = None
+    boolean: bool = False
+    components: Components | None = None
+    kinds: frozenset[Kind] = frozenset()
+    optional: bool = False
+    variadic: bool = False
+    domain: Interval = EVERYTHING
+
+    def __str__(self) -> str:
+        text = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
+            self.form, self.name
+        )
+        if self.optional:
+            return f"[{text}]"
+        if self.variadic:
+            return f"{text}, ..."
+        return text
+
+
+class Reduction(NamedTuple):
+    """The reduction of a vector to a single value: by an operation on all components, perhaps divided by
+    their number.
+
+    `empty` is the value for no component at all, as with absent copies of a group; with None such vectors are
+    refused. `interval` maps the interval of the components and their number to that of the result.
+    """
+
+    operation: str
+    empty: float | bool | None
+    interval: Callable[[Interval, int], Interval] = lambda components, _count: components
+    mean: bool = False
+    counts: bool = False
+    """Whether the components are conditions; the function counts those that are true."""
+    of_rows: bool = False
+    """Whether the vectors of a vector for each row are reduced, to a value for each row; else the rows are,
+    to one vector."""
+
+
+def _same(shared: Dimension) -> Dimension:
+    return shared
+
+
+def _unknown(*_arguments: Interval) -> Interval:
+    return EVERYTHING
+
+
+class Function(NamedTuple):
+    """One function, or one operator.
+
+    Attributes:
+        doc: One sentence.
+        example: A call about the scenario tests/data/scenarios/reference.yaml, for the reference page.
+        result: Maps the dimension shared by the arguments to that of the value.
+        interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
+        components: The components of the value, if they do not follow from the arguments.
+        boolean: The value is a truth value.
+        accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
+            one, too.
+
+    The meaning of a pure function is one of these, or both:
+        python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
+            module `math`, `abs`, `min` and `max`. It contains each argument once. Generated code prints it,
+            folding evaluates it. An operator of many arguments combines them from left to right.
+        helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and
+            does the same to the bit.
+        array: The same over numpy arrays: names of the arguments, `np`, and the names of `arrays.evaluate`.
+            Empty if `python` serves arrays too.
+        reduction: The meaning for a single argument that is a vector.
+
+    The meaning of a function of the world is a reading of the engine, unless it has a `tree` or a `method`:
+        tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of
+            the same name in `runtime.formulas` with the poses of the subjects, which computes the same to the
+            bit.
+        reads_link_pose: The subject is read at the link that represents it; a robot is read at its base link.
+        method: The method of the supervisor, and of that of a batch, that computes it from values.
+        pieces_operator: The operation that joins the values for a wall with several segments.
+
+    The meaning of a stateful function is an object:
+        memory: Its class in `runtime.formulas`. It is called with the arguments in every timestep, whether or
+            not the value is used. An absent `start` is the first argument.
+    """
+
+    name: str
+    family: Family
+    params: tuple[Param, ...]
+    doc: str = ""
+    example: str = ""
+    result: Callable[[Dimension], Dimension] = _same
+    interval: Callable[..., Interval] = _unknown
+    components: Components | None = None
+    boolean: bool = False
+    accepts_truths: bool = False
+    python: str = ""
+    helper: str = ""
+    array: str = ""
+    reduction: Reduction | None = None
+    tree: Callable[..., Scalar] | None = None
+    reads_link_pose: bool = False
+    pieces_operator: str = "or"
+    method: str = ""
+    memory: str = ""
+
+    @property
+    def domain(self) -> Interval:
+        """The interval that must contain the first argument."""
+        return self.params[0].domain
+
+    @property
+    def signature(self) -> str:
+        return f"{self.name}({', '.join(map(str, self.params))})"
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """The names of the single values that the function takes; the last has a star if it takes the
+        rest."""
+        names = [
+            name
+            for param in self.params
+            for name in (("low", "high") if param.form is Form.RANGE else (param.name,))
+        ]
+        takes_rest = self.params[-1].variadic and f"*{names[-1]}" in self.python
+        return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
+
+    def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
+        """Return the callable of `python` or `array`."""
+        # The text is ours or that of an installed package, never that of a scenario.
+        compute: Callable[..., Any] = eval(f"lambda {', '.join(self.arguments)}: {text}", namespace)
+        if self.params[-1].variadic and not self.arguments[-1].startswith("*"):
+            return lambda *terms: reduce(compute, terms)
+        return compute
+
+
+def fixed_dimension(dimension: Dimension) -> Callable[[Dimension], Dimension]:
+    """Return a `result` that is the same for all arguments."""
+    return lambda _shared: dimension
+
+
+def fixed_interval(interval: Interval) -> Callable[..., Interval]:
+    """Return an `interval` that is the same for all arguments."""
+    return lambda *_arguments: interval
+
+
+def interval_of_first(first: Interval, *_others: Interval) -> Interval:
+    return first
+
+
+def hull_of_arguments(*arguments: Interval) -> Interval:
+    return iv.hull(arguments)
+
+
+# Pieces of Python, with no more parentheses than they need
+
+
+class Precedence(IntEnum):
+    """The precedence of Python's operators, from loose to tight."""
+
+    TERNARY = 0
+    OR = 1
+    AND = 2
+    NOT = 3
+    COMPARISON = 4
+    SUM = 5
+    PRODUCT = 6
+    SIGN = 7
+    POWER = 8
+    ATOM = 9
+
+
+class Code(NamedTuple):
+    """A piece of Python and how strongly its outermost operator binds."""
+
+    text: str
+    precedence: Precedence = Precedence.ATOM
+
+    def within(self, min_precedence: int) -> str:
+        """Return the text, in parentheses where it binds less than `min_precedence`."""
+        return self.text if self.precedence >= min_precedence else f"({self.text})"
+
+
+def number_code(value: float | bool) -> Code:
+    """Return the code of a constant."""
+    # `value < 0` is false for -0.0.
+    negative = not isinstance(value, bool) and str(value).startswith("-")
+    code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
+    return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
+
+
+_SIGNS: dict[type[ast.AST], tuple[str, Precedence]] = {
+    ast.Add: ("+", Precedence.SUM),
+    ast.Sub: ("-", Precedence.SUM),
+    ast.Mult: ("*", Precedence.PRODUCT),
+    ast.Div: ("/", Precedence.PRODUCT),
+    ast.FloorDiv: ("//", Precedence.PRODUCT),
+    ast.Mod: ("%", Precedence.PRODUCT),
+    ast.And: ("and", Precedence.AND),
+    ast.Or: ("or", Precedence.OR),
+    ast.Lt: ("<", Precedence.COMPARISON),
+    ast.LtE: ("<=", Precedence.COMPARISON),
+    ast.Gt: (">", Precedence.COMPARISON),
+    ast.GtE: (">=", Precedence.COMPARISON),
+    ast.Eq: ("==", Precedence.COMPARISON),
+    ast.NotEq: ("!=", Precedence.COMPARISON),
+}
+
+
+@cache
+def template(text: str) -> ast.expr:
+    """Return the syntax tree of the Python of a function."""
+    return ast.parse(text, mode="eval").body
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names in the Python of a function, each as often as it occurs."""
+    return [node.id for node in ast.walk(template(text)) if isinstance(node, ast.Name)]
+
+
+def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
+    """Return the Python code of a function, with the code of its arguments in place of their names.
+
+    Raises:
+        ValueError: It contains more than names, numbers, operators, comparisons of two, calls and `a if c
+            else b`.
+    """
+    match node:
+        case ast.Name(id=name):
+            return args.get(name) or Code(name)
+        case ast.Constant(value=bool() | int() | float() as value):
+            return number_code(value)
+        case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
+            return Code(f"{name}({', '.join(printed(part, args).text for part in parts)})")
+        case ast.Call(
+            func=ast.Attribute(value=ast.Name(id="np" | "self" as owner), attr=name), args=parts, keywords=[]
+        ):
+            return Code(f"{owner}.{name}({', '.join(printed(part, args).text for part in parts)})")
+        case ast.Starred(value=ast.Name(id=name)):
+            return args[f"*{name}"]
+        case (
+            ast.BinOp(op=sign, left=left, right=right)
+            | ast.Compare(ops=[sign], left=left, comparators=[right])
+        ) if type(sign) in _SIGNS:
+            return infix(sign, [printed(left, args), printed(right, args)])
+        case ast.BoolOp(op=sign, values=parts):
+            return infix(sign, [printed(part, args) for part in parts])
+        case ast.UnaryOp(op=ast.USub(), operand=inner):
+            negated = printed(inner, args)
+            return Code(
+                f"-({negated.text})"
+                if negated.precedence is Precedence.POWER
+                else f"-{negated.within(Precedence.SIGN)}",
+                Precedence.SIGN,
+            )
+        case ast.UnaryOp(op=ast.Not(), operand=inner):
+            return Code(f"not {printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)
+        case ast.IfExp(test=test, body=a, orelse=b):
+            condition = printed(test, args).within(Precedence.OR)
+            # `if else` groups to the right, so its last part needs no parentheses.
+            return Code(
+                f"{printed(a, args).within(Precedence.OR)} if {condition} else"
+                f" {printed(b, args).within(Precedence.TERNARY)}",
+                Precedence.TERNARY,
+            )
+    raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
+
+
+def infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
+    """Return the code of an infix operation. Operators group to the left, so the right sides bind more
+    tightly; Python chains comparisons, so both sides do."""
+    sign, bind = _SIGNS[type(operator)]
+    left = codes[0].within(bind + 1 if bind is Precedence.COMPARISON else bind)
+    return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)
+
+
+# The table
+
 
 _MAX_WHOLE_EXPONENT = 1000
 """Of a power that is printed with `**`. `math.pow` computes larger ones, which overflow for most bases."""
