@@ -587,7 +587,7 @@ class _Probes:
 
     def _policy_driver(self) -> Callable[[], Driver] | None:
         """Make a driver of the last policy; None before there is one."""
-        from deepbots_cli.learning.evaluation import load_model
+        from deepbots_cli.learning.policy import load_model
         from deepbots_cli.rollout.policies import PolicyDriver
 
         run = self._evidence.run
