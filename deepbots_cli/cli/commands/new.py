@@ -198,7 +198,7 @@ def _next_commands(
 ) -> list[str]:
     """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
-    if starter is not None and starter.todos:
+    if starter is not None:
         commands = ["lint", "try", "inspect", "train"]
     program = api.load(scenario, permissions=permissions).program
     if program is not None:
@@ -237,13 +237,10 @@ def _note_places(starter: Starter) -> None:
     """Print what the world has that the scenario lacks, and how many places are left."""
     for warning in starter.warnings:
         terminal.note(warning)
-    if starter.todos:
-        count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
-        terminal.note(
-            f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
-        )
-    else:
-        terminal.note("no place is left to you")
+    count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
+    terminal.note(
+        f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
+    )
 
 
 def _name_faster_engine(program: Program) -> None:
