@@ -3,7 +3,6 @@
 syntax.py           a `.wbt` or `.proto` file as a tree of nodes with their places
 nodes.py            the node types of Webots (`nodes.txt`), and the values of fields
 protos.py           PROTO nodes: their definitions, and the nodes that they stand for
-proto_templates.py  PROTOs that are templates of JavaScript
 library.py          PROTOs of Webots' own library that deepbots has an equivalent of
 scene.py            bodies, joints, geometries and devices
 scene_builder.py    the tree as a scene

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -138,6 +138,34 @@ def _solid_box(fields: Fields) -> str:
       contactMaterial IS contactMaterial recognitionColors IS recognitionColors physics IS physics {outline}
       children [ Shape {{ appearance IS appearance castShadows IS castShadows
         geometry Box {{ size {x!r} {y!r} {z!r} }} }} ] }}"""
+
+
+def _wall(fields: Fields) -> str:
+    """Return a wall that stands on its origin."""
+    return f"""Solid {{ translation IS translation rotation IS rotation name IS name
+      children [ DEF WALL {_part((0.0, 0.0), 0.0, fields.positive("size"))} ] boundingObject USE WALL }}"""
+
+
+def _table(fields: Fields) -> str:
+    """Return a plate on four feet."""
+    x, y, z = fields.positive("size")
+    wide, deep = fields.positive("feetSize")
+    thickness, padding = fields.positive("frameThickness")[0], fields.number("feetPadding")
+    at_x, at_y = x / 2 - padding - wide / 2, y / 2 - padding - deep / 2
+    parts = [_part((0.0, 0.0), z - thickness, (x, y, thickness), "trayAppearance")]
+    for place in ((at_x, at_y), (-at_x, at_y), (-at_x, -at_y), (at_x, -at_y)):
+        parts.append(_part(place, 0.0, (wide, deep, z - thickness), "legAppearance"))
+    return f"""Solid {{ translation IS translation rotation IS rotation name IS name
+      children [ DEF TABLE Group {{ children [ {" ".join(parts)} ] }} ] boundingObject USE TABLE }}"""
+
+
+def _part(
+    place: tuple[float, float], bottom: float, size: Sequence[float], appearance: str = "appearance"
+) -> str:
+    """Return a box that stands at a place, at a height."""
+    x, y, z = size
+    return f"""Pose {{ translation {place[0]!r} {place[1]!r} {bottom + z / 2!r} children [
+      Shape {{ appearance IS {appearance} geometry Box {{ size {x!r} {y!r} {z!r} }} }} ] }}"""
 
 
 def _container(fields: Fields) -> str:
@@ -341,6 +369,18 @@ LIBRARY: dict[str, Entry] = {
         field SFBool enableBoundingObject TRUE field SFBool castShadows TRUE
         field MFColor recognitionColors []""",
         _solid_box,
+    ),
+    "Wall": Entry(
+        f"""{_POSE} field SFString name "wall" field SFVec3f size 0.2 1 2.4
+        field SFNode appearance PBRAppearance {{ {_PLAIN} }}""",
+        _wall,
+    ),
+    "Table": Entry(
+        f"""{_POSE} field SFString name "table" field SFVec3f size 1 1.8 0.74 field SFVec2f feetSize 0.1 0.1
+        field SFFloat feetPadding 0 field SFFloat frameThickness 0.05
+        field SFNode trayAppearance PBRAppearance {{ {_PLAIN} }}
+        field SFNode legAppearance PBRAppearance {{ {_PLAIN} }}""",
+        _table,
     ),
     "WoodenBox": Entry(_CONTAINER % "wooden box", _container),
     "CardboardBox": Entry(_CONTAINER % "cardboard box", _container),

@@ -16,9 +16,10 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.webots import library
 from deepbots_cli.webots.findings import did_you_mean
 from deepbots_cli.webots.nodes import node_types, type_problem
-from deepbots_cli.webots.proto_templates import TemplateError, Templates
 from deepbots_cli.webots.syntax import (
     MAX_NODES,
+    TEMPLATE,
+    TEMPLATE_HELP,
     Node,
     Parameter,
     Proto,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.syntax import Document, Extern, Item
 
 MAX_PROTO_BYTES = 4 * 2**20
-"""The maximum size of all PROTO files of a world, and of the bodies that templates and `library.py` make."""
+"""The maximum size of all PROTO files of a world, and of the bodies that `library.py` makes."""
 MAX_LEVELS = 150
 """The maximum depth of a world with all that PROTO and USE stand for; a level takes four calls of Python."""
 
@@ -71,9 +72,8 @@ class Extent(NamedTuple):
 class Expander:
     """Gives each PROTO node of a world its body."""
 
-    def __init__(self, files: Files, findings: WorldFindings, *, allow_code: bool = False) -> None:
+    def __init__(self, files: Files, findings: WorldFindings) -> None:
         self.files, self.findings = files, findings
-        self._templates = Templates(files) if allow_code else None
         self._clones = self._length = 0
         self._read: dict[str, Proto | None] = {}
         self._extents: dict[Node, Extent] = {}
@@ -202,40 +202,13 @@ class Expander:
                 source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {{ {text} }}")
                 self._library_bodies[text] = parse(source, is_proto=True).protos[proto.name].body[0]
             root = self._library_bodies[text]
-        elif proto.template:
-            rendered = self._rendered(proto, node)
-            if rendered is None:
-                _empty(node)
-                return None
-            root = rendered
+        elif proto.is_template:
+            self.findings.error(node.span, f"PROTO {proto.name} {TEMPLATE}", TEMPLATE_HELP)
+            _empty(node)
+            return None
         else:
             root = proto.body[0]
         return self._clone(root, node, proto.interface, {})
-
-    def _rendered(self, proto: Proto, node: Node) -> Node | None:
-        """Return the body that a template makes; None with a finding if it makes none."""
-        is_lua = "%<" not in proto.template
-        if is_lua or self._templates is None:
-            reason = "which deepbots cannot run" if is_lua else "which deepbots webots runs with --allow-code"
-            self.findings.error(
-                node.span,
-                f"PROTO {proto.name} is a template of {'Lua' if is_lua else 'JavaScript'}, {reason}",
-                "write it without a template; of Webots' library, deepbots has:"
-                f" {', '.join(library.LIBRARY)}",
-            )
-            return None
-        try:
-            text = self._templates.render(proto, node)
-        except TemplateError as error:
-            self.findings.error(node.span, f"the template of PROTO {proto.name} {error}")
-            return None
-        self._add_length(len(text), node.span)
-        source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {text}")
-        body = parse(source, is_proto=True).protos[proto.name].body
-        if body:
-            return body[0]
-        self.findings.error(node.span, f"the template of PROTO {proto.name} makes another template")
-        return None
 
     def _clone(
         self, node: Node, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]

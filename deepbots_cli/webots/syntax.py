@@ -2,7 +2,7 @@
 
 The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` with an interface and `IS`,
 `hidden` fields. Values are untyped here, because the type of a field depends on its node; `nodes.py` gives
-them types. Nothing is evaluated: a template of a PROTO is text, which `proto_templates.py` runs.
+them types. Nothing is evaluated: a PROTO whose body is a template with code has no nodes.
 
 Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
 `WorldSyntaxError` with a finding.
@@ -68,6 +68,12 @@ class WorldSyntaxError(DeepbotsError):
         super().__init__(str(self.finding))
 
 
+TEMPLATE = "is a template with code, which deepbots does not run"
+TEMPLATE_HELP = (
+    "in Webots, choose Convert to Base Node(s) in the context menu of the node, and save the world"
+)
+
+
 @dataclass(eq=False)
 class Node:
     """A node as it is written: its type, its DEF name or "", and its fields in the order of the text."""
@@ -125,13 +131,13 @@ class Parameter(NamedTuple):
 
 @dataclass(eq=False)
 class Proto:
-    """The definition of a PROTO: its interface, and its body as nodes, or as the text of a template."""
+    """The definition of a PROTO: its interface, and its body; a template with code has none."""
 
     name: str
     span: Span
     interface: dict[str, Parameter]
     body: list[Node]
-    template: str = ""
+    is_template: bool = False
     source: Source | None = None
     externs: list[Extern] = field(default_factory=list)
     neighbors: Mapping[str, Proto] = field(default_factory=dict)
@@ -294,9 +300,8 @@ class _Parser:
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
         if self.last_statement > self.token.start:
             if not may_be_template:
-                message = f"PROTO {name.text} is a template, which only a file of its own may be"
-                raise self._error(name, message, f"write it as protos/{name.text}.proto")
-            proto.template = self.text[self.token.start :]
+                raise self._error(name, f"PROTO {name.text} {TEMPLATE}", TEMPLATE_HELP)
+            proto.is_template = True
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
             return proto

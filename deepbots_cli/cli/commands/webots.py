@@ -121,7 +121,7 @@ def command(
     # The callback of the option checks only the name, and not whether MuJoCo is installed.
     known_engine(_ENGINE)
     try:
-        opened = _read(world, protos or (), allow_code=allow_code)
+        opened = _read(world, protos or ())
         if not allow_code:
             of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
             for name, is_present in of_a_run.items():
@@ -170,11 +170,11 @@ class _Opened:
     programs: list[tuple[Robot, Program]]
 
 
-def _read(path: Path, protos: Sequence[Path], *, allow_code: bool) -> _Opened:
+def _read(path: Path, protos: Sequence[Path]) -> _Opened:
     from deepbots_cli.webots.project import read_world
     from deepbots_cli.webots.scene_builder import build_scene
 
-    world = read_world(path, protos, allow_code=allow_code)
+    world = read_world(path, protos)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
@@ -269,7 +269,7 @@ def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options)
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(path, protos, allow_code=True)
+                opened = _read(path, protos)
                 simulation = Simulation(opened.scene, opened.world.span)
                 pace = Pace(simulation, is_fast=pace.is_fast)
                 viewer.show(simulation, pace)
