@@ -14,10 +14,17 @@ from pathlib import Path
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
-from deepbots_cli.webots.findings import WorldError, WorldFinding, WorldFindings
 from deepbots_cli.webots.nodes import check
 from deepbots_cli.webots.protos import Expander, Scope
-from deepbots_cli.webots.syntax import MAX_BYTES, Node, WorldSyntaxError, parse
+from deepbots_cli.webots.syntax import (
+    MAX_BYTES,
+    Node,
+    WorldError,
+    WorldFinding,
+    WorldFindings,
+    WorldSyntaxError,
+    parse,
+)
 
 _LIBRARY_FOLDER = "projects/"
 """The folder of Webots with its PROTOs; addresses of its library contain it."""

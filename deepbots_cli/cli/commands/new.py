@@ -223,7 +223,7 @@ def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
     from deepbots_cli.cli.starters.webots import from_webots
-    from deepbots_cli.webots.findings import WorldError
+    from deepbots_cli.webots.syntax import WorldError
 
     try:
         return from_webots(world, library, name, scenario_title(name))

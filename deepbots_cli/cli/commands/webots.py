@@ -24,11 +24,10 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
-    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.project import Program, World
     from deepbots_cli.webots.runner import Outcome
     from deepbots_cli.webots.scene import Robot, Scene
-    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.simulation import Pace, Simulation
     from deepbots_cli.webots.viewer import Viewer
 
 _ENGINE = "mujoco"
@@ -110,7 +109,7 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    from deepbots_cli.webots.findings import WorldError
+    from deepbots_cli.webots.syntax import WorldError
 
     check_world(world)
     for folder in protos or ():
@@ -254,8 +253,7 @@ class _Options:
 
 
 def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options) -> None:
-    from deepbots_cli.webots.pace import Pace
-    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.simulation import Pace, Simulation
 
     simulation = Simulation(opened.scene, opened.world.span)
     pace = Pace(simulation, is_fast=options.is_fast)
@@ -289,8 +287,8 @@ def _run_once(
     viewer: Viewer | None,
 ) -> tuple[Outcome, float]:
     """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_cli.webots.recorder import VideoRecorder
     from deepbots_cli.webots.remote.server import ProcessRunner
+    from deepbots_cli.webots.rendering import VideoRecorder
     from deepbots_cli.webots.runner import Runner, packages_of
 
     with ExitStack() as stack:

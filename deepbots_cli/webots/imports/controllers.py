@@ -1,8 +1,8 @@
 """The Python of controllers: classes of deepbots, lines that a scenario quotes, plain constants.
 
-Nothing of it runs, and no value is followed from statement to statement. A number is constant if it is written
-as one, or has a name that the files of the controller bind exactly once: in a module, in the body of a class, or
-as an attribute in `__init__`.
+Nothing of it runs, and no value is followed from statement to statement. A number is constant if it is
+written as one, or has a name that the files of the controller bind exactly once: in a module, in a class,
+or as an attribute in `__init__`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
-    from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import Files
+    from deepbots_cli.webots.syntax import WorldFindings
 
 MAX_FILES = 60
 MAX_CHARACTERS = 300_000
@@ -78,7 +78,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Normalized:
-    """A call of `normalize_to_range` with a constant range: its location, and the name of its result or ""."""
+    """A call of `normalize_to_range` with a constant range; `name` is that of its result, or ""."""
 
     name: str
     location: str
@@ -99,7 +99,7 @@ class Controller:
     bound: Counter[str] = field(default_factory=Counter)
     """How often the files bind names and attributes; empty if they may bind others."""
     values: dict[str, tuple[str, ast.expr]] = field(default_factory=dict)
-    """What simple assignments give to names, with the scope where they always run: `module`, `self` or none."""
+    """What simple assignments give to names, and the scope where they always run: `module`, `self` or ""."""
 
     def quote(self, method: str, about: str) -> Quote:
         """Return a method of the class with its lines."""

@@ -36,11 +36,10 @@ from deepbots_cli.webots.project import controller, read_world
 from deepbots_cli.webots.scene_builder import build_scene
 
 if TYPE_CHECKING:
-    from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.imports.controllers import Module
     from deepbots_cli.webots.project import World
     from deepbots_cli.webots.scene import Body, Device, Robot, Scene
-    from deepbots_cli.webots.syntax import Node
+    from deepbots_cli.webots.syntax import Node, WorldFindings
 
 _RAYS = {"infra-red": "infrared", "sonar": "sonar", "laser": "laser", "generic": "laser"}
 _ON_LINKS = {

@@ -20,19 +20,18 @@ from typing import TYPE_CHECKING
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields.names import RESERVED, suggested_name
-from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
+from deepbots_cli.webots.shapes import color_of, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from deepbots_cli.frames import Frame
-    from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import World
     from deepbots_cli.webots.scene import Body, Geometry, Inertia, Joint, Scene, Visual
     from deepbots_cli.webots.shapes import Shape
-    from deepbots_cli.webots.syntax import Node
+    from deepbots_cli.webots.syntax import Node, WorldFindings
 
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
