@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
-from deepbots_cli.webots.findings import did_you_mean
-from deepbots_cli.webots.syntax import Node, Parameter, Value, parse_interface
+from deepbots_cli.webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.webots.findings import WorldFindings
+    from deepbots_cli.webots.syntax import WorldFindings
 
 _ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
 _SIZES = {"Vec2f": 2, "Vec3f": 3, "Rotation": 4, "Color": 3, "Float": 1, "Int32": 1}

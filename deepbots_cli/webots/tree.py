@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from deepbots_cli import frames
 from deepbots_cli.webots.nodes import parameters, real, value_of, walk
 from deepbots_cli.webots.scene import AXES
+from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute
 from deepbots_cli.webots.shapes import compose
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.syntax import Value
-from deepbots_cli.webots.unimplemented import NotImplementedCallError, missing_attribute
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Quaternion, Triple

@@ -228,7 +228,7 @@ def test_no_option_is_advised_that_the_command_lacks(deepbots, words, message):
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC,"
             " several agents as an environment of PettingZoo, self-play, the page of view and play, the studio,"
-            " PROTOs of Webots with JavaScript, policies as ONNX,"
+            " policies as ONNX,"
             " --cluster, searches by tune",
         ),
     ],

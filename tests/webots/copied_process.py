@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from deepbots_cli.cli import main
-from deepbots_cli.webots import recorder, runner, viewer  # noqa: F401  # before the process is copied
+from deepbots_cli.webots import rendering, runner, viewer  # noqa: F401  # before the process is copied
 from deepbots_cli.webots.remote import server  # noqa: F401
 from tests.webots.exported_projects import HEADER
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
+from deepbots_cli.webots.sensors import NotImplementedCallError
 from tests.webots.exported_projects import FLOOR, ROD_INERTIA, device, hinge, node, run, simulate, solid
 
 

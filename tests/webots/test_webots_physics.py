@@ -9,12 +9,12 @@ import math
 
 import pytest
 
-from deepbots_cli.webots.findings import WorldError
 from deepbots_cli.webots.project import Files
 from deepbots_cli.webots.scene import Contact, Scene
+from deepbots_cli.webots.sensors import NotImplementedCallError
 from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
+from deepbots_cli.webots.syntax import WorldError
 from deepbots_cli.webots.tree import Field, Node
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.exported_projects import (
     FLOOR,
     HEADER,

@@ -16,7 +16,7 @@ import pytest
 from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots.recorder import VideoRecorder
+from deepbots_cli.webots.rendering import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
 from tests.webots.copied_process import ENVIRONMENT, CopiedProcess
 from tests.webots.exported_projects import HEADER, simulate

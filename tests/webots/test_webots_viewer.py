@@ -34,14 +34,13 @@ from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.view import server
 from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.looks import MAX_PICTURE_BYTES
-from deepbots_cli.webots.pace import MAX_DELAY_S, Pace
 from deepbots_cli.webots.project import Program
 from deepbots_cli.webots.runner import Runner
 from deepbots_cli.webots.scene_builder import build_scene
-from deepbots_cli.webots.simulation import Simulation
+from deepbots_cli.webots.sensors import NotImplementedCallError
+from deepbots_cli.webots.shapes import MAX_PICTURE_BYTES
+from deepbots_cli.webots.simulation import MAX_DELAY_S, Pace, Simulation
 from deepbots_cli.webots.supervisor import Keyboard
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from deepbots_cli.webots.viewer import FRAME_RATE, Viewer
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA

@@ -264,7 +264,6 @@ _EXTRAS = {
     "view": "the page of view and play",
     "editor": "the language server",
     "studio": "the studio",
-    "webots-js": "PROTOs of Webots with JavaScript",
     "export": "policies as ONNX",
     "ros": "ROS 2 topics of serve",
     "zmq": "ZeroMQ of serve",

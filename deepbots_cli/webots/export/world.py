@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program.robots import Robot
     from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
     from deepbots_cli.robots.model import Joint, Link, RobotModel, Shape
-    from deepbots_cli.webots.bridge.task import RemoteRobot
+    from deepbots_cli.webots.bridge.project import RemoteRobot
 
 
 HEADER = "#VRML_SIM R2025a utf8"
