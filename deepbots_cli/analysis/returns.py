@@ -123,3 +123,10 @@ def uses_earlier_values(analysis: Analysis, node: Scalar) -> bool:
         isinstance(part, State) and part.function in _EARLIER_VALUE_FUNCTIONS
         for part in analysis.walk_definitions(node)
     )
+
+
+def break_even(living: float, failing: float, success: float) -> float:
+    """Return the share of episodes that must succeed, at once, before going on is worth more than failing;
+    all three are returns."""
+    # The share p solves p * success + (1 - p) * living = failing.
+    return (failing - living) / (success - living)
