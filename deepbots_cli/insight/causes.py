@@ -3,7 +3,6 @@ agents, the end of the training, and what changed since a run that was solved.""
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -22,6 +21,7 @@ from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     Trend,
+    commonest_ending,
     return_trend,
     success_trend,
     usual_settings,
@@ -212,11 +212,7 @@ _AS_GOOD = 0.85
 )
 def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
     policy = policy_rate(evidence)
-    rates = {
-        name: SuccessRate([trace.outcome == "success" for trace in traces])
-        for name, traces in evidence.scripts.items()
-        if traces
-    }
+    rates = {name: SuccessRate.of(traces) for name, traces in evidence.scripts.items() if traces}
     if not rates or policy.episodes < MIN_EPISODES or _has_teacher(evidence):
         return None
     name = max(rates, key=lambda script: rates[script].rate)
@@ -235,8 +231,8 @@ def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
 def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
     """Return the success rate of the policy: in the quoted evaluation, else in the last quarter of the
     training."""
-    episodes = [episode.is_success for episode in evidence.final_episodes] if evidence.is_last_stage else []
-    return SuccessRate(episodes or evidence.episodes_between(0.75, 1.0).successes)
+    final = [episode.is_success for episode in evidence.final_episodes] if evidence.is_last_stage else []
+    return SuccessRate(final or evidence.episodes_between(0.75, 1.0).successes)
 
 
 def _has_teacher(evidence: TrainingEvidence) -> bool:
@@ -256,7 +252,7 @@ def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
         won = round(float(logged[-1]) * sizes[-1])
         return SuccessRate([1.0] * won + [0.0] * (sizes[-1] - won))
     played = evidence.scripts.get(training.teacher.script, ())
-    return SuccessRate([trace.outcome == "success" for trace in played]) if played else None
+    return SuccessRate.of(played) if played else None
 
 
 @statement(
@@ -302,12 +298,8 @@ def teacher_sees_more(evidence: TrainingEvidence) -> Numbers | None:
         or not (played := evidence.scripts.get(training.teacher.script))
     ):
         return None
-    script = SuccessRate([trace.outcome == "success" for trace in played])
-    policy = (
-        SuccessRate([episode.is_success for episode in evidence.final_episodes])
-        if evidence.final_episodes
-        else evidence.late_success
-    )
+    script = SuccessRate.of(played)
+    policy = SuccessRate.of(evidence.final_episodes) if evidence.final_episodes else evidence.late_success
     hidden = unobserved_reads(evidence.program, training.teacher.script)
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None
@@ -462,11 +454,9 @@ def one_ending(evidence: TrainingEvidence) -> Numbers | None:
     late = evidence.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
         return None
-    name, count = Counter(late.endings).most_common(1)[0]
-    share = count / len(late)
-    is_failure = name in evidence.program.failures
+    name, share = commonest_ending(late)
     if (
-        not is_failure
+        name not in evidence.program.failures
         or share < 0.9
         or len(evidence.program.endings) < 2
         or return_trend(evidence).direction == "rises"
@@ -612,9 +602,7 @@ _LIKELIHOOD = 0.89
     " the training.",
 )
 def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
-    if evidence.verdict.solved:
-        return None
-    if evidence.earlier_solved is None:
+    if evidence.verdict.solved or evidence.earlier_solved is None:
         return None
     earlier, values = evidence.earlier_solved
     if all(value.path == SEED for value in values):

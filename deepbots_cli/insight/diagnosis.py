@@ -7,7 +7,6 @@ possible symptoms. A training that solves its task has none, unless it fell apar
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -86,6 +85,7 @@ from deepbots_cli.insight.trace import Trace
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
+    commonest_ending,
     latest_failure,
     read_trainings,
     run_probes,
@@ -304,7 +304,7 @@ def has_learned(evidence: TrainingEvidence) -> Literal["exploring", "evaluated"]
         """Return whether successes suffice in a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    final = SuccessRate([episode.is_success for episode in evidence.final_episodes])
+    final = SuccessRate.of(evidence.final_episodes)
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
     if not excluded and (
         _met_while_exploring(evidence)
@@ -424,20 +424,19 @@ def _difference(first: Trace, second: Trace, numbers: Sequence[int]) -> float:
 )
 def ending_at_once(evidence: TrainingEvidence) -> Numbers | None:
     lengths = evidence.episodes.lengths
-    longest = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if len(lengths) < MIN_EPISODES:
         return None
     long = float(np.quantile(lengths, 0.9))
-    name, count = Counter(evidence.episodes.endings).most_common(1)[0]
-    if long > min(12, 0.2 * longest) or name not in evidence.program.failures:
+    name, share = commonest_ending(evidence.episodes)
+    if long > min(12, 0.2 * evidence.longest) or name not in evidence.program.failures:
         return None
     return {
         "likelihood": 0.96,
         "ending": name,
-        "share": Percentage(count / len(lengths)),
+        "share": Percentage(share),
         "length": float(np.median(lengths)),
         "long": long,
-        "longest": longest,
+        "longest": evidence.longest,
     }
 
 

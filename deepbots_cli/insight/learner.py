@@ -22,12 +22,12 @@ from deepbots_cli.insight.statements import Numbers, Percentage, sentence, state
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
+    last_quarter,
     mean_return,
     return_trend,
     usual_settings,
 )
 from deepbots_cli.learning.runs.verdict import Decline
-from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import Schedule
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import number_text, rate_text
@@ -267,7 +267,7 @@ def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
     rewards."""
     gamma = evidence.number_setting("gamma")
-    length = evidence.program.truncation.max_episode_steps(evidence.program.period)
+    length = evidence.longest
     if gamma is None:
         return None
     # A horizon 1 / (1 - gamma) of a quarter of the longest episode.
@@ -481,13 +481,7 @@ def _names_rate(evidence: TrainingEvidence) -> bool:
 
 def _usual_rate(evidence: TrainingEvidence) -> float:
     """Return the default learning rate, of deepbots or the library."""
-    training = evidence.program.agent.training
-    defaults: Any = (
-        None
-        if training is None
-        else default_values(training, evidence.run.record.total_timesteps, longest_episode(evidence.program))
-    )
-    rate = (defaults or {}).get("learning_rate")
+    rate = usual_settings(evidence).get("learning_rate")
     return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
 
 
@@ -542,7 +536,7 @@ def rewards_too_large(evidence: TrainingEvidence) -> Numbers | None:
     ):
         return None
     late = evidence.episodes_between(0.75, 1.0).returns
-    median = float(np.median(explained[-max(1, len(explained) // 4) :]))
+    median = float(np.median(last_quarter(explained)))
     if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
         return None
     return {"likelihood": 0.91, "late": float(late.mean()), "explained": Percentage(max(0.0, median)),
@@ -560,11 +554,7 @@ def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     if gamma is None or gamma >= 1.0:
         return None
     has_successes = len(won) >= MIN_EPISODES
-    length = (
-        float(np.median(won))
-        if has_successes
-        else float(evidence.program.truncation.max_episode_steps(evidence.program.period))
-    )
+    length = float(np.median(won)) if has_successes else float(evidence.longest)
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
@@ -696,7 +686,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
     entropy, spread = -evidence.curve("train/entropy_loss"), evidence.curve("train/std")
     if not weight or not len(entropy) or (random is None and not len(spread)):
         return None
-    late = float(entropy[-max(1, len(entropy) // 4) :].mean())
+    late = float(last_quarter(entropy).mean())
     share = float(spread[-1] / spread[0]) if random is None else late / random
     if share < (1.2 if random is None else 0.97):
         return None
@@ -743,30 +733,21 @@ def exploration_collapsed(evidence: TrainingEvidence) -> Numbers | None:
     settings = _settings(more or slower)
     sigma = getattr(getattr(evidence.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
+        numbers = {"measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1}
         return {
+            **numbers,
             "likelihood": 0.85,
-            "measure": "the standard deviation of the action noise",
-            "value": 0.0,
-            "least": 0.1,
             "steps": evidence.steps,
             "remedy": remedy,
             "settings": settings,
         }
-    random, measures = _random_entropy(evidence), []
-    if random is not None:
-        measures.append(("the entropy of the policy", -evidence.curve("train/entropy_loss"), 0.05 * random))
-    for measure, curve, least in [
-        *measures,
+    random = _random_entropy(evidence)
+    least_entropy = -math.inf if random is None else 0.05 * random
+    for measure, curve, least in (
+        ("the entropy of the policy", -evidence.curve("train/entropy_loss"), least_entropy),
         ("the standard deviation of the actions", evidence.curve("train/std"), 0.05),
-    ]:
+    ):
         if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            return {
-                "likelihood": 0.6,
-                "steps": evidence.steps // 2,
-                "measure": measure,
-                "value": value,
-                "least": least,
-                "remedy": remedy,
-                "settings": settings,
-            }
+            numbers = {"measure": measure, "value": value, "least": least, "steps": evidence.steps // 2}
+            return {**numbers, "likelihood": 0.6, "remedy": remedy, "settings": settings}
     return None

@@ -37,6 +37,7 @@ from deepbots_cli.insight.training import (
     MIN_QUARTER,
     TrainingEvidence,
     Trend,
+    last_quarter,
     return_trend,
     success_trend,
 )
@@ -48,7 +49,7 @@ from deepbots_cli.rollout.source import Source
 from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 
 _RARE = 0.03  # a success rate that is as good as none
@@ -220,7 +221,7 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
     if until.metric == "success_rate" and late.high < until.threshold:
         return None  # the stage asks for more
     final, value = (
-        SuccessRate([episode.is_success for episode in evidence.final_episodes]),
+        SuccessRate.of(evidence.final_episodes),
         criterion_value(evidence),
     )
     task = (
@@ -367,8 +368,8 @@ def plateau(evidence: TrainingEvidence) -> Trend | None:
     success is rare, or nearly certain, and in the first half of the planned steps."""
     if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    trend, late = success_trend(evidence), evidence.episodes_by_steps(0.5, 1.0)
-    if trend == Trend() or trend.direction == "rises" or _rate(late) > 0.9:
+    trend = success_trend(evidence)
+    if trend == Trend() or trend.direction == "rises" or _rate(evidence.episodes_by_steps(0.5, 1.0)) > 0.9:
         return None
     return trend
 
@@ -463,9 +464,8 @@ def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Epis
     ones of the present stage."""
     if evidence.is_last_stage and len(evidence.final_episodes) >= 40:
         return "the evaluation", evidence.final_episodes
-    late = evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
     episodes = []
-    for row in late:
+    for row in evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]:
         try:
             drawn = json.loads(row.drawn) if row.drawn else {}
         except ValueError:
@@ -511,34 +511,22 @@ def _part_rate(part: DrawnPart) -> str:
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late evaluations and of late episodes of the training, if exploration hides
     most of the success."""
-    explored, without = (
-        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
-        evidence.late_success,
-    )
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(
-        0.5, explored.rate + 0.3
-    ):
-        return None
-    return without, explored
+    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
+    return _far_apart(evidence.late_success, explored)
 
 
 def needs_exploration(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late episodes of the training and of late evaluations, if most of the
     success needs exploration."""
-    explored, without = (
-        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
-        evidence.late_success,
-    )
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(
-        0.5, without.rate + 0.3
-    ):
+    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
+    return _far_apart(explored, evidence.late_success)
+
+
+def _far_apart(better: SuccessRate, worse: SuccessRate) -> tuple[SuccessRate, SuccessRate] | None:
+    """Return both rates if the first one is much higher, and both are of enough episodes."""
+    if min(better.episodes, worse.episodes) < MIN_EPISODES or better.rate < max(0.5, worse.rate + 0.3):
         return None
-    return explored, without
-
-
-def _late_mean(curve: NDArray[np.float64]) -> float:
-    """Return the mean of the last quarter of a curve."""
-    return float(curve[-max(1, len(curve) // 4) :].mean())
+    return better, worse
 
 
 @statement(
@@ -552,8 +540,8 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         return None
     flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
     names = evidence.program.agent.success or ("goal_reached",)
-    late = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
-    paid = {name: max(0.0, _late_mean(curve)) for name, curve in late.items() if len(curve)}
+    late = {name: float(last_quarter(curve).mean()) for name, curve in evidence.term_curves.items()}
+    paid = {name: max(0.0, mean) for name, mean in late.items()}
     name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
     though, remedy, terms = (
@@ -562,13 +550,11 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         evidence.facts.terms_towards_success,
     )
     if terms:
-        others = sum(_late_mean(curve) for term, curve in late.items() if len(curve) and term != terms[0])
+        others = sum(mean for term, mean in late.items() if term != terms[0])
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
-        if len(late[terms[0]]):
-            mean = _late_mean(late[terms[0]])
-            remedy += (
-                f" (per late episode it gives {number_text(mean, 3)}, and they give {number_text(others, 3)})"
-            )
+        if terms[0] in late:
+            mean, rest = number_text(late[terms[0]], 3), number_text(others, 3)
+            remedy += f" (per late episode it gives {mean}, and they give {rest})"
         remedy += " and raise it,"
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name

@@ -88,6 +88,11 @@ class SuccessRate(dict[str, Any]):
         interval = wilson(count, episodes) if episodes else (0.0, 1.0)
         super().__init__(successes=count, episodes=episodes, rate=count / max(1, episodes), interval=interval)
 
+    @staticmethod
+    def of(episodes: Sequence[Any]) -> SuccessRate:
+        """Return the rate of episodes, run again or of an evaluation, by their `is_success`."""
+        return SuccessRate([episode.is_success for episode in episodes])
+
     @property
     def rate(self) -> float:
         return float(self["rate"])

@@ -412,6 +412,15 @@ class Trace:
     def returns(self) -> float:
         return float(sum(term.sum() for term in self.terms.values()))
 
+    @property
+    def is_success(self) -> bool:
+        return self.outcome == "success"
+
+    @cached_property
+    def sums(self) -> dict[str, float]:
+        """The sum of each reward term over the episode; steps without a number are left out."""
+        return {name: float(np.nansum(values)) for name, values in self.terms.items()}
+
     def time_at(self, step: int) -> float:
         """Return the time of a moment, in s."""
         return self.time if step == self.steps else step * self.program.period

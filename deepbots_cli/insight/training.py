@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -207,19 +208,32 @@ class TrainingEvidence:
         low, high = (self.first_step + share * self.stage_steps for share in (first, last))
         return self.episodes[(self.episodes.steps > low) & (self.episodes.steps <= high)]
 
+    @property
+    def late_evaluations(self) -> list[Mapping[str, Any]]:
+        """The evaluations during the last quarter of the present stage.
+
+        The quoted evaluation after the training is not one of the last quarter: it may be of an earlier
+        policy.
+        """
+        begin = self.first_step + 0.75 * self.stage_steps
+        return [evaluation for evaluation in self.evaluations if evaluation.get("steps", 0) > begin]
+
+    @property
+    def longest(self) -> int:
+        """The largest number of steps of an episode in the present stage."""
+        return self.program.truncation.max_episode_steps(self.program.period)
+
     @cached_property
     def late_success(self) -> EvaluationRate:
         """The success in the evaluations during the last quarter of the present stage; if there is none, in
         the last evaluation.
 
-        The quoted evaluation after the training is not one of the last quarter: it may be of an earlier
-        policy. The rate has no episodes if the scenario defines no success or nothing was evaluated.
+        The rate has no episodes if the scenario defines no success or nothing was evaluated.
         """
         if not self.program.defines_success:
             return EvaluationRate([])
-        begin = self.first_step + 0.75 * self.stage_steps
-        late = [evaluation for evaluation in self.evaluations if evaluation.get("steps", 0) > begin]
-        return EvaluationRate([evaluation["successes"] for evaluation in late or self.evaluations[-1:]])
+        evaluations = self.late_evaluations or self.evaluations[-1:]
+        return EvaluationRate([evaluation["successes"] for evaluation in evaluations])
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
@@ -293,6 +307,17 @@ class TrainingEvidence:
             return np.zeros(0)
         steps, values = self.scalars[tag]
         return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
+
+    @property
+    def term_curves(self) -> dict[str, Array]:
+        """The mean of each reward term per episode over the present stage; without terms that were not
+        logged."""
+        curves = {term.name: self.curve(f"reward/{term.name}") for term in self.program.agent.reward}
+        return {name: curve for name, curve in curves.items() if len(curve)}
+
+
+def last_quarter(curve: Array) -> Array:
+    return curve[-max(1, len(curve) // 4) :]
 
 
 def mean_return(evidence: TrainingEvidence, first: float, last: float) -> float:
@@ -395,6 +420,12 @@ def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
         entry.name: entry.value
         for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)
     }
+
+
+def commonest_ending(episodes: Any) -> tuple[str, float]:
+    """Return the most frequent ending of episodes of a log, and its share of them."""
+    name, count = Counter(episodes.endings).most_common(1)[0]
+    return name, count / len(episodes)
 
 
 def latest_failure(run: Path) -> Path | None:
@@ -548,9 +579,8 @@ class _Probes:
         self._total += _SCRIPT_EPISODES * len(scripts)
         seeds = self._seeds(_PROBE_EPISODES)
         random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        for (
-            seed
-        ) in seeds:  # one of each kind in turn, so that there are some of every kind after a few seconds
+        # One of each kind in turn, so that there are some of every kind after a few seconds.
+        for seed in seeds:
             random += self._episode(seed, random_driver(world))
             if policy is not None:
                 played += self._episode(seed, policy())
@@ -565,12 +595,11 @@ class _Probes:
             evidence.constant_actions[part] = {
                 name: action_traces[0] for name, action_traces in traces.items() if action_traces
             }
-        longest = evidence.program.truncation.max_episode_steps(evidence.program.period)
         for name in scripts:
             episodes = [
                 trace
                 for seed in self._seeds(_SCRIPT_EPISODES)
-                for trace in self._episode(seed, named_driver(world, name), longest)
+                for trace in self._episode(seed, named_driver(world, name), evidence.longest)
             ]
             # Episodes that the deadline has cut are left out.
             evidence.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]

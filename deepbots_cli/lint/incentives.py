@@ -9,7 +9,7 @@ from math import ceil, floor, log10, nextafter
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
-from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
+from deepbots_cli.analysis.returns import RewardTerms, Terms, break_even, total_range
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
@@ -113,13 +113,6 @@ def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tupl
         f"{horizon_note}failing at once gives a higher return unless more than {100.0 * share:.0f} % of the"
         f" episodes end with `{success.name}`",
     )
-
-
-def break_even(living: float, failing: float, success: float) -> float:
-    """Return the share of episodes that must succeed, at once, before going on is worth more than failing;
-    all three are returns."""
-    # The share p solves p * success + (1 - p) * living = failing.
-    return (failing - living) / (success - living)
 
 
 def horizon(reward: RewardTerms) -> float:

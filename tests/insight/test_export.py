@@ -273,18 +273,17 @@ def test_a_spoiled_bundle_is_refused_in_a_sentence(bundle, tmp_path, capsys, spo
 
 
 def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):
-    assert main(["export", str(run), "-o", str(bundle)]) == 2
-    assert (
-        "is not empty; choose another folder, or replace files of the same name with --force"
-        in capsys.readouterr().err
-    )
     (tmp_path / "file").write_text("")
-    assert main(["export", str(run), "-o", str(tmp_path / "file" / "new")]) == 2
-    assert "is not a directory" in capsys.readouterr().err
     (tmp_path / "group.json").write_text("{}")
-    assert main(["export", str(tmp_path), "-o", str(tmp_path / "new")]) == 2
-    assert main(["export", str(run), "--to", "isaac-lab", "-o", str(tmp_path / "new")]) == 2
-    assert "choices, goals, images, copies" in capsys.readouterr().err
+    replaced = "is not empty; choose another folder, or replace files of the same name with --force"
+    for source, target, options, message in (
+        (run, bundle, [], replaced),
+        (run, tmp_path / "file" / "new", [], "is not a directory"),
+        (tmp_path, tmp_path / "new", [], ""),
+        (run, tmp_path / "new", ["--to", "isaac-lab"], "choices, goals, images, copies"),
+    ):
+        assert main(["export", str(source), "-o", str(target), *options]) == 2
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 
