@@ -30,8 +30,8 @@ from hypothesis import strategies as st
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, bench
+from deepbots_cli.cli.command import Commands, _command
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, bench
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
@@ -315,8 +315,8 @@ def test_linting_imports_neither_simulator_nor_learner():
 
 
 WITHOUT = [
-    ("try cartpole", "gymnasium", "sim"),
     ("bench cartpole", "msgspec", "sim"),
+    ("try cartpole", "gymnasium", "sim"),
     ("view cartpole", "gymnasium", "sim"),
     ("serve cartpole --as-robot", "gymnasium", "sim"),
     ("render cartpole -o x.png", "gymnasium", "sim"),
@@ -714,6 +714,17 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
         assert (tmp_path / written).read_text() != "of the user"
     assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
     deepbots("compile", "cartpole", "--project", ".", "--force")
+
+
+@pytest.mark.parametrize("table", [NEEDS, EXCLUDES])
+def test_options_that_go_together_are_options_of_their_command(table):
+    for name, entries in table.items():
+        known = (
+            {option for parameter in _command(name).params for option in parameter.opts} if name else set()
+        )
+        for options, text in entries.items():
+            named = {*options.split(), *text.partition("; ")[0].split()}
+            assert not name or named <= known, name
 
 
 def test_every_command_that_writes_a_file_has_force(deepbots):

@@ -601,7 +601,7 @@ def test_selecting_an_exploit_rule_without_a_search_is_reported(deepbots, parked
     [
         (
             ("parked.yaml", "--fix"),
-            "--exploits cannot be combined with --fix or --diff: its findings have no automatic fixes",
+            "--exploits has findings without automatic fixes; leave out --fix",
         ),
         (("-",), "--exploits needs a file: it records episodes of the scenario"),
     ],

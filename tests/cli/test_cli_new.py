@@ -427,7 +427,7 @@ def test_a_world_of_webots_becomes_a_scenario_and_says_what_is_left(deepbots, tm
         (["--webots", "gone.wbt"], "gone.wbt is not a world"),
         (["--webots", "roller.wbt", "--protos", "gone"], "there is no such folder"),
         (["--webots", "roller.wbt", "--urdf", "epuck"], "cannot be combined"),
-        (["--urdf", "epuck", "--protos", "."], "--protos goes with --webots"),
+        (["--urdf", "epuck", "--protos", "."], "--protos needs --webots"),
         (["--webots", "empty.wbt"], "has a motor"),
         (["--webots", "broken.wbt"], "broken.wbt:3"),
     ],
@@ -1098,7 +1098,9 @@ def test_a_kind_and_a_task_may_be_chosen(deepbots, tmp_path):
     report = json.loads(deepbots("new", "other", "--urdf", "panda", "--kind", "mechanism", "--json").out)
     assert (report["kind"], report["task"]) == ("mechanism", "follow")
     assert "needs legs" in deepbots("new", "third", "--urdf", "panda", "--task", "walk", code=2).err
-    assert "go with --urdf" in deepbots("new", "third", "--template", "arm", "--task", "walk", code=2).err
+    assert (
+        "--task needs --urdf" in deepbots("new", "third", "--template", "arm", "--task", "walk", code=2).err
+    )
 
 
 def test_inspect_shows_the_kind_of_a_robot(deepbots):

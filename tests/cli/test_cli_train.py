@@ -313,7 +313,7 @@ def test_an_evaluation_whose_resets_draw_nothing_says_so(deepbots, trained):
 
 def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
     refused = deepbots("eval", "mine", "--episodes", "2", "--junit", "gate.xml", code=2)
-    assert "add --min-success, --min-return or --require-solved" in refused.err
+    assert "--junit needs --min-success, --min-return or --require-solved" in refused.err
     assert not (tmp_path / "gate.xml").exists()
 
 
@@ -851,7 +851,7 @@ def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: P
     assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
     assert "chosen by hand" in deepbots("inspect", "mine").out
     refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
-    assert "--set cannot be combined with --keep" in refused.err
+    assert "--keep judges models in the scenario of their training; leave out --set" in refused.err
 
 
 def test_the_list_of_runs_names_the_command_that_chooses_again(deepbots: Deepbots, mine: Path) -> None:

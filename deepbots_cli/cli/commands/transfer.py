@@ -131,9 +131,7 @@ def command(
             ref.run.program, "evaluate one: deepbots eval RUN --agent NAME --engine NAME,NAME"
         )
     if log is not None:
-        _compare_log(
-            opened, log, as_json=as_json, other_options=(engine, scenario, overrides, min_success, min_return)
-        )
+        _compare_log(opened, log, as_json=as_json)
         return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer
@@ -180,14 +178,9 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _compare_log(
-    refs: Sequence[ModelRef], path: Path, *, as_json: bool, other_options: Sequence[object]
-) -> None:
-    if len(refs) > 1 or any(value is not None for value in other_options):
-        raise UsageError(
-            "--log compares a log with the simulation of one run; leave out other runs, worlds and"
-            " requirements"
-        )
+def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool) -> None:
+    if len(refs) > 1:
+        raise UsageError("--log compares a log with the simulation of one run; leave out other runs")
     from deepbots_cli.insight.robot_log import compare_log
 
     (ref,) = refs

@@ -127,8 +127,6 @@ def command(
     """Run a few episodes without training."""
     if scenario.endswith(".json") and _reproduced(ctx, Path(scenario), permissions, as_json=as_json):
         return
-    if robot is None and (lockstep or speed != 1.0):
-        raise UsageError("--lockstep and --speed need --robot")
     options = start_values(start)
     data = {"seed": seed, "start": options, "case": case, "stage": stage}
     if robot is not None:
