@@ -13,7 +13,7 @@ from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document.edits import removal_fix
+from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar

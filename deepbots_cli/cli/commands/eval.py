@@ -35,7 +35,7 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.diagnostics.junit import Case, xml_report
+from deepbots_cli.diagnostics.render import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError

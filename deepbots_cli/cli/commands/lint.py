@@ -33,7 +33,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.document import Permissions, files
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts
@@ -548,8 +548,6 @@ def report(
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
-            from deepbots_cli.diagnostics.junit import junit  # only this needs XML
-
             return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")

@@ -38,8 +38,8 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.junit import Case as ReportedCase
-from deepbots_cli.diagnostics.junit import xml_report
+from deepbots_cli.diagnostics.render import Case as ReportedCase
+from deepbots_cli.diagnostics.render import xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
