@@ -401,7 +401,7 @@ def _data(compared: Transfer) -> dict[str, Any]:
             for name, value in vars(compared.comparison).items()
             if name not in ("episodes", "steps")
         },
-        "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
+        "robustness": compared.robustness,
         "gates": [gate.as_json() for gate in compared.gates],
         "works": dict(zip(compared.names, compared.works, strict=True)),
         "passed": compared.passed,
@@ -506,7 +506,7 @@ def command_robustness(
             on_level=show_level,
             executor=executor,
         )
-    terminal.show(records.robustness_json(result), records.robustness_text(result), as_json=as_json)
+    terminal.show(result, records.robustness_text(result), as_json=as_json)
     if not result.nominal_holds:
         raise typer.Exit(FAILED)
 
