@@ -1098,4 +1098,4 @@ def test_the_old_command_is_understood_with_a_note(deepbots):
 
 
 def test_a_file_for_the_schema_needs_the_schema(deepbots):
-    assert "add --schema" in deepbots("lsp", "-o", "s.json", code=2).err
+    assert "--output needs --schema" in deepbots("lsp", "-o", "s.json", code=2).err
