@@ -67,6 +67,7 @@ INSPECTED = [
         [
             ("scenario", {"name": "CartPole", "digest": api.compile("cartpole").digest}),
             ("observation", {"name": "speed", "low": -0.8, "high": 0.8, "unit": "m/s", "seen_as": "-1 .. 1"}),
+            ("observation", {"name": "cart.pole_angle", "low": -0.3490658503988659, "unit": "rad"}),
             ("joints", {"joint": "tip_mount"}),
             ("reward", {"term": "alive", "is": "1"}),
             ("parameters", {"parameter": "track", "value": "0.39 m"}),
@@ -151,6 +152,7 @@ INSPECTED = [
         [
             ("objects", {"mass_kg": "uniform(0.0001 .. 0.3) * 2", "friction": "uniform(0.4 .. 0.8)"}),
             ("drawn", {"drawn": "mass", "of": "cart.pole"}),
+            ("robots", {"robot": "cart", "mass": "the mean; drawn in every episode"}),
             ("reset", {"reset": "place", "of": "cart", "to": "{x: 0 m, z: 0.04 m}"}),
         ],
     ),
