@@ -274,10 +274,8 @@ def executor(
     workers, which end with the block.
 
     Raises:
-        UsageError: Both options are given, or the cluster does not answer.
+        UsageError: The cluster does not answer.
     """
-    if workers is not None and address is not None:
-        raise UsageError("--workers and --cluster cannot be combined")
     if workers is None and address is None:
         from deepbots_cli.learning.executor import SERIAL
 

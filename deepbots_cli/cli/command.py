@@ -18,9 +18,10 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, function_name
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, function_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
+from deepbots_cli.words import sentence_list
 
 MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""
@@ -413,6 +414,32 @@ def help_text(name: str) -> str:
     return "\n\n".join([COMMANDS[name], *marked] if name in COMMANDS else marked)
 
 
+def _check_together(command: str, given: set[str]) -> None:
+    """Refuse options that lack an option that they need, or that exclude each other.
+
+    Raises:
+        UsageError: There are such options.
+    """
+    for options, text in NEEDS.get(command, {}).items():
+        needed, _, reason = text.partition("; ")
+        lone = next((name for name in options.split() if name in given), None)
+        if lone is not None and given.isdisjoint(needed.split()):
+            alternatives = sentence_list(needed.split(), "or")
+            raise UsageError(
+                f"{lone} {reason}; add {alternatives}" if reason else f"{lone} needs {alternatives}"
+            )
+    for options, text in [*EXCLUDES[""].items(), *EXCLUDES.get(command, {}).items()]:
+        excluded, _, reason = text.partition("; ")
+        pairs = ((one, other) for one in options.split() for other in excluded.split() if one != other)
+        for one, other in pairs:
+            if {one, other} <= given:
+                raise UsageError(
+                    f"{one} {reason}; leave out {other}"
+                    if reason
+                    else f"{one} and {other} cannot be combined"
+                )
+
+
 class Command(TyperCommand):
     """A command whose help has its options in groups, and whose errors for an option of another name, or a
     value that is gone, say what to write."""
@@ -432,7 +459,9 @@ class Command(TyperCommand):
                 replacement = REPLACEMENTS.get(instead)
             if replacement is not None:
                 ctx.fail(f"there is no option {name}; use `{replacement}`")
-        return super().parse_args(ctx, args)
+        left = super().parse_args(ctx, args)
+        _check_together(self.name or "", {*written_options(ctx).values()})
+        return left
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
     from deepbots_cli.learning.evaluation import KeptModel
-    from deepbots_cli.learning.robustness import Condition, Robustness, Side
+    from deepbots_cli.learning.robustness import Condition, Robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame
 
@@ -107,19 +107,41 @@ def with_interval(
     )
 
 
-def _statistics(result: Summary, *, success_defined: bool) -> Row:
-    remark = "; all returns are equal" if result.std_return == 0 else ""
+def means(record: Any, *, success_defined: bool = True, over: str = "", remark: str = "") -> Row:
+    """Return the lines of a record: mean return and success rate with their intervals, by default those of
+    the record; `over` is the end of the names of other ones. `remark` stands behind the interval of the
+    return."""
+    interval, of_success = (getattr(record, f"{name}_interval{over}") for name in ("return", "success"))
+    has_success = success_defined and record.success_rate is not None
     return {
-        "mean return": with_interval(result.mean_return, result.return_interval, remark=remark),
+        "mean return": with_interval(record.mean_return, interval, remark=remark),
+        "success rate": with_interval(record.success_rate, of_success, percent) if has_success else "",
+    }
+
+
+def _statistics(result: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None) -> Row:
+    """Return the lines about episodes; of several agents, the scores of each, and what all have in common."""
+    remark = "; all returns are equal" if result.std_return == 0 else ""
+    of_all = means(result, success_defined=success_defined, remark=remark)
+    common = {
+        "mean length": f"{result.mean_length:.1f} steps",
+        "ended by": _endings(result),
+        "success rate": of_all["success rate"],
+    }
+    if agents:
+        return {name: _joined(means(scores)) for name, scores in agents.items()} | common
+    return {
+        "mean return": of_all["mean return"],
         "standard deviation": None if result.std_return is None else number(result.std_return),
         "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
-        "mean length": f"{result.mean_length:.1f} steps",
-        "ended by": _endings(result),
-        "success rate": with_interval(result.success_rate, result.success_interval, percent)
-        if success_defined
-        else "",
+        **common,
     }
+
+
+def _joined(row: Row) -> str:
+    """Return lines as the text of one line."""
+    return ", ".join(f"{name} {text}" for name, text in row.items() if text)
 
 
 def _endings(result: Summary) -> str:
@@ -134,24 +156,6 @@ def result_sentence(summary: Summary, *, success_defined: bool) -> str:
     is_same = summary.episodes > 1 and len(summary.endings) == 1
     endings = f"all ended by {next(iter(summary.endings))}" if is_same else f"ended by {_endings(summary)}"
     return f"{episodes}, mean return {number(summary.mean_return)}, {endings}"
-
-
-def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, success_defined: bool) -> Row:
-    """Return the scores of each of several agents, and what all of them have in common."""
-    common = _statistics(summary, success_defined=success_defined)
-    return {
-        **{name: _agent_text(agent_scores) for name, agent_scores in agents.items()},
-        **{name: common[name] for name in ("mean length", "ended by", "success rate")},
-    }
-
-
-def _agent_text(agent_scores: Scores) -> str:
-    parts = [f"mean return {with_interval(agent_scores.mean_return, agent_scores.return_interval)}"]
-    if agent_scores.success_rate is not None:
-        parts.append(
-            f"success rate {with_interval(agent_scores.success_rate, agent_scores.success_interval, percent)}"
-        )
-    return ", ".join(parts)
 
 
 # Trainings
@@ -259,11 +263,7 @@ def evaluation_text(
         "scenario": scenario,
         "episodes": f"{held_out(result.episodes)} from evaluation seed"
         f" {result.seed}, which no training uses{'' if result.deterministic else ', actions sampled'}",
-        **(
-            _statistics_of_agents(result, result.agents, success_defined=result.success_defined)
-            if result.agents
-            else _statistics(result, success_defined=result.success_defined)
-        ),
+        **_statistics(result, success_defined=result.success_defined, agents=result.agents),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
     if result.case:
@@ -322,11 +322,7 @@ def summary_text(
     summary: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None
 ) -> str:
     """Return the statistics of episodes without a trained policy; with `agents`, those of each of them."""
-    rows = (
-        _statistics_of_agents(summary, agents, success_defined=success_defined)
-        if agents
-        else _statistics(summary, success_defined=success_defined)
-    )
+    rows = _statistics(summary, success_defined=success_defined, agents=agents)
     return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(rows)
 
 
@@ -403,18 +399,12 @@ def group_text(group: GroupResult) -> str:
     count = len(group.evaluations)
     has_success = group.success_defined
     solved = [solved_by(result) for result in group.evaluations]
-    over_starts = {
-        "mean return": with_interval(group.mean_return, group.return_interval_over_starts),
-        "success rate": with_interval(group.success_rate, group.success_interval_over_starts, percent)
-        if has_success
-        else "",
-    }
+    over_starts = means(group, success_defined=has_success, over="_over_starts")
+    of_seeds = means(group, success_defined=has_success)
     rows = {
-        "mean return": with_interval(group.mean_return, group.return_interval),
+        "mean return": of_seeds["mean return"],
         "interquartile mean": number(group.interquartile_mean),
-        "success rate": with_interval(group.success_rate, group.success_interval, percent)
-        if has_success
-        else "",
+        "success rate": of_seeds["success rate"],
         "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
     }
     seeds = f"over {counted(count, 'seed')}"
@@ -493,7 +483,8 @@ def robustness_text(robustness: Robustness) -> str:
             " condition was evaluated;"
             " train the policy further, or require a return with --min-return VALUE"
         )
-    measure, text = ("success rate", percent) if _is_rate(robustness) else ("mean return", number)
+    is_rate = robustness.metric == "success_rate"
+    measure, text = ("success rate", percent) if is_rate else ("mean return", number)
     holds, certain = robustness.nominal_holds, robustness.nominal_certain
     rows = [_level_row("(no change)", "", nominal, holds=holds, certain=certain)]
     rows += [
@@ -511,16 +502,12 @@ def robustness_text(robustness: Robustness) -> str:
             row_as_lines(verdicts),
             "",
             table(rows),
-            *_notes(_robustness_notes(robustness, robustness.bar)),
+            *_notes(_robustness_notes(robustness, robustness.bar, is_rate=is_rate)),
         ]
     )
 
 
-def _is_rate(robustness: Robustness) -> bool:
-    return robustness.metric == "success_rate"
-
-
-def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
+def _robustness_notes(robustness: Robustness, bar: float, *, is_rate: bool) -> Iterator[str]:
     """Yield notes on conditions without effect, too few episodes, and a score that is missed without any
     change."""
     nominal = robustness.nominal
@@ -531,7 +518,7 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
     ]
     if names:
         yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(names)}"
-    if _is_rate(robustness) and bar < 1.0:
+    if is_rate and bar < 1.0:
         needed = episodes_above(bar)
         if nominal.episodes < needed:
             yield (
@@ -539,7 +526,7 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
                 f" succeed; write --episodes {needed} or more"
             )
     if not robustness.nominal_holds:
-        option = "--min-success" if _is_rate(robustness) else "--min-return"
+        option = "--min-success" if is_rate else "--min-return"
         yield f"the policy misses the required score even without any change; set another one with {option}"
 
 
@@ -555,24 +542,6 @@ def _changes_episodes(condition: Condition, nominal: EvaluationResult) -> bool:
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
     return [(episode.total_return, episode.length) for episode in result.outcomes]
-
-
-def robustness_json(robustness: Robustness) -> dict[str, Any]:
-    """Return the robustness as a dictionary, with every evaluation."""
-    conditions = [
-        vars(condition) | {"sides": list(map(_side_json, condition.sides))}
-        for condition in robustness.conditions
-    ]
-    certain = {"nominal_holds": robustness.nominal_holds, "nominal_certain": robustness.nominal_certain}
-    return vars(robustness) | certain | {"conditions": conditions}
-
-
-def _side_json(side: Side) -> dict[str, Any]:
-    return vars(side) | {
-        "verdict": side.verdict,
-        "holds_up_to": side.holds_up_to,
-        "fails_from": side.fails_from,
-    }
 
 
 # Recordings

@@ -158,7 +158,7 @@ def printable(text: str) -> str:
 
 def json_compatible(data: object) -> object:
     """Return `data` as lists, dictionaries, text and finite numbers; records as dictionaries of their
-    fields."""
+    fields, and of the properties that they name in `derived`."""
     match data:
         case float() if not math.isfinite(data):
             return None
@@ -171,7 +171,8 @@ def json_compatible(data: object) -> object:
         case BaseModel():
             return data.model_dump(mode="json")
         case _ if is_dataclass(data) and not isinstance(data, type):
-            return json_compatible(vars(data))
+            derived = {name: getattr(data, name) for name in getattr(data, "derived", ())}
+            return json_compatible(vars(data) | derived)
         case _:
             return data
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli.cli import terminal
 from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.document import Permissions, files, shipped, to_data
-from deepbots_cli.document.edits import assigned_text
+from deepbots_cli.document.layout import assigned_text
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.errors import EngineError, UsageError
 from deepbots_cli.files import (

@@ -21,7 +21,7 @@ from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -95,6 +95,8 @@ class Side:
 
     `name` is `smaller` or `larger`, or empty if the condition has only one direction.
     """
+
+    derived: ClassVar = ("verdict", "holds_up_to", "fails_from")
 
     name: str
     levels: tuple[RobustnessLevel, ...]
@@ -193,6 +195,8 @@ class Robustness:
     task. `nominal` is the evaluation without any change. `bar` is None if no score is
     required, and the policy never succeeds without any change. `conditions` are then empty.
     """
+
+    derived: ClassVar = ("nominal_holds", "nominal_certain")
 
     run: Path
     scenario: str

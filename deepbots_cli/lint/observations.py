@@ -17,7 +17,7 @@ from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_u
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval, rigid_root
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document.edits import removal_fix
+from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ACCELERATION, Dimension
 from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar

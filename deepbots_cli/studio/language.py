@@ -16,7 +16,7 @@ from typing import Any
 from lsprotocol import types
 
 from deepbots_cli.document import MappingNode, Permissions
-from deepbots_cli.document.edits import assigned_text, removal_fix
+from deepbots_cli.document.layout import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.nodes import NodePath, entries_at
 from deepbots_cli.insight.suggestions import Suggestion, properties, suggestions

@@ -281,10 +281,7 @@ def test_a_policy_of_several_agents_is_asked_for_by_name(
     ("words", "instead"),
     [
         (["compare", "RUN", "RUN", "--own"], "in one scenario; leave out --own\n"),
-        (
-            ["compare", "RUN", "RUN", "--workers", "2", "--cluster", "auto"],
-            "leave out --workers and --cluster",
-        ),
+        (["compare", "RUN", "RUN", "--workers", "2"], "leave out --workers"),
         (["compare", "RUN", "RUN", "--case", "heavy"], "leave out --case, and write a change"),
         (["robustness", "RUN"], "--agent NAME"),
         (["transfer", "RUN"], "--agent NAME"),

@@ -30,12 +30,12 @@ from hypothesis import strategies as st
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, bench
+from deepbots_cli.cli.command import Commands, _command
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, bench
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
-from deepbots_cli.document import load, shipped
+from deepbots_cli.document import load
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
@@ -198,21 +198,6 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            "eval runs/a --policy mine",
-            "there is no option --policy; use `deepbots try SCENARIO --driver NAME`",
-        ),
-        ("lint --actions 0,1", "there is no option --actions; use `deepbots try SCENARIO --driver NAME`"),
-        ("try cartpole --out a.png", "No such option: --out"),
-    ],
-)
-def test_no_option_is_advised_that_the_command_lacks(deepbots, words, message):
-    assert message in deepbots(*words.split(), code=2).err
-
-
-@pytest.mark.parametrize(
     ("gone", "message"),
     [
         (("pygls",), "everything works except what needs a missing extra: the language server, the studio"),
@@ -315,8 +300,8 @@ def test_linting_imports_neither_simulator_nor_learner():
 
 
 WITHOUT = [
-    ("try cartpole", "gymnasium", "sim"),
     ("bench cartpole", "msgspec", "sim"),
+    ("try cartpole", "gymnasium", "sim"),
     ("view cartpole", "gymnasium", "sim"),
     ("serve cartpole --as-robot", "gymnasium", "sim"),
     ("render cartpole -o x.png", "gymnasium", "sim"),
@@ -378,24 +363,6 @@ def test_the_package_runs_as_a_module():
         [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
-
-
-def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
-    (tmp_path / "runs" / "broken").mkdir(parents=True)
-    (tmp_path / "runs" / "broken" / "run.json").write_text("{")
-    (tmp_path / "runs" / "no_run").mkdir()
-    assert "cartpole" in [row["name"] for row in json.loads(deepbots("scenarios", "--json").out)["scenarios"]]
-    assert "free pole" in deepbots("scenarios").out
-    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [
-        ("broken", "unreadable")
-    ]
-    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in deepbots("runs").err
-
-
-def test_without_runs_the_list_says_how_to_make_one(deepbots):
-    ran = deepbots("runs")
-    assert ran.out == ""
-    assert "deepbots train cartpole" in ran.err
 
 
 def test_the_doctor_finds_this_installation_in_order(deepbots):
@@ -460,22 +427,6 @@ def test_a_full_disk_is_one_clear_line(verb):
     assert code == "2"
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_of_a_file_with_a_name_is_one_clear_line_with_the_remedy(deepbots):
-    ran = deepbots("compile", "cartpole", "-o", "/dev/full", code=2)
-    assert (ran.code, ran.err.count("\n")) == (2, 1)
-    assert ran.err.startswith("error: ")
-    assert ran.err.endswith("no space left on device; free some space there, and try again\n")
-
-
-def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
-    deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    before = (tmp_path / "cartpole.yaml").read_bytes()
-    ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml", code=2)
-    assert "cartpole.yaml is an input of the scenario" in ran.err
-    assert (tmp_path / "cartpole.yaml").read_bytes() == before
-
-
 @pytest.mark.parametrize(
     "arguments", [("compile", "cartpole.yaml"), ("lsp", "--schema", "--for", "cartpole.yaml")]
 )
@@ -487,11 +438,6 @@ def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments)
 
 
 CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"
-
-
-def findings_of(folder: Path, text: str, name: str = "mine.yaml") -> list[tuple[str, str, str]]:
-    (folder / name).write_text(text, encoding="utf-8")
-    return [(finding.code, finding.headline, finding.help or "") for finding in api.lint(folder / name)]
 
 
 def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
@@ -506,66 +452,6 @@ def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
     assert api.lint(tmp_path / "mine.yaml") == []
 
 
-def test_a_height_of_the_ground_that_is_drawn_is_called_drawn(tmp_path):
-    text = f"{CARTPOLE}parameters: {{rise: uniform(1 .. 2 cm)}}\n"
-    text += "world: {terrain: {type: formula, heights: rise if x > 1 m else 0 m, size: 9 9 m}}\n"
-    ((code, headline, help),) = findings_of(tmp_path, text)
-    assert code == "DB407"
-    assert headline == "`heights` must be fixed, but uses `rise`, which is drawn in every episode"
-    assert help.startswith("give it a fixed value")
-
-
-def test_an_existing_value_under_augment_has_one_finding_that_shows_the_list(tmp_path):
-    text = (
-        f"{CARTPOLE}signals: {{clock: sin(360 deg * time / (1 s))}}\naugment: {{clock: clock, track:"
-        f" track}}\n"
-    )
-    findings = [finding for finding in findings_of(tmp_path, text) if finding[0] in ("DB202", "DB207")]
-    assert [(code, headline) for code, headline, _ in findings] == [
-        ("DB202", "`clock` under `augment` exists already"),
-        ("DB202", "`track` under `augment` exists already"),
-    ]
-    assert "`augment: [clock, ...]`" in findings[0][2]
-
-
-def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there" / "buggy.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
-    refused = deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", code=2)
-    assert "deepbots new mine --urdf there/buggy.urdf here --allow-path there`" in refused.err
-    assert "package://PACKAGE/PATH" in refused.err
-    deepbots("new", "mine", "here", "--urdf", "there/buggy.urdf", "--allow-path", "there", "--json")
-    deepbots("lint", "here/mine.yaml", "--allow-path", "there")
-
-
-def test_new_from_an_own_scenario_suggests_cp_and_extends(deepbots, tmp_path):
-    (tmp_path / "one.yaml").write_text(CARTPOLE)
-    error = deepbots("new", "base", "--from", "one.yaml", code=2).err
-    assert "`cp one.yaml base.yaml`" in error
-    assert "`extends: one.yaml`" in error
-
-
-def test_a_picture_of_a_robot_names_the_option_that_needs_a_scenario(deepbots):
-    assert "--labels needs a scenario" in deepbots("render", "epuck", "--labels", "-o", "a.png", code=2).err
-
-
-def test_a_drawn_mass_is_marked_in_inspect(deepbots, tmp_path):
-    (tmp_path / "mine.yaml").write_text(
-        f"{CARTPOLE}robots: {{cart: {{links: {{pole: {{mass: uniform(0.1 .. 0.3 kg)}}}}}}}}\n"
-    )
-    assert "drawn in every episode" in deepbots("inspect", "mine.yaml").out
-    assert "drawn in every episode" not in deepbots("inspect", "cartpole").out
-
-
-@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
-def test_serving_for_no_number_of_seconds_is_refused(deepbots, seconds):
-    assert (
-        f"--seconds {float(seconds):g}: write a number of seconds above 0"
-        in deepbots("serve", "bundle", "--seconds", seconds, code=2).err
-    )
-
-
 def test_the_first_seconds_of_a_training_say_no_time_to_go():
     """The first updates of a training were slow, and it seemed to take 20 min; it took 4."""
     progress = TrainingProgress(
@@ -574,21 +460,6 @@ def test_the_first_seconds_of_a_training_say_no_time_to_go():
     assert progress.seconds_left(0, 1.0) is None
     assert progress.seconds_left(0, 60.0) == pytest.approx(60.0 * 999)
     assert not math.isnan(progress.seconds_left(0, 60.0) or math.nan)
-
-
-@pytest.mark.parametrize("far", ["1e38", "12345678"])
-def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(deepbots, tmp_path, far):
-    (tmp_path / "far.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 {far} 0\nf 1 2 3\n")
-    (tmp_path / "far.urdf").write_text(
-        '<robot name="far"><link name="a"><visual><geometry><mesh'
-        ' filename="far.obj"/></geometry></visual></link></robot>'
-    )
-    ran = deepbots("inspect", "far.urdf", code=1)
-    assert "the mesh has a vertex at 1" in ran.out + ran.err
-
-
-def test_inspect_has_ranges_in_si_units_as_json(deepbots):
-    assert '"low": -0.3490658503988659' in deepbots("inspect", "cartpole", "--json").out
 
 
 def test_a_robot_on_a_large_field_is_not_a_dot(tmp_path):
@@ -714,6 +585,17 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
         assert (tmp_path / written).read_text() != "of the user"
     assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
     deepbots("compile", "cartpole", "--project", ".", "--force")
+
+
+@pytest.mark.parametrize("table", [NEEDS, EXCLUDES])
+def test_options_that_go_together_are_options_of_their_command(table):
+    for name, entries in table.items():
+        known = (
+            {option for parameter in _command(name).params for option in parameter.opts} if name else set()
+        )
+        for options, text in entries.items():
+            named = {*options.split(), *text.partition("; ")[0].split()}
+            assert not name or named <= known, name
 
 
 def test_every_command_that_writes_a_file_has_force(deepbots):
@@ -842,16 +724,3 @@ def test_a_training_is_diagnosed_the_same_without_docstrings(deepbots, tmp_path,
     diagnosis = without_docstrings(tmp_path, "-m", "deepbots_cli", "diagnose", "mine").stdout
     assert "Try: Continue the training" in diagnosis
     assert diagnosis == deepbots("diagnose", "mine").out
-
-
-def test_a_ground_beside_the_terrain_of_an_inherited_case_is_reported_at_the_ground(deepbots):
-    Path("mine.yaml").write_text(
-        "deepbots: 1\nextends: quadruped\nname: Mine\nworld: {ground: {friction: 0.5}}\n", encoding="utf-8"
-    )
-    ran = deepbots("lint", "mine.yaml", code=1)
-    assert "`ground` cannot be combined with `terrain`\n   --> mine.yaml:4:9" in ran.out
-    assert "with the settings of the case `rough`" in ran.out
-    assert "or leave this case out: `remove: [evaluation.cases.rough]`" in ran.out
-    text = Path("mine.yaml").read_text(encoding="utf-8")
-    Path("mine.yaml").write_text(text + "remove: [evaluation.cases.rough]\n", encoding="utf-8")
-    assert "DB101" not in deepbots("lint", "mine.yaml").out

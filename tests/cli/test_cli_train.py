@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import urllib.request
+from dataclasses import replace
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
@@ -26,12 +27,16 @@ from xml.etree import ElementTree
 
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.cli import main, terminal
 from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.commands.train import training_page
-from deepbots_cli.document import Permissions
+from deepbots_cli.document import Permissions, shipped
+from deepbots_cli.errors import RunError
 from deepbots_cli.insight.diagnosis import causes_after
+from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.commands import Deepbots, Ran
 
@@ -161,10 +166,6 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
         in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
     )
     assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
-
-
-def test_a_run_is_never_overwritten(deepbots, trained):
-    assert "not overwritten" in deepbots(*TINY, "--run", "mine", code=2).err
 
 
 @pytest.mark.slow
@@ -309,12 +310,6 @@ def test_an_evaluation_whose_resets_draw_nothing_says_so(deepbots, trained):
     assert note in deepbots("eval", "mine", "--episodes", "3", *fixed).out
     assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "3").out
     assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "1", *fixed).out
-
-
-def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
-    refused = deepbots("eval", "mine", "--episodes", "2", "--junit", "gate.xml", code=2)
-    assert "add --min-success, --min-return or --require-solved" in refused.err
-    assert not (tmp_path / "gate.xml").exists()
 
 
 def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
@@ -851,7 +846,7 @@ def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: P
     assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
     assert "chosen by hand" in deepbots("inspect", "mine").out
     refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
-    assert "--set cannot be combined with --keep" in refused.err
+    assert "--keep judges models in the scenario of their training; leave out --set" in refused.err
 
 
 def test_the_list_of_runs_names_the_command_that_chooses_again(deepbots: Deepbots, mine: Path) -> None:
@@ -859,3 +854,96 @@ def test_the_list_of_runs_names_the_command_that_chooses_again(deepbots: Deepbot
     record["result"].pop("best")
     (mine / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
     assert "choose again with: deepbots eval mine --keep" in deepbots("runs", ".").err
+
+
+MESH = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESHED = """\
+deepbots: 1
+extends: cartpole
+name: Meshed
+remove: [solved]
+evaluation: {{episodes: 2}}
+robots: {{cart: {{urdf: {robot}}}}}
+train: {{algorithm: PPO, total_timesteps: 64, environments: 1, n_steps: 32, batch_size: 32, n_epochs: 1}}
+"""
+# The robot file and the mesh, from the folder of the meshed, and how the robot file names the mesh.
+WAYS = {
+    "the folder of the meshed": ("urdf/r.urdf", "meshes/m.obj", "package://arms/meshes/m.obj"),
+    "a folder above the meshed": ("urdf/r.urdf", "meshes/m.obj", "package://home/arms/meshes/m.obj"),
+    "a folder of --allow-path": ("../other/urdf/r.urdf", "../other/m.obj", "package://other/m.obj"),
+    "a folder in that of --allow-path": ("../other/a/b/r.urdf", "../other/a/m.obj", "package://a/m.obj"),
+    "below the robot file": ("urdf/r.urdf", "urdf/x/meshes/m.obj", "package://x/meshes/m.obj"),
+    "two folders of --allow-path": ("../other/r.urdf", "../far/m.obj", "../far/m.obj"),
+    "a sibling of the folder of the robot file": ("urdf/r.urdf", "meshes/m.obj", "../meshes/m.obj"),
+    "another way round": ("urdf/r.urdf", "urdf/m.obj", "../urdf/./m.obj"),
+    "where PyBullet looks above": ("a/urdf/r.urdf", "meshes/m.obj", "meshes/m.obj"),
+    "three slashes": ("urdf/r.urdf", "meshes/m.obj", "file://{home}/meshes/m.obj"),
+    "an absolute path": ("urdf/r.urdf", "../other/m.obj", "{home}/../other/m.obj"),
+    "characters of XML": ("urdf/r.urdf", "meshes/a&b's.obj", "package://arms/meshes/a&amp;b&apos;s.obj"),
+}
+
+
+@pytest.fixture
+def meshed(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
+) -> list[str]:
+    """A meshed whose robot names its mesh in the way of the parameter; the options that allow it."""
+    home = tmp_path / "home" / "arms"
+    robot, mesh, reference = request.param
+    text = shipped.robot_path("cartpole").read_text(encoding="utf-8")
+    drawn = f"<mesh filename='{reference.format(home=home)}'/>"
+    files = {robot: text.replace('<box size="0.20 0.05 0.08"/>', drawn, 1), mesh: MESH, "deepbots.toml": ""}
+    for name, content in {**files, "t.yaml": MESHED.format(robot=robot)}.items():
+        (home / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / name).write_text(content, encoding="utf-8")
+    monkeypatch.chdir(home)
+    return [f"--allow-path=../{name}" for name in ("other", "far") if (home / ".." / name).is_dir()]
+
+
+@pytest.mark.parametrize(
+    "project",
+    [
+        pytest.param(
+            way,
+            id=name,
+            marks=() if name == "two folders of --allow-path" else pytest.mark.slow,
+        )
+        for name, way in WAYS.items()
+    ],
+    indirect=True,
+)
+def test_a_training_with_meshes_of_other_folders_is_not_lost_at_its_end(
+    meshed: list[str], deepbots: Deepbots, tmp_path: Path
+):
+    folders = tuple(option.partition("=")[2] for option in meshed)
+    digest = api.compile("t.yaml", permissions=Permissions(folders)).digest
+    assert "DB903" not in deepbots("lint", "t.yaml", "--deep", *meshed, code=None).out
+    deepbots("train", "t.yaml", *meshed, "--run", "r")
+    home = Path.cwd().rename(tmp_path / "moved")  # nothing but the run is left in its place
+    run = Run.open(home / "r")
+    assert run.digest == run.record.digest == digest
+    deepbots("eval", home / "r", "--episodes", 1)
+    deepbots("render", home / "r", "-o", home / "r.png", "--steps", 2)
+    deepbots("resume", home / "r", "--timesteps", 128)
+
+
+@pytest.mark.parametrize("project", [WAYS["the folder of the meshed"]], indirect=True)
+def test_a_project_of_compile_has_meshes_of_other_folders(meshed: list[str], deepbots: Deepbots):
+    deepbots("compile", "t.yaml", "--project", "out")
+    Path("meshes/m.obj").unlink()
+    assert api.compile("out/resolved.yaml").program is not None
+
+
+@pytest.mark.parametrize(
+    ("mesh", "reason"),
+    [(b"", "does not compile: "), (MESH.replace(".1", ".2").encode(), "has changed since it was compiled")],
+)
+@pytest.mark.parametrize("project", [WAYS["the folder of the meshed"]], indirect=True)
+def test_a_training_whose_copy_is_another_scenario_stops_before_its_first_step(
+    meshed: list[str], mesh: bytes, reason: str
+):
+    compiled = api.compile("t.yaml")
+    copies = {name: mesh if name.endswith(".obj") else each for name, each in compiled.inputs.items()}
+    with pytest.raises(RunError, match=reason):
+        train(replace(compiled, inputs=copies), run="r", on_start=lambda path: pytest.fail("has begun"))
+    assert not Path("r").exists()

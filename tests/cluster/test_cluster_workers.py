@@ -336,7 +336,7 @@ def test_commands_print_the_same_with_workers(
             ["test", "cartpole", "--workers", "-3"],
             "--workers -3 starts no process; write --workers 1 or more",
         ),
-        (["bench", "cartpole", "--workers", "2"], "--workers and --cluster need --shards"),
+        (["bench", "cartpole", "--workers", "2"], "--workers needs --shards"),
         (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
         (
             ["bench", "cartpole", "--shards", "1,x"],

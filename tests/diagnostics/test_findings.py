@@ -28,8 +28,7 @@ from hypothesis import strategies as st
 from deepbots_cli import errors
 from deepbots_cli.diagnostics import Finding, Label, Source, Span
 from deepbots_cli.diagnostics.findings import Fix, RuleSelectors, Selection, edited, suppress
-from deepbots_cli.diagnostics.junit import junit
-from deepbots_cli.diagnostics.render import github, render, sarif, summary
+from deepbots_cli.diagnostics.render import github, junit, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.program import identity

@@ -38,9 +38,8 @@ from deepbots_cli.document import (
     to_data,
     walk,
 )
-from deepbots_cli.document.edits import assigned_text, move_to_augment_fix
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
-from deepbots_cli.document.layout import canonical_text, to_yaml
+from deepbots_cli.document.layout import assigned_text, canonical_text, move_to_augment_fix, to_yaml
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most

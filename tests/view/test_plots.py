@@ -768,7 +768,7 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, de
         (["render", "cartpole", "--from", "1,2"], "is not a point"),
         (
             ["render", "cartpole", "--from", "1,2,1", "--follow", "cart"],
-            "--follow moves the camera; leave out --from and --at",
+            "--follow moves the camera; leave out --from",
         ),
         (["render", "cartpole", "--from", "nan,0,0"], "not a number"),
         (["render", "find_ball", "--driver", "nobody", "-o", "b.gif"], "there is no driver 'nobody'"),

@@ -116,9 +116,6 @@ def command(
     if shards is not None:
         if several:
             raise UsageError("--shards measures a training with one engine; name one with --engine")
-        options = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
-        if present := [name for name, value in options.items() if value is not None]:
-            raise UsageError(f"--shards and {present[0]} cannot be combined")
         _bench_shards(
             scenario,
             with_engine(overrides, engine),
@@ -130,8 +127,6 @@ def command(
             permissions=permissions,
         )
         return
-    if workers is not None or address is not None:
-        raise UsageError("--workers and --cluster need --shards")
     end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
     compiled = api.compile(
         scenario,

@@ -60,17 +60,9 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Print the Python module of a scenario, or write a project around it."""
-    if program and as_json:
-        raise UsageError("--program and --json cannot be combined; --program already prints JSON")
-    if program and target != "scalar":
-        raise UsageError("--program is the same for both targets; leave out --target")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; use scalar or batch")
     if project is not None:
-        if output is not None or program or target != "scalar":
-            raise UsageError(
-                "--project writes the module for one world; leave out --output, --program and --target"
-            )
         check_new_folder(project, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     output = terminal.output_file(output)
@@ -185,8 +177,6 @@ def command_lsp(
     if schema:
         _schema(scenario, output, force=force, folders=permissions.folders)
         return
-    if scenario is not None or output is not None:
-        raise UsageError("--for and --output belong to --schema; add --schema")
     if find_spec("pygls") is None:
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve

@@ -35,7 +35,7 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.diagnostics.junit import Case, xml_report
+from deepbots_cli.diagnostics.render import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
@@ -213,15 +213,8 @@ def command(
         _repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
-    _check_files(csv, junit, gates, force=force)
+    check_output(*filter(None, (csv, junit)), force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
-    if keep:
-        judging = ("scenario", "overrides", "case", "stage", "engine", "seed", "last", "stochastic")
-        _refuse(
-            "cannot be combined with --keep, which judges models in the scenario of their training",
-            present,
-            judging,
-        )
     if engine is not None and len(engine) > 1:
         _refuse("needs a single engine; name only one with --engine", present, single)
     if source.kind is SourceKind.GROUP:
@@ -566,15 +559,6 @@ def evaluation_scenario(
     if scenario is not None:
         terminal.note_warnings(compiled.findings, scenario)
     return compiled
-
-
-def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: bool) -> None:
-    """Check before a long evaluation that its files can be written, and have a content."""
-    check_output(*filter(None, (csv, junit)), force=force)
-    if junit is not None and gates == Gates(None, None, False):
-        raise UsageError(
-            "--junit needs a requirement to write; add --min-success, --min-return or --require-solved"
-        )
 
 
 def _evaluate_group(request: _Request, **further_options: Any) -> None:

@@ -94,16 +94,12 @@ def command(
 ) -> None:
     """Export a policy, sign it, or compare a bundle with a scenario."""
     if new_key is not None:
-        _write_key(
-            new_key,
-            is_alone=source is None and not (out or to is not Form.bundle or last or check or sign),
-            as_json=as_json,
-        )
+        if source is not None:
+            raise UsageError("--new-key makes a key and exports nothing; give it alone")
+        _write_key(new_key, as_json=as_json)
         return
     if source is None:
         raise UsageError("write what to export, such as a folder under runs: deepbots export RUN")
-    if sign is not None and (check is not None or to is not Form.bundle):
-        raise UsageError("--sign signs a bundle; leave it out with --check and --to")
     if check is not None:
         _check(
             source,
@@ -111,7 +107,6 @@ def command(
             overrides or (),
             Permissions(allow_paths or (), code=True),
             as_json=as_json,
-            writes=out is not None or last or to is not Form.bundle,
         )
         return
     if to is Form.webots:
@@ -234,10 +229,8 @@ def _show_bundle(
     )
 
 
-def _write_key(file: Path, *, is_alone: bool, as_json: bool) -> None:
+def _write_key(file: Path, *, as_json: bool) -> None:
     """Write a private and a public key."""
-    if not is_alone:
-        raise UsageError("--new-key makes a key and exports nothing; give it alone")
     try:
         from deepbots_robot import signature
     except ModuleNotFoundError as error:
@@ -265,12 +258,9 @@ def _check(
     permissions: Permissions,
     *,
     as_json: bool,
-    writes: bool,
 ) -> None:
     from deepbots_cli.insight.export import bundle
 
-    if writes:
-        raise UsageError("--check writes nothing; leave out --output, --last and --to")
     contents = bundle.read_bundle(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")
@@ -384,13 +374,6 @@ def command_serve(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Let a policy act for a robot, or simulate the robot."""
-    links = [
-        name for name, present in (("--ros", ros), ("--zmq", zmq), ("--websocket", websocket)) if present
-    ]
-    if len(links) > 1:
-        raise UsageError(f"{' and '.join(links)} are different links; choose one")
-    if links not in ([], ["--ros"]) and (interface is not None or domain):
-        raise UsageError(f"--interface and --domain belong to ROS 2; leave them out with {links[0]}")
     if not 0.0 < speed <= 1000.0:
         raise UsageError(f"--speed {speed:g}: write a number above 0, at most 1000")
     if seconds is not None and not 0.0 < seconds < float("inf"):
@@ -403,18 +386,9 @@ def command_serve(
         raise MissingExtraError("robot", "serving a policy") from error
     transport = Transport(zmq, websocket, interface, domain)
     if not as_robot:
-        if episodes is not None or seed or overrides or engine or permissions != Permissions():
-            raise UsageError(
-                "--episodes, --seed, --set, --engine and --allow-... belong to a simulated robot; add"
-                " --as-robot or leave them out"
-            )
         settings: dict[str, Any] = {"speed": speed, "lockstep": lockstep, "log": log, "seconds": seconds}
         _serve_policy(Path(source), transport, trusted=trusted, as_json=as_json, **settings)
         return
-    if log is not None or seconds is not None or trusted is not None:
-        raise UsageError(
-            "--log, --seconds and --trusted belong to the policy; leave them out with --as-robot"
-        )
     from deepbots_cli.cli.arguments import open_source
     from deepbots_cli.insight.robot import serve_robot
 

@@ -33,7 +33,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.document import Permissions, files
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts
@@ -167,21 +167,15 @@ def command(
         exploits=exploits,
     )
     for option_name in ["--deep"] * deep + ["--exploits"] * exploits:
-        _check_simulator(option_name, fix or diff or unsafe_fixes)
+        _check_simulator(option_name)
     names = scenario_names(scenarios or ["."], project)
     arguments = xacro_arguments(xacro, of_robot=all(map(is_robot, names)))
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name, arguments)
     _check_names(names, look, is_watching=watch, may_fix=fix or diff)
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
-    is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
     _check_together(
-        statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats"
-    )
-    if fix or diff or unsafe_fixes:
-        _check_fixing(fix, diff, overrides, names)
-    _check_together(
-        diff and (as_json or format is not None),
-        "--diff cannot be combined with --format or --json: it prints changes instead of findings",
+        statistics and format_ not in (Format.full, Format.concise, Format.json),
+        "--statistics prints a table or JSON; leave out other formats",
     )
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
@@ -258,10 +252,8 @@ def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, 
     _check_together(
         look.exploits and has_stdin, "--exploits needs a file: it records episodes of the scenario"
     )
-    _check_together(
-        is_watching and (may_fix or has_stdin),
-        "--watch reads files and changes none; leave out --fix, --diff and -",
-    )
+    _check_together(is_watching and has_stdin, "--watch reads files; leave out -")
+    _check_together(may_fix and has_stdin, "--fix cannot change standard input; pass the name of the file")
 
 
 def _check_together(wrong: bool, sentence: str) -> None:
@@ -304,25 +296,12 @@ def _words(option: str, codes: Codes) -> RuleSelectors | None:
     return RuleSelectors(tuple(word.strip() for word in text.split(",")), SourceText(option, text))
 
 
-def _check_simulator(option_name: str, fixing: bool) -> None:
+def _check_simulator(option_name: str) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
-    if fixing:
-        raise UsageError(
-            f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes"
-        )
     require_simulator(f"lint {option_name}")
     if option_name == "--exploits" and find_spec("mcap") is None:
         raise MissingExtraError("sim", "a recording")
-
-
-def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Sequence[str]) -> None:
-    if not (fix or diff):
-        raise UsageError("--unsafe-fixes needs --fix, or --diff to show the changes")
-    if overrides:
-        raise UsageError("--set cannot be combined with --fix or --diff: it does not change files")
-    if STDIN in names:
-        raise UsageError("--fix cannot change standard input; pass the name of the file")
 
 
 def _fixed(
@@ -569,8 +548,6 @@ def report(
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
-            from deepbots_cli.diagnostics.junit import junit  # only this needs XML
-
             return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -133,18 +133,14 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
-    if (kind or task or xacro or copy) and not urdf:
-        raise UsageError("--kind, --task, --xacro-arg and --copy go with --urdf")
-    _check_start(
-        {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
-        has_protos=bool(protos),
-    )
+    if not (template or shipped_name or urdf or webots):
+        raise UsageError(
+            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
+            " or --webots WORLD.wbt"
+        )
     if project is not None:
-        if folder != Path(".") or schema:
-            raise UsageError(
-                "--project names the folder, and writes a schema for all its scenarios; leave out DIR and"
-                " --schema"
-            )
+        if folder != Path("."):
+            raise UsageError("--project names the folder; leave out DIR")
         folder = project
     starter: Starter | None = None
     first: FirstScenario | None = None
@@ -173,24 +169,6 @@ def command(
     commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
     _show(paths, unchanged, commands, permissions, first, as_json=as_json, todos=todos)
-
-
-def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
-    """Require one option that says what to start from.
-
-    Raises:
-        UsageError: There is none, there are several, or --protos stands without --webots.
-    """
-    options = [option for option, value in starts.items() if value]
-    if len(options) > 1:
-        raise UsageError(f"{' and '.join(options)} cannot be combined; choose one of them")
-    if not options:
-        raise UsageError(
-            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
-            " or --webots WORLD.wbt"
-        )
-    if has_protos and not starts["--webots"]:
-        raise UsageError("--protos goes with --webots")
 
 
 def _next_commands(

@@ -437,7 +437,7 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
     """Return the suffix of the file.
 
     Raises:
-        UsageError: The suffix is unknown, an option is for other suffixes, or two options exclude each other.
+        UsageError: The suffix is unknown, or an option is for other suffixes.
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
@@ -449,8 +449,6 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
             f"{file}: {'; '.join(reasons)}; leave {'it' if len(wrong) == 1 else 'them'} out, or name another"
             " file"
         )
-    if "--follow" in options and {"--from", "--at"}.intersection(options):
-        raise UsageError("--follow moves the camera; leave out --from and --at")
     return kind
 
 

@@ -150,7 +150,7 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it."""
     progress = not quiet
-    scenario = _checked_options(scenario, seed, seeds, run)
+    scenario = _checked_options(scenario, run)
     listed = None if seeds is None else seed_list(seeds)
     is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
     changed = [
@@ -204,16 +204,14 @@ def command(
     finish(result, **output_options)
 
 
-def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
+def _checked_options(scenario: str | None, run: Path | None) -> str:
     """Return the scenario of a new training.
 
     Raises:
-        UsageError: There is none, or the options exclude one another.
+        UsageError: There is none, or the directory of the run exists.
     """
     if scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
-    if seeds is not None and seed is not None:
-        raise UsageError("--seed and --seeds cannot be combined")
     if run is not None and run.exists():
         raise UsageError(
             f"--run: {run} already exists; choose another directory, because runs are not overwritten"

@@ -130,9 +130,7 @@ def command(
             ref.run.program, "evaluate one: deepbots eval RUN --agent NAME --engine NAME,NAME"
         )
     if log is not None:
-        _compare_log(
-            opened, log, as_json=as_json, other_options=(engine, scenario, overrides, min_success, min_return)
-        )
+        _compare_log(opened, log, as_json=as_json)
         return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer
@@ -179,14 +177,9 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _compare_log(
-    refs: Sequence[ModelRef], path: Path, *, as_json: bool, other_options: Sequence[object]
-) -> None:
-    if len(refs) > 1 or any(value is not None for value in other_options):
-        raise UsageError(
-            "--log compares a log with the simulation of one run; leave out other runs, worlds and"
-            " requirements"
-        )
+def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool) -> None:
+    if len(refs) > 1:
+        raise UsageError("--log compares a log with the simulation of one run; leave out other runs")
     from deepbots_cli.insight.robot_log import compare_log
 
     (ref,) = refs
@@ -407,7 +400,7 @@ def _data(compared: Transfer) -> dict[str, Any]:
             for name, value in vars(compared.comparison).items()
             if name not in ("episodes", "steps")
         },
-        "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
+        "robustness": compared.robustness,
         "gates": [gate.as_json() for gate in compared.gates],
         "works": dict(zip(compared.names, compared.works, strict=True)),
         "passed": compared.passed,
@@ -512,7 +505,7 @@ def command_robustness(
             on_level=show_level,
             executor=executor,
         )
-    terminal.show(records.robustness_json(result), records.robustness_text(result), as_json=as_json)
+    terminal.show(result, records.robustness_text(result), as_json=as_json)
     if not result.nominal_holds:
         raise typer.Exit(FAILED)
 

@@ -38,8 +38,8 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.junit import Case as ReportedCase
-from deepbots_cli.diagnostics.junit import xml_report
+from deepbots_cli.diagnostics.render import Case as ReportedCase
+from deepbots_cli.diagnostics.render import xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
@@ -126,8 +126,6 @@ def command(
     """Run a few episodes without training."""
     if scenario.endswith(".json") and _reproduced(ctx, Path(scenario), permissions, as_json=as_json):
         return
-    if robot is None and (lockstep or speed != 1.0):
-        raise UsageError("--lockstep and --speed need --robot")
     options = start_values(start)
     data = {"seed": seed, "start": options, "case": case, "stage": stage}
     if robot is not None:

@@ -305,13 +305,6 @@ def command_replay(
     ).open()
     opened_recording = opened.recording
     notes = version_changes(opened.recording)
-    if not to_verify and (tolerance or scenario):
-        raise UsageError("--tolerance and --scenario need --verify")
-    if overrides and not scenario:
-        raise UsageError(
-            "--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its"
-            " name"
-        )
     if not to_verify:
         _list_episodes(opened, recording, as_json=as_json)
         return

@@ -114,19 +114,11 @@ def command(
     for folder in protos or ():
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
-    if not view and (open_ or port is not None):
-        raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     # The callback of the option checks only the name, and not whether MuJoCo is installed.
     known_engine(_ENGINE)
     try:
         opened = _read(world, protos or ())
         if not allow_code:
-            of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
-            for name, is_present in of_a_run.items():
-                if is_present:
-                    raise UsageError(
-                        f"{name} runs the programs of the project; add --allow-code if you trust them"
-                    )
             _show_robots(opened, as_json=as_json)
             return
         if processes and os.name == "nt":
