@@ -407,8 +407,8 @@ class Report:
 
     def agent_figures(self, agent: ReportAgent, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Yield name, caption and figure of each figure of an agent, as `figures` does."""
-        yield "returns", _MEANS_CAPTION, figures.returns(agent.logs, theme)
-        yield "successes", _MEANS_CAPTION, figures.successes(agent.logs, theme)
+        yield "returns", _MEANS_CAPTION, figures.scores(agent.logs, theme, "mean_return")
+        yield "successes", _MEANS_CAPTION, figures.scores(agent.logs, theme, "success_rate")
         yield "shares", _SHARES_CAPTION, figures.shares(agent.logs, theme)
         actions = [action for episode in self.episodes for action in episode.actions]
         caption = f"What the policy does in {len(self.episodes)} evaluation episodes; numbers from -1 to 1."
@@ -435,8 +435,12 @@ class Report:
             if any(log.evaluation for log in logs)
             else ""
         )
-        yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
-        yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
+        yield "returns", f"{mean}{seeds}{diamond}", figures.scores(logs, theme, "mean_return")
+        yield (
+            "successes",
+            f"{mean}{seeds}{diamond if defined else ''}",
+            figures.scores(logs, theme, "success_rate"),
+        )
         lessons = (
             "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
         )

@@ -28,6 +28,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
@@ -44,14 +45,14 @@ from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
-from deepbots_cli.studio.charts import comparison_chart, training_chart
 from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
 from deepbots_cli.studio.language import Language
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.trainings import Curves, result_text
+from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
 from deepbots_cli.view.server import LOOPBACK, Gate, listening_socket
+from deepbots_cli.view.training_logs import TrainingLog
 
 TOKEN = "a-token-of-22-letters-"
 SCENARIO = "deepbots: 1\nname: Mine\n"
@@ -874,38 +875,50 @@ def test_a_run_stopped_as_solved_only_if_its_record_says_so_and_not_each_episode
     assert result_text(run) == text
 
 
-def _axis(curves: Curves) -> dict[str, Any]:
-    return training_chart(curves, has_successes=False, dark=False)["yAxis"][0]
+def _log(*returns: float, **fields: Any) -> TrainingLog:
+    """A training with these returns, 100 timesteps apart."""
+    steps = 100.0 * np.arange(len(returns))
+    return TrainingLog(Path("run"), "", returns=(steps, np.array(returns)), **fields)
+
+
+def _chart(log: TrainingLog) -> dict[str, Any]:
+    return training_chart(log, has_successes=False, dark=False)
 
 
 def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before():
-    below = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    above = Curves(returns=below.returns, evaluations=((100.0, 70.0),), solved_return=50.0)
+    dot = np.array([100.0]), np.array([70.0])
+    below, above = _log(10, 20, solved_return=50.0), _log(10, 20, solved_return=50.0, evaluations=dot)
     # The page merges the second options into the first ones.
-    merged = _axis(below) | _axis(above)
+    merged = _chart(below)["yAxis"][0] | _chart(above)["yAxis"][0]
     assert merged.get("max") is None
     assert merged.get("min") is None
     assert merged["boundaryGap"][1] != 0
 
 
 def test_the_axis_reaches_up_to_the_goal_which_a_comparison_has_once():
-    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    options = training_chart(curves, has_successes=False, dark=False)
+    log = _log(10, 20, solved_return=50.0)
+    options = _chart(log)
     assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
     assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
-    options = comparison_chart({"a": curves, "b": curves}, dark=True)
+    options = comparison_chart({"a": log, "b": log}, dark=True)
     assert [entry["name"] for entry in options["legend"]["data"]] == ["a", "b", "solved: 50"]
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():
-    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), planned=1000.0)
-    assert training_chart(curves, has_successes=False, dark=False)["xAxis"]["max"] == 1000.0
-    ended = replace(curves, planned=0.0)
-    assert training_chart(ended, has_successes=False, dark=False)["xAxis"]["max"] == 100.0
+    assert _chart(_log(10, 20, planned_steps=1000.0))["xAxis"]["max"] == 1000.0
+    assert _chart(_log(10, 20))["xAxis"]["max"] == 100.0
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])
 def test_the_axis_begins_at_zero_without_negative_values(lowest, begins_at_zero):
-    axis = _axis(Curves(returns=((0.0, lowest), (100.0, 200.0))))
+    axis = _chart(_log(lowest, 200))["yAxis"][0]
     assert axis["scale"] is not begins_at_zero
     assert (axis["boundaryGap"][0] == 0) is begins_at_zero
+
+
+def test_a_curve_of_more_points_than_the_page_shows_has_its_breaks():
+    returns = np.zeros(1_001)
+    returns[601] = np.nan
+    (line,) = _chart(_log(*returns))["series"]
+    assert [at for at, value in line["data"] if value is None] == [60_100.0]
+    assert len(line["data"]) <= 401

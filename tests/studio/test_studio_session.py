@@ -462,20 +462,20 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             task = session.commands.train(session.saved_name(), ["--timesteps", "20000"])
             assert task.record.run == "runs/mine-1"
             await running.until(
-                lambda: session.shown.training is not None and session.shown.training.curves.returns,
+                lambda: session.shown.training is not None and session.shown.training.log is not None,
                 120,
             )
-            return len(session.shown.training.curves.returns)
+            return len(session.shown.training.log.returns[0])
 
     async def second(points: int) -> None:
         async with Running(folder) as running:
             session = running.session
             assert [task.record.run for task in session.commands.tasks.running] == ["runs/mine-1"]
             await running.until(
-                lambda: session.shown.training is not None and session.shown.training.curves.returns
+                lambda: session.shown.training is not None and session.shown.training.log is not None
             )
             assert session.shown.training_task is session.shown.task
-            await running.until(lambda: len(session.shown.training.curves.returns) > points, 120)
+            await running.until(lambda: len(session.shown.training.log.returns[0]) > points, 120)
             assert session.shown.training.listed.state == "training"
             # Stop keeps the policy.
             session.shown.task.stop()
@@ -810,7 +810,8 @@ class Walk:
             facts["state"] = (None, "a state")
         if training is not None and self.curve is not None:
             facts["listed"] = (training.listed, read_listed(self.curve))
-            drawn = [value for _, value in training.curves.evaluations]
+            log = training.log
+            drawn = [] if log is None or log.evaluations is None else list(log.evaluations[1])
             facts["drawn evaluations"] = (drawn, pytest.approx(evaluations(self.curve)))
         return [f"{name}: {one}, not {other}" for name, (one, other) in facts.items() if one != other]
 
