@@ -24,10 +24,17 @@ from lsprotocol.types import Position, Range
 
 from deepbots_cli.installation import install_hint
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
+from deepbots_cli.lsp.hover import definitions, hover
 from deepbots_cli.lsp.server import Checker, CodeActions, Server, diagnostics, formatting
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, path_of, uri_of
+from deepbots_cli.lsp.workspace import (
+    Document,
+    DocumentAnalysis,
+    Workspace,
+    analyze,
+    document_symbols,
+    path_of,
+    uri_of,
+)
 from tests.few import LIGHT, few
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import ROOT, Client, position
