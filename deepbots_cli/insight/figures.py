@@ -24,6 +24,7 @@ from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.spaces import joined, parts_of_rows
 from deepbots_cli.view.frames import COLORS, LinkName
+from deepbots_cli.view.pictures import Moving, has_moved
 from deepbots_cli.view.plots import (
     THEMES,
     ending_colors,
@@ -35,7 +36,6 @@ from deepbots_cli.view.plots import (
     term_styles,
 )
 from deepbots_cli.view.training_logs import Measure, TrainingLog
-from deepbots_cli.view.trajectories import Moving, has_moved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -46,12 +46,12 @@ from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
-from deepbots_cli.view import pictures, training_logs, trajectories
+from deepbots_cli.view import pictures, training_logs
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
+from deepbots_cli.view.pictures import Moving, Positions
 from deepbots_cli.view.replay import open_player
 from deepbots_cli.view.training_logs import TrainingLog
-from deepbots_cli.view.trajectories import Moving, Positions
 from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
@@ -328,7 +328,7 @@ class Report:
                 for episode in group:
                     frames = player.episode(shown.evaluation.seed, episode.number)
                     first = next(frames)
-                    episode.positions = trajectories.read_positions(
+                    episode.positions = pictures.read_positions(
                         player.reader.layout,
                         chain((first,), _recording_actions(player, frames, episode.actions)),
                     )
@@ -347,7 +347,7 @@ class Report:
                         self._film(player, episode)
                     on_episode(ordered.index(episode) + 1, len(episodes))
         self.outlines = _standing(player, episodes)
-        self.moving = trajectories.find_moving(
+        self.moving = pictures.find_moving(
             player.program, player.env.world, [episode.positions for episode in episodes]
         )
 
@@ -468,7 +468,7 @@ class Report:
 
     def _trajectories_caption(self, world: WorldModel) -> str:
         names, targets = (
-            list(dict.fromkeys(trajectories.describe(world, part) for part in parts))
+            list(dict.fromkeys(pictures.describe(world, part) for part in parts))
             for parts in (self.moving.parts, self.moving.targets)
         )
         others = f"; dotted: {', '.join(names[1:])}" if names[1:] else ""

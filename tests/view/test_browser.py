@@ -123,12 +123,12 @@ def test_keys_buttons_and_tabs_work(new_tab):
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
-        _soon(lambda: page.world.shows_names)
+        _soon(lambda: page.playback.worlds[0].scene.shows_names)
 
 
 def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
     with served("find_ball") as page:
-        page.submit(page.step_once)
+        page.submit(page.playback.step_once)
         tab = new_tab()
         tab.open(page.address, 480, 800)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
@@ -141,7 +141,7 @@ def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
 
 def test_two_worlds_are_seen_side_by_side(new_tab):
     with served("find_ball", compare=Showing("find_ball"), driver="around") as page:
-        page.submit(page.step_once)
+        page.submit(page.playback.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait(
@@ -154,7 +154,7 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
 
 def test_worlds_of_a_batch_are_chosen(new_tab):
     with served(Showing("find_ball", engine="mujoco", worlds=4), driver="random") as page:
-        page.submit(page.step_once)
+        page.submit(page.playback.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('world 0 of 4')")
@@ -221,7 +221,7 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
-        page.submit(lambda: page.seek(40))
+        page.submit(lambda: page.playback.seek(40))
         tab.wait("document.body.innerText.includes('step 40,')")
         tab.wait("document.body.innerText.includes('message to epuck')")
         assert tab.errors == []
