@@ -9,10 +9,8 @@ Test the axes of the learning curves on the page.
 from __future__ import annotations
 
 import asyncio
-import http.client
 import json
 import os
-import random
 import re
 import resource
 import signal
@@ -41,13 +39,11 @@ from deepbots_cli.cli import main
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import MAX_BYTES
-from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
-from deepbots_cli.studio.language import Language
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
@@ -508,37 +504,6 @@ def test_a_running_studio_refuses_the_same(tmp_path):
             )
 
 
-@pytest.mark.slow
-def test_the_process_of_the_robot_asks_for_its_own_token(tmp_path):
-    from deepbots_cli.document.shipped import scenario_names
-    from deepbots_cli.studio.robot import Robot
-
-    assert "cartpole" in scenario_names()
-
-    async def run() -> str:
-        robot = Robot(Permissions(), lambda: None)
-        robot.show("cartpole")
-        await _until(lambda: bool(robot.address), 60)
-        address = robot.address
-        await asyncio.to_thread(check, address)
-        robot.close()
-        return address
-
-    def check(address: str) -> None:
-        host, _, query = address.removeprefix("http://").partition("/?token=")
-        assert host.startswith("127.0.0.1:")
-        assert len(query) > 16
-        for path, headers in (("/", {}), ("/?token=wrong", {}), ("/", {"Origin": "http://evil.example"})):
-            connection = http.client.HTTPConnection(host, timeout=10)
-            connection.request("GET", path, headers=headers)
-            assert connection.getresponse().status == 403
-            connection.close()
-        with open(f"/proc/{os.getpid()}/cmdline", "rb") as file:
-            assert query.encode() not in file.read()
-
-    asyncio.run(run())
-
-
 TEXTS = st.text(alphabet="ab \n:#é\U0001f600", max_size=40)
 CART = """# A cart with a pole.
 deepbots: 1
@@ -612,90 +577,6 @@ def test_a_text_can_be_sent_with_the_text_that_it_is_based_on(tmp_path):
     file.change(1, "a: 2\nb: 1\nc: 2\n")
     assert not file.change("a: 1\nb: 1\nc: 1\n", "a: 1\nb: 3\nc: 1\n")
     assert file.text == "a: 2\nb: 3\nc: 2\n"
-
-
-class Person:
-    """A browser: its text, and the revision that it is based on."""
-
-    def __init__(self, file: OpenFile) -> None:
-        self.file = file
-        self.pull()
-
-    def pull(self) -> None:
-        self.base, self.text = self.file.revision, self.file.text
-
-    def add_line(self, line: str, draw: random.Random) -> None:
-        lines = self.text.splitlines(keepends=True)
-        lines.insert(draw.randrange(len(lines) + 1), f"{line}\n")
-        self.text = "".join(lines)
-
-    def send(self) -> None:
-        self.file.change(self.base, self.text)
-        self.pull()
-
-
-def _assign(language: Language, file: OpenFile, draw: random.Random) -> None:
-    name, unit = draw.choice([("fall_angle", "deg"), ("speed", "rad/s"), ("cart_mass", "kg")])
-    edit = language.assignment(file, f"parameters.{name}", f"{draw.randrange(1, 90)} {unit}")
-    if edit is not None:
-        file.edit([edit])
-
-
-def _save_or_take_both(file: OpenFile) -> None:
-    """Save; of two texts, the person takes that on disk, and what was typed since the file was saved."""
-    if file.outside is not None:
-        own, saved, outside = file.text, file.saved, file.outside
-        file.take_outside()
-        file.change(file.revision, merged(saved, own, outside))
-    try:
-        file.save()
-    except UsageError:
-        assert file.outside is not None  # and nothing was written
-
-
-def _run_sequence(folder, seed: int, steps: int = 25) -> None:
-    draw = random.Random(seed)
-    path = folder / "mine.yaml"
-    path.write_text(CART, encoding="utf-8")
-    file = OpenFile.open(path)
-    language = Language(Permissions(), lambda path: None, lambda sentence: None)
-    people = [Person(file), Person(file)]
-    added: list[str] = []
-    for step in range(steps):
-        person = draw.choice(people)
-        act = draw.randrange(7)
-        if act <= 1:
-            added.append(f"# note {seed} {step}")
-            person.add_line(added[-1], draw)
-        elif act == 2:
-            person.send()
-        elif act == 3:
-            _assign(language, file, draw)
-        elif act == 4:
-            file.edit([difference(file.text, canonical_text(file.text) or file.text)])
-        elif act == 5:
-            added.append(f"# outside {seed} {step}")
-            present = path.read_text("utf-8")
-            path.write_text(f"{present}{added[-1]}\n", encoding="utf-8")
-            os.utime(path, ns=(step, step))
-            file.read_outside()
-        else:
-            _save_or_take_both(file)
-    for person in people:
-        person.send()
-    _save_or_take_both(file)
-    written = path.read_text("utf-8")
-    comments = [line.partition("#")[2] for line in CART.splitlines() if "#" in line]
-    keys = [line.strip().partition(":")[0] for line in CART.splitlines() if ":" in line]
-    for part in (*added, *comments, *keys):
-        assert part in written, (seed, part, written)
-    assert Counter(written.splitlines()).most_common(1)[0][1] <= 2, written
-
-
-@pytest.mark.parametrize("first", [0, pytest.param(10, marks=pytest.mark.slow)])
-def test_no_comment_and_no_line_is_lost(first, tmp_path):
-    for seed in range(first, 10 if first == 0 else 500):
-        _run_sequence(tmp_path, seed)
 
 
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])

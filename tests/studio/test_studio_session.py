@@ -239,46 +239,6 @@ def test_a_run_says_what_it_changed_against_the_one_before(folder):
     asyncio.run(run())
 
 
-@pytest.mark.slow
-def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved(folder):
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            session.shown.follow(True)
-            session.commands.train("mine.yaml", ["--timesteps", "1_000_000"])
-            robot, training = session.robot, session.shown.training_task
-            assert training is not None
-            await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
-            await running.until(lambda: robot.state is not None and "policy" in robot.state.note)
-            await running.until(lambda: robot.state is not None and "policy after" in robot.state.note, 120)
-            assert robot.state.driver == "policy"
-            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
-            await running.runs()
-            assert robot.reference == str(folder / "mine.yaml")
-            # The page offers to follow the training again, while it runs.
-            assert session.shown.may_follow
-            training.stop()
-            await running.until(lambda: not training.is_running, 120)
-            assert not session.shown.may_follow
-
-            # A training that has just ended is shown, too.
-            session.shown.follow(True)
-            await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
-            await running.runs()
-
-            # From a robot that shows a policy, the next training is followed without being asked.
-            session.shown.follow(False)
-            assert robot.reference == str(folder / "runs" / "mine-1")
-            session.commands.train("mine.yaml", ["--timesteps", "512"])
-            await running.until(lambda: robot.reference == str(folder / "runs" / "mine-2"))
-            await running.runs()
-            await running.until(lambda: not session.commands.tasks.running, 120)
-
-    asyncio.run(run())
-
-
 def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
     async def run() -> None:
         async with Running(folder) as running:
