@@ -34,9 +34,7 @@ from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
-from deepbots_cli.lsp.uses import references
+from deepbots_cli.lsp.hover import definitions, hover, references
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -44,7 +42,8 @@ from deepbots_cli.lsp.workspace import (
     Locator,
     Workspace,
     analyze,
-    common_prefix,
+    changed_part,
+    document_symbols,
     path_of,
 )
 
@@ -386,12 +385,12 @@ def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
     before = document.plain
     if after == before:
         return []
-    start = common_prefix(before, after)
-    end = min(common_prefix(before[::-1], after[::-1]), len(before) - start, len(after) - start)
+    start, end, end_after = changed_part(before, after)
     # No position exists between the two characters of a line end.
     start -= before[max(0, start - 1) : start + 1] == "\r\n"
-    end -= before[len(before) - end - 1 : len(before) - end + 1] == "\r\n"
-    return [types.TextEdit(document.lines.range(start, len(before) - end), after[start : len(after) - end])]
+    if before[max(0, end - 1) : end + 1] == "\r\n":
+        end, end_after = end + 1, end_after + 1
+    return [types.TextEdit(document.lines.range(start, end), after[start:end_after])]
 
 
 # The server and its request handlers

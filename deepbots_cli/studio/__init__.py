@@ -7,8 +7,8 @@ language.py       findings, completion, hover and fixes of the open files; what 
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
 commands.py       the commands that the studio runs, as processes that survive the server
-trainings.py      the learning curve and the time left of a training, from its files
-changes.py        what each run changed against the run before it
+trainings.py      what files say about trainings: curves and their charts, the time left, results, and what each run
+                  changed against the run before it
 page.py           the page: the text, and the parts around it
 layout.py         the areas of the page, the bars between them, the notices, and the outputs of commands
 dialogs.py        what a folder without a scenario can begin with; the dialogs for that and for two versions of a file
@@ -17,7 +17,6 @@ explain.py        explanations of words and findings, with links
 robot_pane.py     the robot on the page
 training_tab.py   the tab for training, with the learning curve
 runs_tab.py       the tab with the runs, and their diagnosis
-charts.py         the charts of learning curves
 
 Nothing imports this package but the command `deepbots studio`. NiceGUI is in the extra `studio`.
 

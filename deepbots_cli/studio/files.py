@@ -22,7 +22,7 @@ from typing import NamedTuple
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, read_at_most
-from deepbots_cli.lsp.workspace import common_prefix
+from deepbots_cli.lsp.workspace import changed_part
 
 _MAX_REVISIONS = 10_000
 """The number of earlier texts that a late change of a browser can be based on; a browser that was away for a
@@ -51,10 +51,8 @@ class TextEdit(NamedTuple):
 
 def difference(before: str, after: str) -> TextEdit:
     """Return the one edit that turns `before` into `after`, without their common start and end."""
-    start = common_prefix(before, after)
-    shorter = min(len(before), len(after)) - start
-    tail = min(common_prefix(before[::-1], after[::-1]), shorter)
-    return TextEdit(start, len(before) - tail, after[start : len(after) - tail])
+    start, end, end_after = changed_part(before, after)
+    return TextEdit(start, end, after[start:end_after])
 
 
 def changed_lines(before: str, after: str) -> list[int]:

@@ -21,16 +21,15 @@ from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.nodes import NodePath, entries_at
 from deepbots_cli.insight.suggestions import Suggestion, properties, suggestions
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
+from deepbots_cli.lsp.hover import definitions, hover, references
 from deepbots_cli.lsp.server import Checker, CodeActions
-from deepbots_cli.lsp.uses import references
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
     DocumentAnalysis,
     Workspace,
     analyze,
+    document_symbols,
     uri_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference

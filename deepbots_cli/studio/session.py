@@ -21,12 +21,11 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.rollout.drivers import POLICY
-from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands, Task
 from deepbots_cli.studio.files import Drafts, OpenFile, changed_lines, difference, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
-from deepbots_cli.studio.trainings import WatchedTraining
+from deepbots_cli.studio.trainings import RunChange, RunChanges, WatchedTraining
 
 _WATCH_INTERVAL_S = 0.5
 _DRAFT_INTERVAL_S = 2.0
@@ -142,7 +141,7 @@ class Shown:
     @property
     def training_starts(self) -> bool:
         """Whether the shown run is trained, and has no curve yet."""
-        return self.training is not None and self.trains and not self.training.curves.returns
+        return self.training is not None and self.trains and self.training.log is None
 
     @property
     def may_follow(self) -> bool:

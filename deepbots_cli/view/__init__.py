@@ -10,9 +10,8 @@ server.py         the checks of a server for one person (host, origin, token), a
 page.py           the page, its reloads, and the loop that steps and draws
 playback.py       the worlds of the page in time: players, episodes, steps; driving by keys, gamepad and sliders
 panel.py          the panel of the page, its tabs, tables and notices
-pictures.py       PNG pictures, MP4 and GIF clips, and offline pages
+pictures.py       PNG pictures, MP4 and GIF clips, and offline pages; the moving parts of an episode, and their paths
 recordings.py     episodes as MCAP files, written and read
-trajectories.py   the moving parts of an episode, and their paths
 training_logs.py  the logs of trainings as curves
 plots.py          the plots of these curves
 

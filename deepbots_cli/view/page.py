@@ -143,27 +143,6 @@ class Page:
         """The player of the first world; None where the scenario has errors."""
         return self.playback.player
 
-    @property
-    def world(self) -> WorldScene:
-        return self.playback.worlds[0].scene
-
-    @property
-    def driven(self) -> DrivenEpisodes | None:
-        """The recording of the episodes that a person drives."""
-        return self.playback.driven
-
-    def play(self, playing: bool) -> None:
-        """Continue, or pause."""
-        self.playback.play(playing)
-
-    def step_once(self) -> None:
-        """Pause, and make one step."""
-        self.playback.step_once()
-
-    def seek(self, index: int) -> None:
-        """Pause at a frame of a recording."""
-        self.playback.seek(index)
-
     def change_parameter(self, name: str, text: str) -> None:
         """Change a parameter of the scenario. The world starts again once no further change arrives."""
         self._changed[name] = text

@@ -42,7 +42,7 @@ from deepbots_cli.view.frames import (
     PlottedField,
     WorldFrame,
 )
-from deepbots_cli.view.recordings import NOT_INSTALLED, NS_PER_S, TopicEncoder, read_frame, versions
+from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, versions
 
 if TYPE_CHECKING:
     from deepbots_robot.model import Input, Output
@@ -231,7 +231,7 @@ def version_changes(recording: Recording) -> list[str]:
     return [
         f"{name} was {old} when this was recorded, and is {new} now"
         for name, new in versions().items()
-        if (old := recording.metadata.get(name, NOT_INSTALLED)) != new
+        if (old := recording.metadata.get(name, "not installed")) != new
     ]
 
 

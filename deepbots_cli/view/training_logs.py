@@ -1,4 +1,7 @@
-"""The logs of trainings as curves: of runs of deepbots, and of files of TensorBoard."""
+"""The logs of trainings as curves: of runs of deepbots, and of files of TensorBoard.
+
+`TrainingLog` is the one table of curves: `plots.py` paints it for paper, and the studio for its page.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +47,8 @@ _LEAST_VALUE_BYTES = 30
 """The smallest event of one scalar has 41 bytes."""
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
+Measure = Literal["mean_return", "success_rate"]
+"""The two measures that trainings and evaluations have in common."""
 _AGENT_RETURNS = "/rollout/ep_rew_mean"
 """The end of the tags of the returns of several agents, whose names come before it."""
 
@@ -55,7 +60,7 @@ class StageStart(NamedTuple):
     steps: float
 
 
-@dataclass
+@dataclass(eq=False)
 class TrainingLog:
     """The curves and results of one training. Reward terms and shares of endings are by name. `group` is the
     scenario with its digest, and whether a recording teaches; `settings` are the values that `--set` changed,
@@ -68,6 +73,9 @@ class TrainingLog:
     `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
     `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
     several agents; `agent` is the one whose log this is, empty for one agent or all.
+
+    Who shows a log may set `solved_return`, the mean return with which the task is solved, and `planned_steps`, the
+    timesteps of the whole training while it runs.
     """
 
     path: Path
@@ -89,6 +97,20 @@ class TrainingLog:
     decline: Decline | None = None
     agents: dict[str, Curve] = field(default_factory=dict)
     agent: str = ""
+    solved_return: float | None = None
+    planned_steps: float = 0.0
+
+    def curves(self, measure: Measure) -> tuple[Curve | None, Curve | None]:
+        """Return a measure of training episodes, and that of the evaluations during the training."""
+        if measure == "mean_return":
+            return self.returns, self.evaluations
+        return self.successes, self.evaluated_successes
+
+    @property
+    def last_step(self) -> float:
+        """The timesteps at the end of the axis."""
+        curves = [curve for curve in self.curves("mean_return") if curve is not None]
+        return max([self.planned_steps, *(float(steps[-1]) for steps, _ in curves)])
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool = False) -> list[TrainingLog]:
@@ -189,7 +211,7 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
             np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes")
         )
         log.evaluations = (at, means)
-        log.evaluated_successes = (at, rates)
+        log.evaluated_successes = (at, rates) if log.successes is not None else None
         log.evaluation_stages = [line["stage"] for line in evaluations]
     log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")

@@ -798,7 +798,7 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(cut_log: Pa
     from deepbots_cli.view.page import Page
 
     with closing(Page(Showing(str(cut_log)), port=0, episode=1)) as page:
-        page.seek(99)
+        page.playback.seek(99)
         assert page.player is not None
         assert page.player.frame.ending == "end of the log"
         assert "safe posture: no new value of cart.pole_angle" in page.banner.content

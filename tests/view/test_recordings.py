@@ -202,14 +202,6 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
     assert main(["replay", "--verify", str(path)]) == 1
 
 
-@pytest.mark.slow
-def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, deepbots):
-    for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag_scripted"):
-        path = tmp_path / f"{name}.mcap"
-        deepbots("render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", path)
-        assert "17 episodes and " in deepbots("replay", "--verify", path).out
-
-
 def test_foxglove_finds_its_types(find_ball):
     with find_ball[0].open("rb") as stream:
         reader = make_reader(stream)
@@ -403,37 +395,7 @@ def test_options_and_files_of_the_command(tmp_path, monkeypatch, deepbots, find_
     assert json.loads(deepbots("replay", "two.mcap", "--json").out)["scenario"] == "CartPole"
 
 
-SCENARIOS = (
-    "cartpole",
-    "find_ball_random",
-    "quadruped",
-    "multi_cartpole",
-    "see_ball",
-    "panda_push",
-    "line_follower",
-)
 BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:4]))
-def test_an_episode_is_the_same_with_and_without_frames(name):
-    episodes = []
-    for read in (False, True):
-        with closing(deepbots_cli.make(name)) as env:
-            observation, _ = env.reset(seed=3)
-            reader = FrameReader(env) if read else None
-            rewards = []
-            for _ in range(15):
-                action = env.action_space.sample()
-                observation, reward, terminated, truncated, _ = env.step(action)
-                rewards.append(reward)
-                if reader is not None:
-                    reader.read(observation, action)
-                if terminated or truncated:
-                    break
-            episodes.append((rewards, str(observation)))
-    assert episodes[0] == episodes[1]
 
 
 def test_no_message_of_the_episode_before_is_in_the_first_frame():
@@ -572,15 +534,6 @@ def test_messages_are_those_that_receivers_go_by():
         sent_at = frame.step - round(message.age / player.program.period)
         assert message.values == frames[sent_at].readings["cart.pole_angle"]
     assert {frame.messages["cart/to_robot"].received for frame in frames} == {True, False}
-
-
-def test_what_was_drawn_makes_the_same_episode():
-    with closing(deepbots_cli.make("find_ball")) as env:
-        reader = FrameReader(env)
-        first = reader.read(env.reset(seed=5)[0])
-        assert {"reset.place.epuck.x", "reset.place.epuck.y", "reset.place.epuck.yaw"} <= set(first.drawn)
-        repeated = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
-    assert repeated.links == first.links
 
 
 def test_frames_contain_the_allowed_options():

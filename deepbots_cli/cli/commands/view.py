@@ -173,8 +173,8 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
         page.run()
     finally:
         page.close()
-        if page.driven is not None:
-            _finish(page.driven)
+        if page.playback.driven is not None:
+            _finish(page.playback.driven)
 
 
 def _finish(driven: DrivenEpisodes) -> None:
