@@ -23,7 +23,7 @@ from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Summary
 from deepbots_cli.learning.runs.evaluations import DrawLabel
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval
 from deepbots_cli.program import Program
-from deepbots_cli.program.draws import is_of_member, without_copy
+from deepbots_cli.program.resets import is_of_member, without_copy
 from deepbots_cli.rollout import Episode
 
 Outcome = Literal["success", "return"]
