@@ -17,8 +17,7 @@ from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.shards import random_numbers_kept
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
-from deepbots_cli.runtime.observations import Observer
-from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_cli.runtime.spaces import Observer, action_space, observation_space
 from deepbots_cli.words import unit_text
 
 

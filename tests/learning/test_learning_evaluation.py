@@ -58,7 +58,7 @@ from deepbots_cli.program.resets import EpisodeDraws
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from tests.commands import Deepbots
 from tests.few import few
 
