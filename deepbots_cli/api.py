@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchEnvironment, BatchSupervisor
-    from deepbots_cli.runtime.forward_pass import Predictor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
+    from deepbots_cli.runtime.spaces import Predictor
 
 MAX_WORLDS = 4096
 """Worlds in a batch; each takes 0.1 to 1 MB of memory."""

@@ -6,8 +6,7 @@
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
 workspace.py   names that the methods of a supervisor share; reads of the engine
 printer.py     numbers, vectors and the memories of stateful functions
-names.py       names in generated code; its blocks, quotes, comments and templates
-lines.py       breaks of long lines
+names.py       names in generated code; its blocks, quotes, comments and templates; breaks of long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.
 Only scalar trees and checked names are printed. The only texts of the user in the code are names that match
@@ -23,8 +22,14 @@ from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
 
-from deepbots_cli.codegen.lines import wrap_line
-from deepbots_cli.codegen.names import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name, fill_template
+from deepbots_cli.codegen.names import (
+    COLUMN_NAMES,
+    RUNTIME_NAMES,
+    Constants,
+    class_name,
+    fill_template,
+    wrap_line,
+)
 from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
 from deepbots_cli.errors import BatchError

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.multi_agent import DividedTests, combined_program
-from deepbots_cli.compiler.symmetry import words_pattern
+from deepbots_cli.compiler.training import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS, settings_in

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.actuators import driven_parts
+from deepbots_cli.compiler.controllers import driven_parts
 from deepbots_cli.compiler.namespace import (
     AFTER_SIGNALS,
     GOAL_REACHED_MESSAGE,

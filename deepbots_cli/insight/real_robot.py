@@ -46,7 +46,7 @@ from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start
 from deepbots_cli.rollout.episode import Step
 from deepbots_cli.runtime import Supervisor
-from deepbots_robot.about import About, pace
+from deepbots_robot.link import About, pace
 from deepbots_robot.server import Server
 from deepbots_robot.serving import (
     Notes,

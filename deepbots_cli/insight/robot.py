@@ -33,10 +33,9 @@ from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.words import number_text, rate_text
-from deepbots_robot.about import About, pace
-from deepbots_robot.intake import Input, Intake
-from deepbots_robot.link import Link
+from deepbots_robot.link import About, Link, pace
 from deepbots_robot.model import Output
+from deepbots_robot.server import Input, Intake
 from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outputs_of_entries
 from deepbots_robot.topics import ACTION
 

@@ -42,8 +42,7 @@ from deepbots_cli.insight.training import (
     success_trend,
 )
 from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnPart, draw_labels, drawn_effects
-from deepbots_cli.program.levels import SUCCESS
-from deepbots_cli.program.task import Criterion
+from deepbots_cli.program.task import SUCCESS, Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.words import number_text, rate_text

@@ -79,7 +79,7 @@ from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, Start
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.words import beside
 
 MIN_EPISODES = FORWARD_BATCH_SIZE

@@ -27,7 +27,7 @@ from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import StopCondition, ordered_episodes, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.forward_pass import Predictor
+from deepbots_cli.runtime.spaces import Predictor
 from deepbots_cli.runtime.streams import derive_seed
 
 if TYPE_CHECKING:

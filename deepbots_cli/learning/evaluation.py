@@ -54,7 +54,7 @@ from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import StopCondition, ordered_episodes
 from deepbots_cli.rollout.source import RECORD_NAME
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 

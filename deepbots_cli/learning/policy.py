@@ -23,8 +23,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.members import Others
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.worlds import has_copies
-from deepbots_cli.runtime.observations import Observer
-from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_cli.runtime.spaces import Observer, action_space, observation_space
 from deepbots_cli.words import unit_text
 
 

@@ -29,8 +29,7 @@ from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program import Program
-from deepbots_cli.program.levels import LIMITS, SUCCESS
-from deepbots_cli.program.task import Training
+from deepbots_cli.program.task import LIMITS, SUCCESS, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import (
     Evaluated,

@@ -22,7 +22,7 @@ from pygls import uris
 from pygls.workspace import PositionCodec
 
 from deepbots_cli.compiler import CheckedScenario, check
-from deepbots_cli.compiler.syntax import does_harm
+from deepbots_cli.compiler.texts import does_harm
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection

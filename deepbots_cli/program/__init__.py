@@ -16,12 +16,10 @@
 values.py        Expression, the leaf of all of these
 world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
-task.py          agent, endings, training, evaluation
-levels.py        levels of a curriculum, and how a world changes its own
+task.py          agent, endings, training, evaluation, levels of a curriculum
 members.py       several agents, and where the program of all has the parts of each
-resets.py        placements, randomized parameters
+resets.py        placements, randomized parameters; the draws of a reset, by name
 identity.py      canonical JSON, digests, interfaces; the values that a value is made of
-draws.py         the draws of a reset, by name
 topics.py        sensors and commands as fields of ROS 2 messages
 generated.py     the names in the code that is generated from it
 
@@ -41,12 +39,19 @@ from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
-from deepbots_cli.program.draws import EpisodeDraws
-from deepbots_cli.program.levels import Levels
 from deepbots_cli.program.members import Member, Others, members_of, qualified_name
-from deepbots_cli.program.resets import Disturbance, Reset
+from deepbots_cli.program.resets import Disturbance, EpisodeDraws, Reset
 from deepbots_cli.program.robots import Direction, Link, Robot, Timing
-from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
+from deepbots_cli.program.task import (
+    Agent,
+    Choices,
+    Criterion,
+    Evaluation,
+    Levels,
+    ScenarioTest,
+    Script,
+    Truncation,
+)
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.forward_pass import Predictor
+    from deepbots_cli.runtime.spaces import Predictor
 
 # The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
 # option of each choice.

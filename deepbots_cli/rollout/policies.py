@@ -1,5 +1,5 @@
 """Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds
-(`runtime/forward_pass.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
+(`runtime/spaces.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
 for every policy.
 """
 
@@ -26,7 +26,7 @@ from deepbots_cli.rollout.episode import (
 )
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.streams import derive_seed
 
 NumberedEpisode = tuple[int, Episode]

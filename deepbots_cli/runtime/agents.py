@@ -30,9 +30,11 @@ from deepbots_cli.runtime.batch import (
     advance_and_begin,
 )
 from deepbots_cli.runtime.copies import WorldRows
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.spaces import (
+    FORWARD_BATCH_SIZE,
     Column,
+    ForwardPass,
+    Predictor,
     action_space,
     apply_to_parts,
     canonical_action,
@@ -220,7 +222,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         supervisor: The supervisor of the world.
         scenario: The program of the agent.
         number: The number of the next episode, or of the world among others: policies that act for other
-            agents then act as in a batch, to the bit (`forward_pass.py`).
+            agents then act as in a batch, to the bit (`spaces.py`).
 
     Args:
         rebuild: Makes a copy of the environment in another process.

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
 from math import ceil, exp, inf, isclose, pi
 from pathlib import Path
 
@@ -582,19 +581,6 @@ def test_a_gripper_goes_from_closed_to_open(make: Make):
 
 
 @pytest.mark.slow
-def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
-    used, fresh = make(ARM), make(ARM)
-    used.reset(seed=1)
-    act(used, (0.3, -0.7, 0.5), ticks=17)
-    states = []
-    for panda in (used, fresh):
-        panda.reset(seed=2)
-        act(panda, (-0.4, 0.2, 0.9), 0.3, ticks=15)
-        states.append(panda.engine.joint_states("panda", JOINTS)())
-    assert [state[:2] for state in states[0]] == [state[:2] for state in states[1]]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
 def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, route: str):
     panda = make(
@@ -669,27 +655,6 @@ def velocities(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple
     return per_tick
 
 
-@pytest.mark.parametrize("substeps", [1, 3, 8])
-@pytest.mark.parametrize("lasts", [0.04, 0.1, 0.033])
-def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, substeps: int, lasts: float):
-    once = pushed(
-        f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}",
-        f"world.substeps={substeps}",
-    )
-    speeds = velocities(once, 40)
-    assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in speeds[:5])
-    assert speeds[5][0] > 0
-    assert speeds[-1] == pytest.approx((0.02 * lasts / MASS, 0, 0), rel=1e-3, abs=1e-5)
-
-
-def test_a_torque_turns_the_body(pushed: Make):
-    once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, duration: 50 ms}}")
-    velocities(once, 10)
-    _, (_, _, rate) = once.engine.velocity("drone")()
-    inertia = 2.2e-5 + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
-    assert rate == pytest.approx(1e-5 * 0.05 / inertia, rel=2e-2)
-
-
 def test_pushes_repeat_after_their_interval_and_the_first_comes_after_one(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, duration: 20 ms}}")
     speeds = [speed[1] for speed in velocities(often, 100)]
@@ -701,36 +666,6 @@ def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, duration: 10 ms}}")
     speeds = [speed[1] for speed in velocities(often, 100)]
     assert [k for k in range(100) if speeds[k] > (speeds[k - 1] if k else 0.0) + 1e-6] == [0, 50]
-
-
-def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
-    gusts = (
-        "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms),"
-        " duration: uniform(10 .. 30 ms)}}"
-    )
-    used, fresh = pushed(gusts), pushed(gusts)
-    velocities(used, 33, seed=4)
-    first, again, another_seed = (
-        velocities(used, 60, seed=7),
-        velocities(fresh, 60, seed=7),
-        velocities(fresh, 60, seed=8),
-    )
-    assert first == again != another_seed
-    assert len({round(step[0] - before[0], 9) for before, step in pairwise(first)}) > 6
-
-
-def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
-    gust = (
-        "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms),"
-        " duration: 20 ms}"
-    )
-    alone = pushed(f"{{{gust}}}")
-    both = pushed(
-        f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"
-    )
-    assert np.allclose(
-        np.array(velocities(alone, 50))[:, :2], np.array(velocities(both, 50))[:, :2], atol=1e-9
-    )
 
 
 def test_nothing_pushes_while_the_world_settles(pushed: Make):
@@ -854,13 +789,3 @@ def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: 
     worn.step(np.zeros(4, np.float32))
     (_, _, speed), _ = worn.engine.velocity("drone")()
     assert speed == pytest.approx(GRAVITY * (sum(strengths) / 4 - 1) * DRONE_TICK, rel=2e-2)
-
-
-def test_episodes_with_drawn_rotors_are_the_same_after_any_past(drone: Make):
-    used, fresh = drone(), drone()
-    fly(used, 37, (0.4, -0.2, 0.1, 0.3), seed=5)
-    states = []
-    for environment in (used, fresh):
-        fly(environment, 20, (0.1, 0.2, -0.1, 0.0), seed=8)
-        states.append((environment.engine.pose("drone")(), environment.engine.velocity("drone")()))
-    assert states[0] == states[1]

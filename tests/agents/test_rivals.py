@@ -37,7 +37,7 @@ from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.agents import SeatLayout, driven
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing

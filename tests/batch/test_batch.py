@@ -469,44 +469,6 @@ def test_zeros_have_the_same_sign_in_a_batch_and_in_single_worlds(tmp_path: Path
             assert reward == in_batch, info["reward_terms"]
 
 
-def test_masses_frictions_and_gains_are_those_of_each_world() -> None:
-    compiled = api.compile(PUSHED)
-    with closing(deepbots_cli.make_vec(compiled, 2)) as batch:
-        batch.reset(seed=[5, 6])
-        action = np.zeros(batch.action_space.shape, np.float32)
-        batch.step(action)
-        rows = batch.batch.engine.rows
-        for world, seed in enumerate((5, 6)):
-            with closing(api.make(compiled, engine="mujoco")) as single:
-                single.reset(seed=seed)
-                single.step(action[world])
-                for name in (
-                    "body_mass",
-                    "body_inertia",
-                    "dof_M0",
-                    "pair_friction",
-                    "actuator_biasprm",
-                    "actuator_forcerange",
-                ):
-                    np.testing.assert_array_equal(
-                        rows[name][world], getattr(single.engine._world.model, name), err_msg=name
-                    )
-        for name in ("body_mass", "dof_M0", "pair_friction", "actuator_biasprm", "actuator_forcerange"):
-            assert (rows[name][0] != rows[name][1]).any(), name
-
-
-def test_a_push_moves_its_world_alone(batch: BatchEnvironment, single: Supervisor) -> None:
-    single.reset(seed=1)
-    for engine in (batch.batch.singles[1].engine, single.engine):
-        engine.pusher(("cart", "tip"), "link")((0.4, 0.1, 0.0), (0.0, 0.02, 0.0))
-    for _ in range(2):
-        observations, *_ = batch.step(np.zeros(4, int))
-        assert_same(observations[1], single.step(0)[0])
-    single.reset(seed=2)
-    single.step(0)
-    assert_same(observations[2], single.step(0)[0])
-
-
 def test_a_world_that_becomes_unstable_in_a_step_is_named_and_leaves_the_others_alone() -> None:
     """FindBall asks for contacts in each substep."""
     compiled = api.compile("find_ball")

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import deepbots_robot
-from deepbots_robot import BundleError, InputError, bundle, model, onnx_file, schema
+from deepbots_robot import BundleError, InputError, bundle, model, onnx_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -127,13 +127,13 @@ def test_bytes_that_are_not_a_description_are_refused(content: bytes) -> None:
 
 
 def test_the_schema_is_that_of_the_records() -> None:
-    """`python -m deepbots_robot.schema` writes it."""
-    assert (ROOT / schema.PATH).read_text(encoding="utf-8") == schema.json_schema()
+    """`python -m deepbots_robot.model` writes it."""
+    assert (ROOT / model.PATH).read_text(encoding="utf-8") == model.json_schema()
 
 
 def test_a_bundle_fits_the_published_schema(folder: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    published = json.loads((ROOT / schema.PATH).read_text())
+    published = json.loads((ROOT / model.PATH).read_text())
     jsonschema.Draft202012Validator.check_schema(published)
     jsonschema.validate(json.loads((folder / bundle.BUNDLE_NAME).read_text()), published)
 

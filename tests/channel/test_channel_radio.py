@@ -10,7 +10,6 @@ import pytest
 
 from deepbots_cli.program.robots import Route
 from deepbots_cli.runtime.messages import LossyChannel
-from deepbots_cli.runtime.streams import Streams
 from tests.channel.radio_trials import (
     BURSTS,
     SINGLE,
@@ -178,22 +177,6 @@ def test_the_gap_of_a_message_that_would_have_been_dropped_is_dropped() -> None:
 
 
 # Episodes and streams
-
-
-def test_nothing_leaks_into_the_next_episode() -> None:
-    link = radio(latency=0.05, loss=0.5, burst=10.0, order="newest", on_loss="hold")
-
-    def episode(seed: int) -> list[list[Any]]:
-        link.begin(Streams(seed))
-        taken = []
-        for number in range(40):
-            link.send(number)
-            taken.append(link.receive())
-        return taken
-
-    first = episode(1)
-    episode(2)
-    assert episode(1) == first
 
 
 def test_two_channels_never_share_a_draw() -> None:

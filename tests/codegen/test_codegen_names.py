@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.codegen.lines import WIDTH, wrap_line
-from deepbots_cli.codegen.names import Constants, docstring
+from deepbots_cli.codegen.names import WIDTH, Constants, docstring, wrap_line
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every

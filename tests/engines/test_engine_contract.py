@@ -6,12 +6,8 @@
 
 from __future__ import annotations
 
-import pickle
 import random
-import runpy
 import struct
-import subprocess
-import sys
 from contextlib import closing
 from itertools import product
 from math import isclose, pi
@@ -25,10 +21,9 @@ from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_ROTATION, quaternion
 from deepbots_cli.port import ZERO_VECTOR, Engine
-from deepbots_cli.program.world import ObjectBody, Pit, RobotBody, Terrain, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots import reader
-from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
-from tests.few import few
+from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TURNED = quaternion(0.4, -0.3, 1.1)
 
@@ -242,19 +237,6 @@ def test_a_torque_acts_alike_over_any_number_of_substeps(engine_name, substeps, 
     assert isclose(engine.joint_torques("robot", ["slide"])()[0], 2.0, rel_tol=1e-9)
 
 
-def test_a_velocity_motor_exerts_its_limit_until_the_joint_reaches_the_target(engine_name, worlds, build):
-    """With one command; the cart needs 110 engine steps of 1 ms for 0.2 m/s."""
-    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
-    engine.set_joint("robot", "hinge", pi / 2, 0.0)
-    engine.velocity_motor("robot", ["slide"], [2.0])([0.2])
-    speed = engine.joint_states("robot", ["slide"])
-    for milliseconds in (50, 100):
-        engine.step(50)
-        assert isclose(speed()[0][1], 2.0 / 1.1 * milliseconds / 1000, rel_tol=0.03)
-    engine.step(50)
-    assert speed()[0][1] == pytest.approx(0.2, abs=0.004)
-
-
 def test_a_strong_velocity_motor_reaches_its_target_within_a_tick(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     engine.velocity_motor("robot", ["slide"], [1000.0])([0.7])
@@ -394,41 +376,8 @@ def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(engine_na
     assert (len(set(heights)), heights) == (10, sorted(heights, reverse=True))
 
 
-EPISODE = Path(__file__).with_name("arena_episode.py")
-trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
 STAND = [0.0, 0.9, -1.8] * 4
-
-
-PASTS = [
-    pytest.param((0, 1, 2, 5, 21, 89), id="few"),
-    pytest.param((0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233), id="all", marks=pytest.mark.slow),
-]
-"""The lengths of what came before a reset."""
-
-
-def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> bytes:
-    arguments = pickle.dumps((engine, world, seed, ticks))
-    return subprocess.run(
-        [sys.executable, str(EPISODE)], input=arguments, capture_output=True, check=True
-    ).stdout
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-@pytest.mark.parametrize("carts", few([1, 3], ["3"]))
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(
-    engine_name, carts, pasts, worlds, build
-):
-    world = worlds.arena(carts=carts)
-    fresh = in_fresh_process(engine_name, world, seed=5, ticks=100)
-    engine = build(engine_name, world)
-    assert trajectory(engine, world, seed=5, ticks=100) == fresh
-    for ticks in pasts:
-        engine.reset()
-        trajectory(engine, world, seed=ticks, ticks=ticks)
-        engine.reset()
-        assert trajectory(engine, world, seed=5, ticks=100) == fresh
 
 
 @pytest.fixture(scope="session")
@@ -486,19 +435,6 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, pasts, build):
-    fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
-    engine = build(engine_name, yard(dog))
-    for ticks in pasts:
-        engine.reset()
-        walk(engine, 1000 + ticks, ticks)
-        for seed, expected in fresh.items():
-            engine.reset()
-            assert walk(engine, seed, 50) == expected, (ticks, seed)
-
-
 def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engine_name, dog, build):
     """Masses, frictions, springs, contacts and their readings are all part of a snapshot."""
     engine = build(engine_name, yard(dog))
@@ -540,44 +476,6 @@ def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engin
 def roller() -> RobotModel:
     path = Path(__file__).parents[2] / "robots" / "urdf" / "roller.urdf"
     return reader.read(path, path.name, Findings()).model
-
-
-def roll(engine: Engine, seed: int, ticks: int) -> bytes:
-    """A ball that rocks about in a pit by the weight inside it, and bumps into a rock."""
-    rng = random.Random(seed)
-    engine.place("roller", (rng.uniform(-0.2, 0.2), 0.0, rng.uniform(0.3, 0.5)), (0, 0, 0, 1))
-    drive = engine.velocity_motor("roller", JOINTS, [12.0] * len(JOINTS))
-    readers = [engine.pose("roller"), engine.velocity("roller"), engine.pose("rock")]
-    contact = engine.contact(("roller", None), [("ground", None)])
-    force = engine.contact_force(("ground", None))
-    figures: list[float] = []
-    for tick in range(ticks):
-        if tick % 16 == 0:
-            drive([rng.choice((-8.72, 8.72)) for _ in JOINTS])
-        engine.step(8)
-        for part in (*(part for read in readers for part in read()), (contact(), force())):
-            figures += part
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-JOINTS = ["pitch", "yaw"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, pasts, build):
-    rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
-    world = WorldModel(
-        0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15))
-    )
-    fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
-    engine = build(engine_name, world)
-    for ticks in pasts:
-        engine.reset()
-        roll(engine, 1000 + ticks, ticks)
-        for seed, expected in fresh.items():
-            engine.reset()
-            assert roll(engine, seed, 60) == expected, (ticks, seed)
 
 
 def test_a_dog_stands_on_springs_and_their_torques_carry_it(engine_name, dog, build):

@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import random
-import struct
 from dataclasses import replace
 from math import acos, cos, dist, hypot, pi, sin
 
@@ -297,29 +296,6 @@ def test_a_start_of_the_leader_is_one_of_its_followers_too(engine_name, build):
     assert [state[1] for state in read()] == pytest.approx([0.5, -1.0, 1.0])
     engine.reset()
     assert [state[0] for state in read()] == [0.0, 0.1, -0.1]
-
-
-def stroke(engine, target: float, ticks: int) -> bytes:
-    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
-    read = engine.joint_states("robot", ["lead", "first", "second"])
-    engine.set_joint("robot", "lead", 0.1, 0.0)
-    figures: list[float] = []
-    for _ in range(ticks):
-        aim([target])
-        engine.step(4)
-        figures += [value for state in read() for value in state[:2]]
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-def test_a_reset_world_with_followers_equals_a_fresh_one(engine_name, build):
-    engine = build(engine_name, world(pair(-2.0, 0.1)))
-    fresh = stroke(engine, 0.3, 40)
-    for ticks in (0, 1, 7, 33):
-        engine.reset()
-        stroke(engine, -0.4, ticks)
-        engine.reset()
-        assert stroke(engine, 0.3, 40) == fresh
-    assert stroke(build(engine_name, world(pair(-2.0, 0.1))), 0.3, 40) == fresh
 
 
 def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):

@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.fixes import Fixer
-from tests.fuzz.beside import check, check_layout, session, unkempt
+from tests.fuzz.beside import check, session
 from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
 from tests.fuzz.mutations import ROOT as REPOSITORY
 from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
@@ -93,20 +93,6 @@ def test_bytes_put_anywhere_give_findings(
 
 
 # `fmt`, `diff`, `schema --for` and the language server, upon damaged files
-
-
-def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
-    for number in range(100):
-        check_layout(case(number).data.decode("utf-8", "ignore"))
-
-
-def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
-    chances = [random.Random(number) for number in range(100)]
-    tidied = [
-        check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance))
-        for chance in chances
-    ]
-    assert sum(tidied) > 25
 
 
 @pytest.mark.slow

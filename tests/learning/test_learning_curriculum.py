@@ -30,8 +30,7 @@ from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState, L
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program import Program
-from deepbots_cli.program.levels import SUCCESS, Levels
-from deepbots_cli.program.task import Criterion, Solved, Training
+from deepbots_cli.program.task import SUCCESS, Criterion, Levels, Solved, Training
 from deepbots_cli.rollout import Episode
 from tests.commands import Deepbots
 from tests.few import few

@@ -53,11 +53,11 @@ from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.draws import EpisodeDraws
+from deepbots_cli.program.resets import EpisodeDraws
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from tests.commands import Deepbots
 from tests.few import few
 

@@ -13,6 +13,7 @@ from deepbots_cli.robots.model import (
     Capsule,
     Cylinder,
     Geometry,
+    Joint,
     Link,
     RobotModel,
     Shape,
@@ -121,6 +122,8 @@ FAULTS: dict[str, tuple[Callable[[RobotModel], RobotModel], list[tuple[str, str]
         [("DB306", "in g*mm^2, 1,000,000,000 times")],
     ),
     "kg mm^2": (lambda model: with_masses(model, 1.0, 1e6), [("DB306", "in kg*mm^2, 1,000,000 times")]),
+    "g cm^2": (lambda model: with_masses(model, 1.0, 1e7), [("DB306", "in g*cm^2, 10,000,000 times")]),
+    "kg cm^2": (lambda model: with_masses(model, 1.0, 1e4), [("DB306", "in kg*cm^2, 10,000 times")]),
     "g m^2": (lambda model: with_masses(model, 1.0, 1e3), [("DB306", "in g*m^2, 1,000 times")]),
     "grams and g mm^2": (
         lambda model: with_masses(model, 1e3, 1e9),
@@ -176,6 +179,7 @@ def wagon(body: str, mass: str, moment: str) -> str:
 BOX = '<geometry><box size="0.14 0.1 0.04"/></geometry>'
 MESH = '<geometry><mesh filename="body.stl"/></geometry>'
 RIGHT = '<geometry><mesh filename="body.stl" scale="0.001 0.001 0.001"/></geometry>'
+TWICE = '<geometry><mesh filename="body.stl" scale="1e-6 1e-6 1e-6"/></geometry>'
 
 
 @pytest.mark.parametrize(
@@ -186,6 +190,7 @@ RIGHT = '<geometry><mesh filename="body.stl" scale="0.001 0.001 0.001"/></geomet
         (wagon(f"<collision>{MESH}</collision>", "0.5", "1.1e-3"), 'body">\n    <inertial>'),
         (wagon(f"<visual>{MESH}</visual><collision>{RIGHT}</collision>", "0.5", "1.1e-3"), "<visual>"),
         (wagon(f"<visual>{RIGHT}</visual><collision>{MESH}</collision>", "0.5", "1.1e-3"), "<collision>"),
+        (wagon(f"<visual>{RIGHT}</visual><collision>{TWICE}</collision>", "0.5", "1.1e-3"), "<collision>"),
     ],
 )
 def test_one_wrong_link_is_found_at_its_place(tmp_path: Path, text: str, place: str) -> None:
@@ -197,3 +202,22 @@ def test_one_wrong_link_is_found_at_its_place(tmp_path: Path, text: str, place: 
     assert text[finding.span.start :].startswith(
         place.removeprefix("<link name=") if "link" in place else place
     )
+
+
+def test_links_that_are_wrong_in_different_elements_have_a_finding_each() -> None:
+    small, large = Geometry(Box((0.3, 0.2, 0.1))), Geometry(Box((300.0, 200.0, 100.0)))
+    inertial = homogeneous_inertial(small.shape, 2.0)
+    links = (Link("a", inertial, (large,), (small,)), Link("b", inertial, (small,), (large,)))
+    joint = Joint("weld", "fixed", "a", "b")
+    texts = [finding.headline for finding in judged(RobotModel("two", links, (joint,), "a"))]
+    assert texts == [
+        "the <visual> of link 'a' is 1,000 times as large as the <collision>: it is probably in millimeters,"
+        " 1000 times too large",
+        "the <collision> of link 'b' is 1,000 times as large as the <visual>: it is probably in millimeters,"
+        " 1000 times too large",
+    ]
+
+
+def test_an_inertia_is_compared_with_that_of_the_box() -> None:
+    (finding,) = judged(with_masses(part(Box((0.3, 0.2, 0.1)), 3.0), 1.0, 1e6))
+    assert "is about 1,000,000 times that of a box of this mass and size" in finding.headline

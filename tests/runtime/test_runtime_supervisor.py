@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import json
 import linecache
 import math
 import pickle
@@ -26,16 +25,13 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.document import shipped
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, MessageError, UsageError
-from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import Streams, derive_seed
 from deepbots_cli.view.frames import FrameReader
 from tests.contract.rollout import as_bytes
-from tests.few import LIGHT, few
-from tests.worlds import RAIL, SCENARIOS, Make
+from tests.worlds import RAIL, Make
 
 NEARLY = 1e-6  # a motor of limited force leaves the speed so near to its target
 DRIVES = (1.0, -1.0, -1.0, 0.5, 1.0)
@@ -220,27 +216,6 @@ def test_the_printed_module_has_the_papers_classes_and_imports_nothing_odd() -> 
 
 
 # Physics, end to end
-def test_two_engines_agree_on_the_rail(make: Make) -> None:
-    """0.8 s of a falling pole on a cart that is pushed back and forth: PyBullet at 1.25 ms steps is within
-    3e-3 of the exact motion.
-
-    Figures are parts of the observation's ranges; the error is of first order in the step.
-    """
-    worst = {}
-    for substeps in (4, 16):
-        exact, pybullet = (
-            make(RAIL, f"world.substeps={substeps}", engine=engine) for engine in ("exact", "pybullet")
-        )
-        exact.reset(seed=2)
-        pybullet.reset(seed=2)
-        difference = 0.0
-        for tick in range(40):
-            action = tick // 3 % 2
-            ours, theirs = exact.step(action)[0], pybullet.step(action)[0]
-            difference = max(difference, float(np.abs(ours - theirs).max()))
-        worst[substeps] = difference
-    assert worst[16] < 3e-3
-    assert worst[4] == pytest.approx(4 * worst[16], rel=0.1)
 
 
 @pytest.mark.parametrize("action", [["0.5"], [True], [b"0.5"]])
@@ -523,49 +498,6 @@ def episode(env: Supervisor, **reset: Any) -> list[bytes]:
     while len(transitions) < 15 and not (transitions[-1][2] or transitions[-1][3]):
         transitions.append(env.step(env.action_space.sample()))
     return [as_bytes(transition) for transition in transitions]
-
-
-def programs(name: str) -> list[Program]:
-    """A shipped scenario, its cases and its stages."""
-    program = api.compile(name).program
-    return [
-        program,
-        *(case.program for case in program.cases),
-        *(stage.program for stage in program.curriculum),
-    ]
-
-
-@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "see_ball")))
-def test_setting_drawn_values_repeats_the_episode(name: str) -> None:
-    for program in programs(name):
-        with closing(api.make(program)) as env:
-            world, drawn = start(env, seed=7)
-            first = episode(env, seed=7)
-            assert drawn
-            assert episode(env, seed=7, options=drawn) == first
-            assert start(env, seed=8, options=drawn) == (world, drawn)
-            assert start(env, options=json.loads(json.dumps(drawn))) == (world, drawn)
-
-
-NO_NOISE = ("cartpole", "multi_cartpole", "panda_push", "panda_reach", "pit_escape", "see_ball")
-"""Scenarios that draw nothing within an episode."""
-
-
-@pytest.mark.parametrize("name", few(NO_NOISE, LIGHT))
-def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name: str) -> None:
-    with closing(api.make(name)) as env:
-        drawn = env.reset(seed=7)[1]["drawn"]
-        assert episode(env, seed=8, options=drawn) == episode(env, seed=7) != episode(env, seed=8)
-
-
-@pytest.mark.parametrize(
-    "name", few([path.name for path in sorted(SCENARIOS.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
-)
-def test_every_kind_of_draw_is_taken_back(name: str) -> None:
-    with closing(api.make(SCENARIOS / name)) as env:
-        for seed in range(5):
-            world, drawn = start(env, seed=seed)
-            assert start(env, seed=99, options=drawn) == (world, drawn)
 
 
 def test_a_free_position_and_a_layout_are_set() -> None:

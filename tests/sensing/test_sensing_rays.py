@@ -7,21 +7,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from math import asin, cos, pi, sin, sqrt
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api, frames
-from deepbots_cli.geometry import ground_height
+from deepbots_cli import api
 from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
 from deepbots_cli.program.world import Line, ObjectBody
-from deepbots_cli.robots.model import Box, Pose, Sphere
+from deepbots_cli.robots.model import Box, Pose
 from deepbots_cli.runtime.readers import LookupTable
 from deepbots_cli.runtime.streams import Streams
 from tests.sensing.conftest import DEGREE, Scene, brick
@@ -42,44 +38,6 @@ def ranger(
     rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
     names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()
     return Sensor("s", "sonar", ("brick",), names, "m", mount, None, RayConfig(rays, reach, combined, lookup))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("angle", [0, 20, 45])
-def test_the_distance_to_a_wall_grows_with_the_angle(scene: Build, angle: float) -> None:
-    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
-    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
-    sensor = world.sensor(ranger(angle, -angle))
-    world.begin()
-    assert sensor.reading == pytest.approx([2.0 / cos(angle * DEGREE)] * 2, abs=1e-6)
-
-
-@pytest.mark.parametrize("angle", [0, 5, 10])
-def test_the_distance_to_a_ball_is_that_of_the_circle(scene: Build, angle: float) -> None:
-    ball, away = 0.5, 2.0
-    thing = ObjectBody("ball", Sphere(ball), Pose((away, 0, 1)), fixed=True)
-    world = scene(brick(), gravity=(0, 0, 0), objects=(thing,))
-    sensor = world.sensor(ranger(angle))
-    world.begin()
-    t = angle * DEGREE
-    assert abs(t) < asin(ball / away)
-    assert sensor.reading == pytest.approx([away * cos(t) - sqrt(ball**2 - (away * sin(t)) ** 2)], abs=1e-6)
-
-
-def test_rays_turn_and_move_with_the_robot_and_end_at_their_reach(scene: Build) -> None:
-    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
-    world = scene(brick(), pose=Pose((0.5, 0, 1), (0, 0, pi / 2)), gravity=(0, 0, 0), objects=(wall,))
-    sensor = world.sensor(ranger(0, 180, mount=Pose((0.0, -0.25, 0.0), (0, 0, -pi / 2)), reach=3.0))
-    world.begin()
-    assert sensor.reading == pytest.approx([1.25, 3.0], abs=1e-6)
-
-
-def test_several_rays_may_give_one_figure(scene: Build) -> None:
-    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
-    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
-    nearest = world.sensor(ranger(60, 0, combined="nearest"))
-    mean = world.sensor(ranger(60, 0, combined="mean"))
-    world.begin()
-    assert (nearest.reading, mean.reading) == (pytest.approx([2.0], abs=1e-6), pytest.approx([3.0], abs=1e-6))
 
 
 TABLE = CalibrationTable((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
@@ -255,94 +213,6 @@ observation: {{dog.scan: -1 .. 1 m}}
 evaluation: {{cases: {{}}}}
 tests: {{}}
 """
-
-
-def scenario(folder: Path, text: str) -> api.Compiled:
-    file = folder / "rough.yaml"
-    file.write_text(text)
-    return api.compile(file)
-
-
-def points(environment: Any, *, level: bool = True) -> list[tuple[float, float, float]]:
-    """The points of the grid in the world, in the order of the components."""
-    position, turned = environment.engine.pose("dog", "trunk")()
-    frame = position, frames.yaw_only(turned) if level else turned
-    grid = [(0.2 * (i - 1.5), 0.2 * (j - 1.0), 0.0) for i in range(4) for j in range(3)]
-    return [frames.compose(frame, (point, frames.IDENTITY_ROTATION))[0] for point in grid]
-
-
-@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
-def test_a_scan_is_the_height_above_the_ground_at_each_point(tmp_path: Path, engine: str, seed: int) -> None:
-    pytest.importorskip(engine)
-    compiled = scenario(tmp_path, ROUGH)
-    height = ground_height(compiled.program.world.terrain)
-    with closing(api.make(compiled, engine=engine)) as environment:
-        environment.reset(seed=seed)
-        expected = [z - height(x, y) for x, y, z in points(environment)]
-        assert environment.robot_dog.sense_scan.reading == pytest.approx(expected, abs=1e-6)
-        assert compiled.program.robots[0].sensors[-1].components[:4] == ("r0_0", "r0_1", "r0_2", "r1_0")
-
-
-@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_a_scan_sees_what_lies_on_the_ground_and_what_is_higher_than_the_link(
-    tmp_path: Path, engine: str
-) -> None:
-    pytest.importorskip(engine)
-    walls = "objects: {block: {shape: box, size: 20 20 0.1 m, pose: {z: 5 cm}, fixed: true}}\n"
-    tall = "objects: {block: {shape: box, size: 20 20 0.6 m, pose: {y: 10.1 m, z: 30 cm}, fixed: true}}\n"
-    flat = ROUGH.replace(f"{{terrain: {WAVES}}}", "{gravity: 0 0 0 m/s^2}")
-    placed = "reset: {place: {dog: {x: 0 m, y: 0 m, z: 50 cm, yaw: 0 deg}}, settle: 0 s}\n"
-    for bodies, tops in ((walls, [0.1] * 3), (tall, [0.0, 0.0, 0.6])):
-        with closing(api.make(scenario(tmp_path, flat + bodies + placed), engine=engine)) as environment:
-            environment.reset(seed=1)
-            expected = [z - top for (_, _, z), top in zip(points(environment), tops * 4, strict=True)]
-            assert environment.robot_dog.sense_scan.reading == pytest.approx(expected, abs=1e-4)
-
-
-@pytest.mark.parametrize("align", ["yaw", "link"])
-def test_rays_stay_level_or_turn_with_the_link(tmp_path: Path, align: str) -> None:
-    """Above a plane, a ray along the link's -z from a point p is free for p.z over the cosine of the tilt."""
-    text = ROUGH.replace(f"{{terrain: {WAVES}}}", "{gravity: 0 0 0 m/s^2}").replace(
-        "range: -1 .. 1 m", f"range: 0 .. 2 m, align: {align}"
-    )
-    placed = "reset: {place: {dog: {x: 0 m, y: 0 m, z: 1 m, roll: 20 deg, yaw: 30 deg}}, settle: 0 s}\n"
-    with closing(api.make(scenario(tmp_path, text + placed), engine="mujoco")) as environment:
-        environment.reset(seed=1)
-        down = 1.0 if align == "yaw" else np.cos(np.radians(20.0))
-        expected = [z / down for _, _, z in points(environment, level=align == "yaw")]
-        assert environment.robot_dog.sense_scan.reading == pytest.approx(expected, abs=1e-6)
-
-
-def test_a_batch_reads_what_single_worlds_read(tmp_path: Path) -> None:
-    compiled = scenario(
-        tmp_path, ROUGH.replace("range: -1 .. 1 m", "range: -1 .. 1 m, noise: 1 cm, latency: 40 ms")
-    )
-    with (
-        closing(api.make(compiled, engine="mujoco")) as single,
-        closing(api.make_vec(compiled, 2)) as batch,
-    ):
-        observations, _ = batch.reset(seed=[5, 6])
-        np.testing.assert_array_equal(observations[0], single.reset(seed=5)[0])
-        batch.action_space.seed(1)
-        for _ in range(25):
-            actions = batch.action_space.sample()
-            observations = batch.step(actions)[0]
-            np.testing.assert_array_equal(observations[0], single.step(actions[0])[0])
-
-
-def test_a_grid_of_other_rays_lies_across_their_direction(tmp_path: Path) -> None:
-    """A wall 2 m ahead is met by all rays of a grid at the same distance."""
-    text = ROUGH.replace(f"{{terrain: {WAVES}}}", "{gravity: 0 0 0 m/s^2}").replace(
-        "type: height_scan, link: trunk, grid: 4 3, spacing: 20 cm, range: -1 .. 1 m",
-        "type: laser, link: trunk, grid: 4 3, spacing: 20 cm, range: 0 .. 5 m",
-    )
-    wall = "objects: {wall: {shape: box, size: 2 20 20 m, pose: {x: 3 m}, fixed: true}}\n"
-    placed = "reset: {place: {dog: {x: 0 m, y: 0 m, z: 1 m, yaw: 0 deg}}, settle: 0 s}\n"
-    compiled = scenario(tmp_path, text.replace("-1 .. 1 m}", "0 .. 5 m}") + wall + placed)
-    with closing(api.make(compiled, engine="mujoco")) as environment:
-        environment.reset(seed=1)
-        assert environment.robot_dog.sense_scan.reading == pytest.approx([2.0] * 12, abs=1e-6)
 
 
 @pytest.mark.parametrize(

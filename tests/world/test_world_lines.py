@@ -271,26 +271,6 @@ def test_the_feet_of_a_robot_on_stairs_stand_on_the_ground(engine: str) -> None:
             assert np.mean(expected) == pytest.approx(0.02, abs=0.01)  # the radius of a foot
 
 
-def test_a_batch_observes_the_heights_of_single_worlds_to_the_bit() -> None:
-    pytest.importorskip("mujoco")
-    program = api.compile(GROUND).program
-    seeds = range(8)
-    singles = [api.build(program, engine="mujoco") for _ in seeds]
-    with closing(api.build_batch(program, len(seeds))) as batch:
-        alone = [single.reset(seed=seed)[0] for single, seed in zip(singles, seeds, strict=True)]
-        assert np.array_equal(batch.reset(list(seeds)), alone)
-        numbers = np.random.default_rng(0)
-        for _ in range(20):
-            actions = numbers.uniform(-1.0, 1.0, (8, 12)).astype(np.float32)
-            outcome = batch.advance(actions)
-            steps = [single.step(action) for single, action in zip(singles, actions, strict=True)]
-            assert np.array_equal(outcome.observations, [step[0] for step in steps])
-            if len(outcome.done):
-                break
-    for single in singles:
-        single.close()
-
-
 @pytest.mark.parametrize(
     ("expression", "code", "headline"),
     [

@@ -152,30 +152,6 @@ def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_ther
         assert engine.pose("ball")()[0] == pytest.approx((0.0, 0.0, 0.25), abs=0.11)
 
 
-def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
-    def roll(engine) -> list[object]:
-        engine.place("ball", (1.0, 0.5, 1.2), IDENTITY_ROTATION)
-        read = engine.pose("ball")
-        places = []
-        for _ in range(60):
-            engine.step(8)
-            places.append(read())
-        return places
-
-    with (
-        closing(engines.create("pybullet", world(PIT))) as first,
-        closing(engines.create("pybullet", world(PIT))) as second,
-    ):
-        fresh = roll(first)
-        for steps in (1, 17, 100):
-            second.place("ball", (-1.0, 0.2, 1.0), IDENTITY_ROTATION)
-            for _ in range(steps):
-                second.step(8)
-            second.reset()
-            assert roll(second) == fresh
-            second.reset()
-
-
 @given(st.data(), st.sampled_from([1, 2]), st.integers(0, 4), st.integers(2, 7), st.integers(2, 7))
 def test_a_gray_picture_is_read_as_it_was_written(
     data, depth: int, filtering: int, width: int, tall: int

@@ -304,7 +304,7 @@ def _evaluate_run(
         program.variant(case, stage)
     planned = [request.options["episodes"] or program.evaluation_episodes(case) for program in programs]
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+        from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     arguments.check_dividable(request.workers, request.address, parts, reason)

@@ -32,7 +32,7 @@ from deepbots_cli.engines.pybullet import (
 )
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, brightened, downsampled
-from deepbots_cli.engines.pybullet.damping import Damping
+from deepbots_cli.engines.pybullet.motors import Damping
 from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap

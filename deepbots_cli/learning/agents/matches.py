@@ -30,7 +30,7 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode, own_episode
-from deepbots_cli.runtime.forward_pass import Predictor
+from deepbots_cli.runtime.spaces import Predictor
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""

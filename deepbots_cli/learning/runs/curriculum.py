@@ -11,8 +11,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.episodes import Generations
 from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.levels import Levels
-from deepbots_cli.program.task import Criterion
+from deepbots_cli.program.task import Criterion, Levels
 from deepbots_cli.rollout import Episode
 
 

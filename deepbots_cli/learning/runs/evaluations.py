@@ -37,7 +37,7 @@ from deepbots_cli.learning.runs.directories import SKIPPED, read_json
 from deepbots_cli.learning.runs.episodes import SUCCESS_STATISTICS, Scores, Summary
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, wilson
 from deepbots_cli.program import Program
-from deepbots_cli.program.draws import is_of_member, without_copy
+from deepbots_cli.program.resets import is_of_member, without_copy
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
 from deepbots_cli.words import number_text, rate_text
