@@ -25,6 +25,7 @@ from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import is_of_member, without_copy
 from deepbots_cli.rollout import Episode
+from deepbots_cli.words import number_text
 
 Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
@@ -115,7 +116,9 @@ class DrawnEffects:
             size = f"{self.starts:,} episodes are too few to find one"
         else:
             points = f"{100 * self.detectable:.0f} percentage points"
-            amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
+            amount = (
+                points if self.outcome == "success" else f"{number_text(self.detectable, 3)} in the return"
+            )
             size = (
                 f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest"
                 f" quarter of a value is found with a probability of {POWER:.0%}"
