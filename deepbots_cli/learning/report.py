@@ -353,7 +353,7 @@ def _named(values: Mapping[str, str]) -> list[str]:
 
 def _lines(progress: TrainingProgress, values: dict[str, str], speed: float, elapsed: float) -> str:
     """Return the display of a terminal beside its bar: the steps, and a line for each value."""
-    share = f"{progress.steps / progress.total_steps:.0%}"
+    share = rate_text(progress.steps / progress.total_steps)
     time_text = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
     if "speed" in values and progress.period:
         values["speed"] += f", {speed * progress.period:,.0f} times real time"

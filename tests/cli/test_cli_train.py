@@ -868,8 +868,8 @@ train: {{algorithm: PPO, total_timesteps: 64, environments: 1, n_steps: 32, batc
 """
 # The robot file and the mesh, from the folder of the meshed, and how the robot file names the mesh.
 WAYS = {
-    "the folder of the meshed": ("urdf/r.urdf", "meshes/m.obj", "package://arms/meshes/m.obj"),
-    "a folder above the meshed": ("urdf/r.urdf", "meshes/m.obj", "package://home/arms/meshes/m.obj"),
+    "the folder of the project": ("urdf/r.urdf", "meshes/m.obj", "package://arms/meshes/m.obj"),
+    "a folder above the project": ("urdf/r.urdf", "meshes/m.obj", "package://home/arms/meshes/m.obj"),
     "a folder of --allow-path": ("../other/urdf/r.urdf", "../other/m.obj", "package://other/m.obj"),
     "a folder in that of --allow-path": ("../other/a/b/r.urdf", "../other/a/m.obj", "package://a/m.obj"),
     "below the robot file": ("urdf/r.urdf", "urdf/x/meshes/m.obj", "package://x/meshes/m.obj"),
@@ -887,7 +887,7 @@ WAYS = {
 def meshed(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
 ) -> list[str]:
-    """A meshed whose robot names its mesh in the way of the parameter; the options that allow it."""
+    """A project whose robot names its mesh in the way of the parameter; the options that allow it."""
     home = tmp_path / "home" / "arms"
     robot, mesh, reference = request.param
     text = shipped.robot_path("cartpole").read_text(encoding="utf-8")
@@ -901,7 +901,7 @@ def meshed(
 
 
 @pytest.mark.parametrize(
-    "project",
+    "meshed",
     [
         pytest.param(
             way,
@@ -927,7 +927,7 @@ def test_a_training_with_meshes_of_other_folders_is_not_lost_at_its_end(
     deepbots("resume", home / "r", "--timesteps", 128)
 
 
-@pytest.mark.parametrize("project", [WAYS["the folder of the meshed"]], indirect=True)
+@pytest.mark.parametrize("meshed", [WAYS["the folder of the project"]], indirect=True)
 def test_a_project_of_compile_has_meshes_of_other_folders(meshed: list[str], deepbots: Deepbots):
     deepbots("compile", "t.yaml", "--project", "out")
     Path("meshes/m.obj").unlink()
@@ -938,7 +938,7 @@ def test_a_project_of_compile_has_meshes_of_other_folders(meshed: list[str], dee
     ("mesh", "reason"),
     [(b"", "does not compile: "), (MESH.replace(".1", ".2").encode(), "has changed since it was compiled")],
 )
-@pytest.mark.parametrize("project", [WAYS["the folder of the meshed"]], indirect=True)
+@pytest.mark.parametrize("meshed", [WAYS["the folder of the project"]], indirect=True)
 def test_a_training_whose_copy_is_another_scenario_stops_before_its_first_step(
     meshed: list[str], mesh: bytes, reason: str
 ):

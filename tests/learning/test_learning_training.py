@@ -1091,8 +1091,6 @@ def failed(trained: TrainingResult, run_copy: Path) -> Path:
     "words",
     [
         ("--engine", "mujoco"),
-        ("--lockstep",),
-        ("--speed", "5"),
         ("--seed", "0"),
         ("--driver", "zero", "--episodes", "1"),
     ],

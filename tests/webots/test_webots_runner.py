@@ -290,7 +290,7 @@ def test_wrong_options_are_refused(project: Project, options: list[str], words: 
 
 def test_an_option_of_a_run_needs_permission(project: Project):
     ran = project.run("--steps", "3", allow=False, code=2)
-    assert "--steps runs the programs of the project; add --allow-code" in ran.stderr
+    assert "--steps runs the programs of the project, which you should trust; add --allow-code" in ran.stderr
 
 
 def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: Project):

@@ -527,7 +527,7 @@ def _run_row(run: ListedRun, *, with_file: bool = False) -> Row:
     elif run.runs and state != "finished":
         state += f", {finished} of {len(run.seeds)} done"
     elif state == "training" and run.total_timesteps:
-        state += f" {(run.steps or 0) / run.total_timesteps:.0%}"
+        state += f" {rate_text((run.steps or 0) / run.total_timesteps)}"
     return {
         "run": run.path.name,
         "scenario": f"{run.scenario} ({Path(run.source).name})" if with_file else run.scenario,

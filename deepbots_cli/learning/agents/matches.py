@@ -31,6 +31,7 @@ from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode, own_episode
 from deepbots_cli.runtime.spaces import Predictor
+from deepbots_cli.words import rate_text
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""
@@ -180,6 +181,10 @@ def play_matches(
     )
 
 
+def _share(rate: float | None, low: float, high: float) -> str:
+    return f"{rate_text(rate or 0.0)} ({rate_text(low)} .. {rate_text(high)})"
+
+
 def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Match]) -> Iterator[str]:
     """Yield a sentence for each policy whose success is not clearly above that of random actions."""
     for name in policies:
@@ -189,7 +194,7 @@ def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Ma
                 if low <= 0.5:
                     yield (
                         f"{name} is not clearly better than random actions: against them, it wins"
-                        f" {match.win_rate:.0%} ({low:.0%} .. {high:.0%}) of the decided episodes"
+                        f" {_share(match.win_rate, low, high)} of the decided episodes"
                     )
         for agent, side in zip(program.members, ("row", "column"), strict=True):
             acting, random = (
@@ -206,7 +211,7 @@ def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Ma
             if low <= chance:
                 yield (
                     f"as {agent}, {name} is not clearly better than random actions: against all opponents, it"
-                    f" succeeds in {rate:.0%} ({low:.0%} .. {high:.0%}), random actions in {chance:.0%}"
+                    f" succeeds in {_share(rate, low, high)}, random actions in {rate_text(chance)}"
                 )
 
 
