@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -31,7 +29,7 @@ from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program.task import Solved, Training
-from tests.fuzz.workbench import peak_memory
+from tests.fuzz.harness import in_fork, rise_of_memory
 from tests.hostile.runs import CHANGES, MOST_SECONDS, outcomes
 
 
@@ -64,25 +62,6 @@ def test_a_hostile_run_takes_little_time_and_memory_and_prints_no_line_of_its_ow
     assert len(tried) == len(numbers)
     assert not [problem for outcome in tried for problem in outcome["problems"]]
     assert max(outcome["seconds"] for outcome in tried) < MOST_SECONDS
-
-
-def rise_of_memory(action: Callable[[], object]) -> int:
-    """The bytes that an action takes at most, in a forked process."""
-    read_end, write_end = os.pipe()
-    child = os.fork()
-    if not child:
-        try:
-            Path("/proc/self/clear_refs").write_text("5")  # begins the peak anew
-            before = peak_memory()
-            action()
-            os.write(write_end, str(peak_memory() - before).encode())
-        finally:
-            os._exit(0)
-    os.close(write_end)
-    with os.fdopen(read_end) as stream:
-        answer = stream.read()
-    os.waitpid(child, 0)
-    return int(answer)
 
 
 EVALUATION = {
@@ -142,7 +121,7 @@ def test_a_record_of_two_megabytes_takes_fifty_megabytes(model: Any, text: str, 
             read_json(path, model, 10_000_000)
 
     read()  # the schema of the model
-    assert rise_of_memory(read) < 50 * 10**6
+    assert in_fork(lambda: rise_of_memory(read)).result < 50 * 10**6
 
 
 def test_an_evaluation_as_it_is_written_is_read(run: Path) -> None:

@@ -485,7 +485,7 @@ def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
     (tmp_path / "monitor.csv").write_text("#{}\nr,l,t,steps,is_success\n" + "1,1,1,1,1\n" * 300_000)
     script = (
         "import sys; from pathlib import Path; from deepbots_cli.view import training_logs; from"
-        " tests.fuzz.workbench import peak_memory\n"
+        " tests.fuzz.harness import peak_memory\n"
         "before = peak_memory(); print(len(training_logs.logs_of(Path(sys.argv[1]))[0]), peak_memory() - before)"
     )
     command = [sys.executable, "-c", script, str(tmp_path)]
