@@ -170,21 +170,6 @@ def test_only_an_observation_of_clipped_numbers_is_float32_from_minus_one_to_one
     assert ("What the policy sees, float32 in [-1, 1]: " in compiled.code) == is_scaled
 
 
-@pytest.mark.slow
-def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
-    """Sets are in another order in every process unless hashing is fixed."""
-    drawn = SCENARIOS / "drawn.yaml"
-    program = f"from deepbots_cli import api; print(api.compile({str(drawn)!r}).code, end='')"
-    answer = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONHASHSEED": "77"},
-    )
-    assert answer.stdout == api.compile(drawn).code
-
-
 def test_a_constant_is_explained_by_its_parameter_if_no_other_number_is_in_it() -> None:
     parts = [
         NamedFloat(number, "size", part, "[1, 2, 3]") for part, number in zip("xyz", (1, 2, 3), strict=True)

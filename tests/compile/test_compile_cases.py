@@ -37,20 +37,6 @@ def with_cases(cases: str) -> tuple[str, str]:
     return SOLVED, f"evaluation: {{episodes: 30, cases: {{{cases}}}}}\n{SOLVED}"
 
 
-def test_a_case_is_what_the_same_assignments_on_the_command_line_compile_to(workshop, cartpole) -> None:
-    compiled = workshop.compile(
-        cartpole(with_cases("steep: {set: {fall_angle: 10 deg, messages.timing: delayed}, episodes: 7}"))
-    )
-    (case,) = compiled.program.cases
-    plain = workshop.compile(
-        cartpole(
-            ("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: delayed")
-        )
-    ).program
-    assert (case.name, case.episodes) == ("steep", 7)
-    assert to_json(case.program) == to_json(replace(plain, evaluation=case.program.evaluation))
-
-
 def test_a_case_has_as_many_episodes_as_the_evaluation_unless_it_says_otherwise(workshop, cartpole) -> None:
     (case,) = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program.cases
     assert case.episodes == 30

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,6 @@ from deepbots_cli.compiler.namespace import MAX_CHAIN
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, walk
-from deepbots_cli.program import identity
 from deepbots_cli.program.identity import digest, interface, to_json
 from tests.named import constant
 
@@ -447,15 +445,6 @@ def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop
     )
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")],
-)
-def test_so_does_one_about_a_part_of_the_value(workshop, cartpole, old, new):
-    (finding,) = workshop.lint(cartpole((old, new)))
-    assert (finding.severity, len(finding.notes)) == ("error", 1)
-
-
 @pytest.mark.parametrize("joints", ["[*wheel]", "[wheel_front_left, *wheel]", "\n          - *wheel"])
 def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
     text = cartpole(
@@ -508,16 +497,6 @@ def test_a_unit_that_another_use_needs_is_not_corrected(workshop, cartpole) -> N
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def unpack(compiled: api.Compiled, folder: Path) -> Path:
-    """The scenario and its inputs as a run keeps them."""
-    for name, content in compiled.inputs.items():
-        copy = folder / "inputs" / name
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(content)
-    (folder / "resolved.yaml").write_text(compiled.resolved, encoding="utf-8")
-    return folder / "resolved.yaml"
-
-
 @pytest.fixture
 def meshed(workshop, cartpole):
     """A project whose robot is drawn with a mesh that lies in a folder beside that of the robot."""
@@ -533,37 +512,6 @@ def meshed(workshop, cartpole):
     (folder / "scenarios").mkdir()
     workshop.file = folder / "scenarios" / "scenario.yaml"
     return workshop.write(cartpole(("urdf: cartpole", "urdf: ../robots/mine.urdf")))
-
-
-def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
-    inputs = api.compile(meshed).inputs
-    assert (list(inputs), inputs["meshes/part.obj"]) == (
-        ["scenarios/scenario.yaml", "robots/mine.urdf", "meshes/part.obj"],
-        MESH,
-    )
-
-
-def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
-    compiled = api.compile(meshed)
-    resolved = unpack(compiled, tmp_path_factory.mktemp("elsewhere"))
-    shutil.rmtree(meshed.parents[1])
-    again = api.compile(resolved)
-    assert again.digest == compiled.digest
-    assert identity.to_json(again.program) == identity.to_json(
-        compiled.program
-    )  # where the mesh lies does not count
-
-
-def test_so_does_one_with_a_file_that_only_an_evaluation_case_names(meshed, tmp_path_factory):
-    folder = meshed.parents[1]
-    shutil.copy(folder / "robots" / "mine.urdf", folder / "robots" / "other.urdf")
-    case = "evaluation:\n  cases:\n    other: {set: {robots.cart.urdf: ../robots/other.urdf}}\n"
-    meshed.write_text(meshed.read_text(encoding="utf-8") + case, encoding="utf-8")
-    compiled = api.compile(meshed)
-    assert "robots/other.urdf" in compiled.inputs
-    resolved = unpack(compiled, tmp_path_factory.mktemp("elsewhere"))
-    shutil.rmtree(folder)
-    assert api.compile(resolved).digest == compiled.digest
 
 
 def test_another_mesh_is_another_scenario(meshed):
@@ -643,19 +591,6 @@ def test_the_summary_stays_text_in_the_code(text: str) -> None:
 
 def digest_of(workshop, text: str) -> str:
     return workshop.compile(text).digest
-
-
-def test_the_digest_depends_on_what_a_file_means_only(workshop, cartpole) -> None:
-    plain = digest_of(workshop, cartpole())
-    assert plain == digest_of(workshop, cartpole())
-    assert plain == digest_of(workshop, cartpole(("substeps: 4", "substeps:   4   # of 8 ms")))
-    assert plain == digest_of(workshop, cartpole(("  timestep:", '  "timestep":')))
-    assert plain == digest_of(workshop, cartpole(("15 deg", "0.015e3 deg")))
-    assert plain == digest_of(workshop, cartpole(("timestep: 32 ms", "timestep: 0.032 s")))
-    assert plain == digest_of(workshop, cartpole(("{max_steps: 200}", "\n  max_steps: 200")))
-    assert plain == digest_of(
-        workshop, cartpole(("track:       0.39 m", "track:       0.39")).replace("> track", "> track * 1 m")
-    )
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from deepbots_cli.compiler.robots import matching_names
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.document import shipped
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -835,41 +833,3 @@ def test_names_with_special_characters_are_escaped(name):
 def yourdfpy() -> Any:
     """Imported by the tests that need it, since the import takes two seconds."""
     return pytest.importorskip("yourdfpy")
-
-
-def model_of(name: str) -> RobotModel:
-    path = shipped.robot_path(name)
-    assert path is not None
-    robot = read(path, path.name, Findings())
-    assert robot is not None
-    return robot.model
-
-
-@pytest.mark.parametrize("name", shipped.robot_names())
-def test_another_reader_finds_the_same_joints_in_the_normalized_file(
-    yourdfpy: Any, name: str, tmp_path: Path
-) -> None:
-    model = model_of(name)
-    file = tmp_path / "robot.urdf"
-    file.write_text(to_urdf(model), encoding="utf-8")
-    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    assert read_by_yourdfpy.base_link == model.root
-    assert list(read_by_yourdfpy.joint_map) == [joint.name for joint in model.joints]
-    for joint in model.moving_joints:
-        theirs = read_by_yourdfpy.joint_map[joint.name]
-        assert theirs.type == joint.type
-        np.testing.assert_allclose(theirs.axis, joint.axis)
-        if joint.limit.upper is not None:
-            assert (theirs.limit.lower, theirs.limit.upper) == (joint.limit.lower, joint.limit.upper)
-
-
-def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: Any, tmp_path: Path) -> None:
-    model = model_of("cartpole")
-    file = tmp_path / "robot.urdf"
-    file.write_text(to_urdf(model), encoding="utf-8")
-    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    angle = 0.3
-    read_by_yourdfpy.update_cfg({"pole_hinge": angle})
-    tip = read_by_yourdfpy.get_transform("tip", model.root)[:3, 3]
-    # The hinge is 0.03 m above the body's center; a pole that leans to +x has a positive angle.
-    np.testing.assert_allclose(tip, [np.sin(angle), 0.0, 0.03 + np.cos(angle)], atol=1e-12)

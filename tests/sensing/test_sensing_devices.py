@@ -348,21 +348,6 @@ def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_o
     assert accelerometer.reading == pytest.approx((-8, 0, G), abs=0.03)
 
 
-def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
-    world = scene(brick(), pose=Pose((0, 0, 50)))
-    down = world.sensor(on("projected_gravity", "brick"))
-    accelerometer = world.sensor(on("accelerometer", "brick"))
-    world.engine.reset()
-    world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
-    world.begin()
-    assert (accelerometer.reading, down.reading) == (pytest.approx((-3, 0, 4)), pytest.approx((0.6, 0, -0.8)))
-    world.tick(5)
-    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-9)
-    world.engine.reset()
-    world.begin()
-    assert down.reading == pytest.approx((0, 0, -1))
-
-
 def test_the_wrench_in_a_joint_is_about_the_origin_of_the_sensor_and_along_its_axes(scene: Build) -> None:
     """The joint holds 1 kg at 0.25 m; a sensor there feels its weight and no torque."""
     world = scene(arm(), fixed=True)

@@ -6,23 +6,20 @@
 from __future__ import annotations
 
 import math
-import random
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api, engines
+from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document.load import load
 from deepbots_cli.engine_kinds import Diagonal, diagonal_of
-from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
 from deepbots_cli.geometry import HeightGrid, ground_height, ground_heights
 from deepbots_cli.program.world import Line, ObjectBody, Pit, Terrain, TerrainShape, Tile, Tiles, WorldModel
 from deepbots_cli.robots.model import Pose, Sphere
-from deepbots_cli.runtime.paths import Follower, PaintedGround
-from tests.worlds import Maker
+from deepbots_cli.runtime.paths import Follower
 
 SQUARE = Line(
     "square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1
@@ -34,21 +31,6 @@ def circle(corners: int, radius: float = 1.0) -> Line:
     angles = [2 * math.pi * n / corners for n in range(corners)]
     return Line(
         "circle", tuple((radius * math.cos(a), radius * math.sin(a)) for a in angles), closed=True, width=0.02
-    )
-
-
-def test_left_of_a_line_is_positive() -> None:
-    follow = Follower(ROAD)
-    assert (follow((0.5, 0.1, 0.0)), follow((0.5, -0.2, 0.0))) == (
-        pytest.approx((0.1, 0.0)),
-        pytest.approx((-0.2, 0.0)),
-    )
-
-
-def test_inside_a_loop_that_turns_left_is_left_of_it_and_outside_right() -> None:
-    assert (Follower(SQUARE)((0.5, 0.2))[0], Follower(SQUARE)((-0.3, -0.4))[0]) == (
-        pytest.approx(0.2),
-        pytest.approx(-0.5),
     )
 
 
@@ -96,72 +78,6 @@ def test_lanes_beside_each_other_are_distinguished() -> None:
     assert beside == pytest.approx(0.03)
 
 
-def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
-    light = PaintedGround([SQUARE], spot=0.002)
-    assert (light(0.5, 0.5), light(40.0, 40.0), light(0.5, 0.0)) == (1.0, 1.0, pytest.approx(0.1))
-
-
-@pytest.mark.parametrize(
-    ("y", "share"), [(0.01, 0.5), (0.011, 0.25), (0.009, 0.75), (0.012, 0.0), (0.008, 1.0)]
-)
-def test_at_the_edge_of_the_paint_the_light_is_a_mean_over_the_spot(y: float, share: float) -> None:
-    assert PaintedGround([SQUARE], spot=0.002)(0.5, -y) == pytest.approx(1.0 - 0.9 * share)
-
-
-def test_a_spot_wider_than_the_line_never_sees_it_alone() -> None:
-    assert PaintedGround([SQUARE], spot=0.02)(0.5, 0.0) == pytest.approx(1.0 - 0.9 * 0.5)
-
-
-def test_a_later_line_lies_over_an_earlier_one() -> None:
-    over = Line("over", ((0.5, -1.0), (0.5, 1.0)), closed=False, width=0.02, reflectance=0.7)
-    assert PaintedGround([SQUARE, over], spot=0.001)(0.5, 0.0) == pytest.approx(0.7)
-    assert PaintedGround([over, SQUARE], spot=0.001)(0.5, 0.0) == pytest.approx(0.1)
-
-
-SCENARIO = """
-deepbots: 1
-name: Lines
-parameters: {width: 20 mm}
-world:
-  timestep: 32 ms
-  lines:
-    track: {points: [0 0 m, 1 0 m, 1 1 m, 0 1 m], closed: true, width: width}
-robots:
-  rover:
-    urdf: epuck
-    sensors: {spin: {type: joint_velocity, joint: left_wheel}}
-    actuators: {wheels: {type: velocity_motor, joints: ["*_wheel"], max_torque: 0.05 N*m}}
-    apply: {wheels: gas * 5 rad/s}
-action: {gas: 0 .. 1}
-augment:
-  offset: cross_track_error(rover, track)
-  driven: arc_length(rover, track)
-observation:
-  offset: -1 .. 1 m
-  driven: 0 m .. length(track)
-reward: {r: 100 * delta(driven) / m}
-truncation: {max_steps: 50}
-reset: {place: {rover: {x: 0.1 m, y: -0.05 m, z: 0 m}}}
-"""
-
-
-def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(make: Maker) -> None:
-    compiled = api.compile(make.written(SCENARIO))
-    assert [(entry.name, entry.low, entry.high) for entry in compiled.program.agent.numbers] == [
-        ("offset", -1.0, 1.0),
-        ("driven", 0.0, 4.0),
-    ]
-    with closing(api.make(compiled)) as environment:
-        for _ in range(2):
-            observation, _ = environment.reset(seed=1)
-            assert observation == pytest.approx([-0.05, -1.0])
-            x = environment.engine.pose("rover")()[0][0]
-            total = sum(environment.step([1.0])[1] for _ in range(40))
-            moved = environment.engine.pose("rover")()[0][0] - x
-            assert total == pytest.approx(100 * moved)
-            assert moved > 0.1
-
-
 GROUND = Path(__file__).parents[1] / "data" / "scenarios" / "ground.yaml"
 RAMP = Path(__file__).parents[1] / "data" / "hosts" / "terrain_mesh.yaml"
 STAIRS = Tiles(
@@ -183,22 +99,6 @@ SHAPES = [
 def world(shape: TerrainShape) -> WorldModel:
     ball = ObjectBody("ball", Sphere(0.01), Pose((0.0, 0.0, 5.0)), mass=1.0)
     return WorldModel(timestep=0.01, substeps=1, terrain=Terrain(shape), objects=(ball,))
-
-
-@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_ray_downward_meets_the_ground_at_its_height(engine: str, shape: TerrainShape) -> None:
-    pytest.importorskip(engine)
-    at = ground_height(Terrain(shape), diagonal_of(engine))
-    numbers = random.Random(0)
-    with closing(engines.create(engine, world(shape))) as simulated:
-        down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
-        read = simulated.rays(("ball", None), down, 10.0)
-        for _ in range(200):
-            x, y = numbers.uniform(-1.9, 1.9), numbers.uniform(-1.9, 1.9)
-            simulated.reset()
-            simulated.place("ball", (x, y, 5.0), IDENTITY_ROTATION)
-            assert 5.0 - read()[0] == pytest.approx(at(x, y), abs=1e-3)
 
 
 @pytest.mark.parametrize("diagonal", ["falling", "rising"])

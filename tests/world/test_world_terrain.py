@@ -11,7 +11,6 @@ Rotations as roll, pitch and yaw.
 from __future__ import annotations
 
 import math
-import random
 import struct
 import zlib
 from contextlib import closing, suppress
@@ -30,7 +29,7 @@ from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.document.load import load
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
-from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
+from deepbots_cli.frames import IDENTITY_ROTATION
 from deepbots_cli.geometry import (
     RIM_RADIUS_PER_SIGMA,
     ground_height,
@@ -53,9 +52,6 @@ from deepbots_cli.program.world import (
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.runtime import Supervisor
 from tests.worlds import Make
-
-PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
-SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))
 
 
 def gray_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes:
@@ -125,20 +121,6 @@ def test_lumps_take_away_up_to_their_share_and_are_the_same_in_every_world() -> 
     assert np.all(rough >= 0.85 * plain - 1e-12)
     assert np.ptp(rough[plain > 0.1] / plain[plain > 0.1]) > 0.1
     assert np.array_equal(rough, height_grid(Pit(3.2, 3.0, 0.15)).heights)
-
-
-@pytest.mark.parametrize("relief", [PIT, SLOPE], ids=["pit", "slope"])
-def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: TerrainShape) -> None:
-    at = ground_height(Terrain(relief))
-    rng = random.Random(0)
-    with closing(engines.create("pybullet", world(relief))) as engine:
-        down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
-        read = engine.rays(("ball", None), down, 10.0)
-        for _ in range(50):
-            x, y = rng.uniform(-2.9, 2.9), rng.uniform(-2.9, 2.9)
-            engine.reset()
-            engine.place("ball", (x, y, 5.0), IDENTITY_ROTATION)
-            assert 5.0 - read()[0] == pytest.approx(at(x, y), abs=1e-5)
 
 
 def test_a_ball_comes_to_rest_on_the_bottom_of_a_pit_and_touches_the_ground_there() -> None:
