@@ -679,15 +679,6 @@ def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):
     assert roll_rate == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_thrust_along_x_accelerates_forward_as_one_along_z_does_upward(drone: Make):
-    forward = drone(BALANCED.replace("spin:", "axis: x, spin:"), EXACT_HOVER)
-    fly(forward, 1)  # the rotors are above the center of mass, so the nose goes down
-    (forward_speed, side_speed, up_speed), _ = forward.engine.velocity("drone")()
-    assert forward_speed == pytest.approx(GRAVITY * DRONE_TICK, rel=2e-2)
-    assert side_speed == pytest.approx(0.0, abs=1e-3)
-    assert up_speed == pytest.approx(-GRAVITY * DRONE_TICK, rel=2e-2)
-
-
 def test_commands_beyond_the_range_are_brought_to_its_end(drone: Make):
     falling = drone(PERFECT, "parameters.hover=-10 N")
     fly(falling, 20)
