@@ -140,44 +140,6 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
 
 
-def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: Make):
-    drawn = rail(
-        *ENDLESS,
-        strength="uniform(0.5 .. 1)",
-        delay="uniform(0 .. 40 ms)",
-        time_constant="uniform(10 .. 50 ms)",
-        max_torque="uniform(5 .. 10 N)",
-    )
-    drive = drawn.robot_cart.drive_motor
-    figures = []
-    for seed in (1, 2, 1):
-        first = cart_speeds(drawn, 8, seed=seed)
-        figures.append(
-            (*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first)
-        )
-    assert figures[0] == figures[2] != figures[1]
-    fresh = rail(
-        *ENDLESS,
-        strength="uniform(0.5 .. 1)",
-        delay="uniform(0 .. 40 ms)",
-        time_constant="uniform(10 .. 50 ms)",
-        max_torque="uniform(5 .. 10 N)",
-    )
-    assert cart_speeds(fresh, 8, seed=1) == figures[0][-1]
-
-
-def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
-    drawn = rail(
-        *ENDLESS, "robots.cart.apply.motor=drive * 6 N", type="torque_motor", strength="uniform(0.2 .. 1)"
-    )
-    torques = drawn.engine.joint_torques("cart", ("slider",))
-    for seed in range(5):
-        drawn.reset(seed=seed)
-        drawn.step(FORWARD)
-        (strength,) = drawn.robot_cart.drive_motor.strength
-        assert torques()[0] == pytest.approx(6 * strength)
-
-
 def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
     late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
     once = cart_speeds(late, 8, FORWARD)
@@ -445,31 +407,6 @@ def test_a_motor_holds_the_weight_of_a_link_at_its_center_of_mass(
     for _ in range(100):
         (share,), *_ = beam.step(np.zeros(1, np.float32))
     assert -50 * share == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
-
-
-def test_bodies_and_joints_are_drawn_once_per_episode_and_come_again_with_the_seed(
-    make: Make, tmp_path: Path
-) -> None:
-    pytest.importorskip("mujoco")
-    link = "{com: uniform(-10 0 0 .. 10 0 0 cm), inertia: uniform(0.5 .. 2)}"
-    beam = held_beam(make, tmp_path, "mujoco", link, "{armature: uniform(0 .. 0.1 kg*m^2)}")
-    draws, torques = [], []
-    for seed in (1, 2, 1):
-        draws.append(beam.reset(seed=seed)[1]["drawn"])
-        for _ in range(100):
-            (share,), *_ = beam.step(np.zeros(1, np.float32))
-        torques.append(-50 * share)
-        offset = draws[-1]["robots.arm.links.beam.com.x"]
-        assert torques[-1] == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
-    assert set(draws[0]) == {
-        "robots.arm.links.beam.com.x",
-        "robots.arm.links.beam.com.y",
-        "robots.arm.links.beam.com.z",
-        "robots.arm.links.beam.inertia",
-        "robots.arm.joints.hinge.armature",
-    }
-    assert draws[0] == draws[2] != draws[1]
-    assert torques[0] == torques[2] != torques[1]
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
@@ -742,15 +679,6 @@ def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):
     assert roll_rate == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_thrust_along_x_accelerates_forward_as_one_along_z_does_upward(drone: Make):
-    forward = drone(BALANCED.replace("spin:", "axis: x, spin:"), EXACT_HOVER)
-    fly(forward, 1)  # the rotors are above the center of mass, so the nose goes down
-    (forward_speed, side_speed, up_speed), _ = forward.engine.velocity("drone")()
-    assert forward_speed == pytest.approx(GRAVITY * DRONE_TICK, rel=2e-2)
-    assert side_speed == pytest.approx(0.0, abs=1e-3)
-    assert up_speed == pytest.approx(-GRAVITY * DRONE_TICK, rel=2e-2)
-
-
 def test_commands_beyond_the_range_are_brought_to_its_end(drone: Make):
     falling = drone(PERFECT, "parameters.hover=-10 N")
     fly(falling, 20)
@@ -774,18 +702,3 @@ def test_rotors_stand_still_from_a_reset_to_the_first_command(drone: Make):
         fly(late, 5)
         (_, _, speed), _ = late.engine.velocity("drone")()
         assert speed == pytest.approx(-GRAVITY * 5 * DRONE_TICK, rel=1e-3)
-
-
-def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: Make):
-    worn = drone(
-        "robots.drone.actuators.rotors.delay=0 ms",
-        "robots.drone.actuators.rotors.time_constant=0 ms",
-        EXACT_HOVER,
-    )
-    worn.reset(seed=3)
-    strengths = worn.robot_drone.drive_rotors.strength
-    assert len(set(strengths)) == 4
-    assert all(0.95 <= strength <= 1 for strength in strengths)
-    worn.step(np.zeros(4, np.float32))
-    (_, _, speed), _ = worn.engine.velocity("drone")()
-    assert speed == pytest.approx(GRAVITY * (sum(strengths) / 4 - 1) * DRONE_TICK, rel=2e-2)

@@ -866,7 +866,7 @@ evaluation: {{episodes: 2}}
 robots: {{cart: {{urdf: {robot}}}}}
 train: {{algorithm: PPO, total_timesteps: 64, environments: 1, n_steps: 32, batch_size: 32, n_epochs: 1}}
 """
-# The robot file and the mesh, from the folder of the meshed, and how the robot file names the mesh.
+# The robot file and the mesh, from the folder of the project, and how the robot file names the mesh.
 WAYS = {
     "the folder of the project": ("urdf/r.urdf", "meshes/m.obj", "package://arms/meshes/m.obj"),
     "a folder above the project": ("urdf/r.urdf", "meshes/m.obj", "package://home/arms/meshes/m.obj"),

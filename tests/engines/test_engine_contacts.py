@@ -390,26 +390,6 @@ def test_rays_do_not_see_marks_and_change_no_collisions(engine_name, worlds, bui
     assert seeing.pose("robot")()[0][0] > 0.1
 
 
-def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(engine_name, build):
-    engine = build(
-        engine_name,
-        world(
-            ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1)), 1.0),
-            ObjectBody("far", Sphere(0.1), mass=1.0, pooled=True),
-        ),
-    )
-    read = engine.rays(("scout", None), [towards(0.0), towards(pi / 2)], 10.0)
-    assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
-    engine.place("ball", (3, 0, 1), frames.IDENTITY_ROTATION, (1.0, 0, 0))
-    engine.place("far", (0, 5, 1), frames.IDENTITY_ROTATION)
-    assert read() == pytest.approx([2.9, 4.9], abs=1e-6)
-    for _ in range(50):
-        engine.step(1)
-        assert read()[0] == pytest.approx(engine.pose("ball")()[0][0] - 0.1, abs=1e-6)
-    engine.reset()
-    assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
-
-
 RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
 FOV, WIDE, HIGH = 0.9, 120, 84
 PIXEL = 2 * tan(FOV / 2) / HIGH

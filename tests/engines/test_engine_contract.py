@@ -167,21 +167,6 @@ def test_closing_twice_is_fine_and_use_after_it_is_an_error(engine_name, worlds,
             use()
 
 
-def test_a_body_goes_exactly_where_it_is_placed(engine_name, worlds, build):
-    engine = build(engine_name, worlds.ball())
-    engine.place("ball", (0.1, 0.2, 0.3), TURNED)
-    assert engine.pose("ball")() == ((0.1, 0.2, 0.3), pytest.approx(TURNED, abs=1e-15))
-    assert engine.velocity("ball")() == ((0, 0, 0), (0, 0, 0))
-
-
-def test_placing_means_the_origin_of_the_link_and_not_its_center_of_mass(engine_name, worlds, build):
-    engine = build(engine_name, worlds.crooked())
-    engine.place("robot", (0.1, 0.2, 0.3), TURNED)
-    position, orientation = engine.pose("robot")()
-    assert position == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)
-    assert orientation == pytest.approx(TURNED, abs=1e-12)
-
-
 @pytest.mark.parametrize("world_name", ["rail", "crooked"])
 def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_name, world_name, worlds, build):
     engine = build(engine_name, getattr(worlds, world_name)())
@@ -193,35 +178,6 @@ def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_nam
         assert engine.motion("robot", link)() == (
             engine.pose("robot", link)(),
             engine.velocity("robot", link)(),
-        )
-
-
-def test_a_joint_goes_exactly_where_it_is_set_and_its_links_with_it(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail())
-    engine.set_joint("robot", "slide", 0.25, -0.5)
-    engine.set_joint("robot", "hinge", pi / 2, 2.0)
-    slide, hinge = engine.joint_states("robot", ["slide", "hinge"])()
-    assert (*slide[:2], *hinge[:2]) == (0.25, -0.5, pi / 2, 2.0)
-    assert engine.pose("robot", "tip")()[0] == pytest.approx((1.25, 0, 1), abs=1e-6)
-    linear, angular = engine.velocity("robot", "tip")()
-    assert linear == pytest.approx((-0.5, 0, -2.0), abs=1e-6)
-    assert angular == pytest.approx((0, 2.0, 0), abs=1e-12)
-
-
-def test_poses_and_velocities_agree_while_moving(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail(timestep=0.002, substeps=2))
-    engine.set_joint("robot", "slide", 0.0, 0.4)
-    engine.set_joint("robot", "hinge", 0.3, 1.5)
-    for link in ("cart", "pole", "tip"):
-        pose = engine.pose("robot", link)
-        velocity = engine.velocity("robot", link)
-        engine.step(2)
-        before = pose()[0]
-        speed_before = velocity()[0]
-        engine.step(2)
-        mean = [(a + b) / 2 for a, b in zip(speed_before, velocity()[0], strict=True)]
-        assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(
-            mean, abs=0.02
         )
 
 

@@ -351,20 +351,6 @@ def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build
         assert engine.velocity("ball")()[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_damping_of_a_joint_takes_speed_exponentially_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=10)))
-    read = engine.joint_states("robot", ["slide"])
-    for damping in (0.0, 2.0, 0.0):
-        engine.reset()
-        if damping:
-            engine.set_parameter("joint_damping", ("robot", "slide"), damping)
-        engine.set_joint("robot", "slide", 0.0, 1.0)
-        engine.set_joint("robot", "hinge", pi / 2, 0.0)
-        for _ in range(20):
-            engine.step(10)
-        assert read()[0][1] == pytest.approx(exp(-damping / 1.1 * 0.2), rel=0.01)
-
-
 def test_friction_of_a_joint_slows_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=4)))
     for friction in (0.0, 2.2, 0.0):

@@ -17,14 +17,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from deepbots_cli.compiler.robots import matching_names
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.document import shipped
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -44,7 +42,6 @@ from deepbots_cli.robots.model import (
 )
 from deepbots_cli.robots.packages import UnusableMesh, mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
-from tests.few import few
 from tests.golden.cases import mistakes
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -562,37 +559,6 @@ def test_missing_files_folders_and_pipes_are_findings(tmp_path: Path):
 
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
-PUBLISHED = {
-    "r2d2.urdf": {"DB306", "DB307"},  # its head is continuous, from -0.38 to 0 rad
-    "husky/husky.urdf": set(),
-    "quadruped/minitaur.urdf": {"DB306", "DB307", "DB311"},
-    "laikago/laikago.urdf": {"DB306"},
-    "laikago/laikago_toes.urdf": {"DB306", "DB311"},
-    "kuka_iiwa/model.urdf": {"DB306"},
-    "franka_panda/panda.urdf": set(),
-    "a1/a1.urdf": set(),
-    "bicycle/bike.urdf": {"DB311"},
-    "biped/biped2d_pybullet.urdf": {"DB307", "DB311"},
-    "differential/diff_ring.urdf": {"DB306", "DB311", "DB507"},
-    "quadruped/microtaur/microtaur.urdf": {"DB306", "DB311"},
-    "racecar/racecar_differential.urdf": {
-        "DB307",
-        "DB311",
-    },  # one of its steering hinges is continuous, from -1 to 1 rad
-    "humanoid/humanoid.urdf": {"DB311"},
-    "spherical_joint_limit.urdf": {"DB306", "DB311"},
-}
-UNLIKE = (
-    "r2d2.urdf",
-    "husky/husky.urdf",
-    "quadruped/minitaur.urdf",
-    "kuka_iiwa/model.urdf",
-    "bicycle/bike.urdf",
-    "biped/biped2d_pybullet.urdf",
-    "humanoid/humanoid.urdf",
-    "spherical_joint_limit.urdf",
-)
-"""Those without many triangles, which take a second to read."""
 
 
 def shipped_robot(name: str) -> RobotFile:
@@ -618,22 +584,6 @@ def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
     again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
     assert again is not None
     assert again.model == robot.model
-
-
-def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
-    model = shipped_robot("cartpole.urdf").model
-    assert model.root == "body"
-    wheels = matching_names((joint.name for joint in model.moving_joints), "wheel_*")
-    assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
-    hinge = model.joint("pole_hinge")
-    assert (hinge.limit.lower, hinge.limit.upper) == (-1.3, 1.3)
-    assert hinge.limit.effort is None
-    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == (
-        (0.0, 1.0, 0.0),
-        (0.0, 0.0, 0.03),
-        0.0,
-        0.0,
-    )
 
 
 def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
@@ -698,17 +648,6 @@ def published(library: Path, name: str) -> tuple[RobotFile | None, Findings]:
     return read(
         library / name, name, findings, resolve_mesh=mesh_resolver((library / name).parent, [library])
     ), findings
-
-
-@pytest.mark.parametrize("name", few(PUBLISHED, UNLIKE))
-def test_a_published_robot_is_read_with_warnings_at_most(library, name):
-    robot, findings = published(library, name)
-    assert findings.errors == []
-    assert robot is not None
-    assert {finding.code for finding in findings} == PUBLISHED[name]
-    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
-    assert again is not None
-    assert again.model == robot.model
 
 
 @pytest.mark.slow
@@ -835,41 +774,3 @@ def test_names_with_special_characters_are_escaped(name):
 def yourdfpy() -> Any:
     """Imported by the tests that need it, since the import takes two seconds."""
     return pytest.importorskip("yourdfpy")
-
-
-def model_of(name: str) -> RobotModel:
-    path = shipped.robot_path(name)
-    assert path is not None
-    robot = read(path, path.name, Findings())
-    assert robot is not None
-    return robot.model
-
-
-@pytest.mark.parametrize("name", shipped.robot_names())
-def test_another_reader_finds_the_same_joints_in_the_normalized_file(
-    yourdfpy: Any, name: str, tmp_path: Path
-) -> None:
-    model = model_of(name)
-    file = tmp_path / "robot.urdf"
-    file.write_text(to_urdf(model), encoding="utf-8")
-    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    assert read_by_yourdfpy.base_link == model.root
-    assert list(read_by_yourdfpy.joint_map) == [joint.name for joint in model.joints]
-    for joint in model.moving_joints:
-        theirs = read_by_yourdfpy.joint_map[joint.name]
-        assert theirs.type == joint.type
-        np.testing.assert_allclose(theirs.axis, joint.axis)
-        if joint.limit.upper is not None:
-            assert (theirs.limit.lower, theirs.limit.upper) == (joint.limit.lower, joint.limit.upper)
-
-
-def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: Any, tmp_path: Path) -> None:
-    model = model_of("cartpole")
-    file = tmp_path / "robot.urdf"
-    file.write_text(to_urdf(model), encoding="utf-8")
-    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    angle = 0.3
-    read_by_yourdfpy.update_cfg({"pole_hinge": angle})
-    tip = read_by_yourdfpy.get_transform("tip", model.root)[:3, 3]
-    # The hinge is 0.03 m above the body's center; a pole that leans to +x has a positive angle.
-    np.testing.assert_allclose(tip, [np.sin(angle), 0.0, 0.03 + np.cos(angle)], atol=1e-12)

@@ -370,7 +370,9 @@ class DrawnEffects:
             size = f"{self.starts:,} episodes are too few to find one"
         else:
             points = f"{100 * self.detectable:.0f} percentage points"
-            amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
+            amount = (
+                points if self.outcome == "success" else f"{number_text(self.detectable, 3)} in the return"
+            )
             size = (
                 f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest"
                 f" quarter of a value is found with a probability of {POWER:.0%}"
