@@ -22,7 +22,7 @@ from deepbots_cli.expressions.intervals import ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
-from deepbots_cli.lint.context import RuleContext, rule
+from deepbots_cli.lint.context import Match, RuleContext, rule
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.words import number_text
@@ -199,8 +199,13 @@ def _sum(slopes: list[float | None]) -> float | None:
     return None
 
 
-@rule("DB706", versions="training")
-def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB706",
+    "`{term}` depends on the {kind} `{source}`, which the policy does not observe",
+    "add an entry that uses `{source}` under `augment`, and list this entry under `observation`",
+    versions="training",
+)
+def hidden_state_reward(context: RuleContext) -> Iterator[Match]:
     """Report a reward that depends on a value that differs between episodes and that the policy does not
     observe."""
     analysis = context.analysis.ideal
@@ -224,24 +229,24 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     for term, node in analysis.reward.terms:
         hidden = sorted((analysis.drawn_dependencies(node) - observed_names) & (drawn_names | bodies))
         if hidden:
-            subject = f"the {'drawn parameter' if hidden[0] in drawn_names else 'body'} `{hidden[0]}`"
-            help = (
-                f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under"
-                " `observation`"
-            )
             used = set(referenced_names(term.typed))
             between = [
                 value
                 for value in program.signals
                 if value.name in used and hidden[0] in referenced_names(value.typed)
             ]
-            headline = f"`{term.name}` depends on {subject}, which the policy does not observe"
-            labels = [Label(value.span, f"depends on `{hidden[0]}`") for value in between]
-            yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
+            labels = tuple(Label(value.span, f"depends on `{hidden[0]}`") for value in between)
+            kind = "drawn parameter" if hidden[0] in drawn_names else "body"
+            yield Match(term.span, labels=labels, term=term.name, kind=kind, source=hidden[0])
 
 
-@rule("DB710", versions="training")
-def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB710",
+    "`{term}` pays more as the episode approaches `{ending}`",
+    "reward the opposite, as in `{opposite}`",
+    versions="training",
+)
+def pays_towards_failure(context: RuleContext) -> Iterator[Match]:
     """Report a term that pays more as the episode approaches a failure."""
     analysis = context.analysis
     reward = context.analysis.reward
@@ -253,10 +258,9 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         threshold = next(thresholds(compared, reward.ranges_while_running()), None) if compared else None
         if compared is None or threshold is None or not _counts_from_middle(reward, threshold):
             continue
+        labels, opposite = (Label(ending.span, "a failure"),), _opposite(compared, threshold)
         for term in _towards(reward, threshold, ordinary):
-            headline = f"`{term.name}` pays more as the episode approaches `{ending.name}`"
-            also = (Label(ending.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, _opposite_help(compared, threshold), labels=also)
+            yield Match(term.span, labels=labels, term=term.name, ending=ending.name, opposite=opposite)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
@@ -307,11 +311,9 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     return bodies
 
 
-def _opposite_help(compared: ConditionComparison, threshold: Threshold) -> str:
+def _opposite(compared: ConditionComparison, threshold: Threshold) -> str:
+    """Return a term that pays less as a quantity approaches its limit."""
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
     assert threshold.dimension is not None  # a length or an angle
-    return (
-        f"reward the opposite, as in `exp(-{quantity} /"
-        f" {with_unit(threshold.bound.low / 2, threshold.dimension)})`"
-    )
+    return f"exp(-{quantity} / {with_unit(threshold.bound.low / 2, threshold.dimension)})"
