@@ -21,7 +21,7 @@ from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
-from deepbots_cli.lint.rays import SAME_HEIGHT_M
+from deepbots_cli.lint.geometry import SAME_HEIGHT_M
 from deepbots_cli.lint.simulation import TOPPLING_S, SimulationPosition, UnreachedPose, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import RobotBody, whole_timesteps

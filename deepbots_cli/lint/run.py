@@ -24,11 +24,10 @@ from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import (
     endings,
+    geometry,
     incentives,
-    mirrors,
     names,
     observations,
-    rays,
     rewards,
     robots,
     shaping,
@@ -112,9 +111,8 @@ _MODULES = (
     names,
     world,
     robots,
-    rays,
+    geometry,
     observations,
-    mirrors,
     rewards,
     incentives,
     shaping,
