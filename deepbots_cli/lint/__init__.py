@@ -16,8 +16,7 @@ world.py         objects out of scale, means of engines, how episodes begin     
                                                                                      DB323, DB507, DB809,
                                                                                      DB812
 observations.py  what the policy sees                                                DB6
-rewards.py       the size of the reward; shaping.py its direction; incentives.py     DB7, DB810
-                 what pays
+rewards.py       the size of the reward; incentives.py what it pays for              DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                     DB8
 exploits.py      rewards that pay for something other than success                   DB712 to DB715, DB717
 

@@ -30,7 +30,6 @@ from deepbots_cli.lint import (
     observations,
     rewards,
     robots,
-    shaping,
     world,
 )
 from deepbots_cli.lint.context import LintRule, RuleContext, SimulatedRule, Simulation, StaticRule
@@ -115,7 +114,6 @@ _MODULES = (
     observations,
     rewards,
     incentives,
-    shaping,
     endings,
 )
 _RULES = [rule for module in _MODULES for rule in vars(module).values() if isinstance(rule, LintRule)]
