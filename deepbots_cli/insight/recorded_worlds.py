@@ -14,7 +14,6 @@ from itertools import combinations, islice
 from math import inf
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +24,7 @@ from deepbots_cli.errors import EvaluationError
 from deepbots_cli.insight.trace import (
     Comparison,
     InstrumentedProgram,
+    TraceRecorder,
     inner_comparisons,
     instrument_program,
     measure,
@@ -246,12 +246,18 @@ _UNITS = {
 
 class EngineWorld(NamedTuple):
     """A scenario and the engine in which it runs. `columns` are the values that are kept of it; by default
-    all."""
+    all. `recorder` is the world itself if it is built already."""
 
     program: Program
     engine: str | None
     permissions: Permissions = Permissions()
     columns: Sequence[ValueColumn] | None = None
+    recorder: TraceRecorder | None = None
+
+    def build(self) -> TraceRecorder:
+        watch = instrument_program(self.program, include_observation=True)
+        world = api.build(watch.program, engine=self.engine, permissions=self.permissions)
+        return TraceRecorder(world, watch)
 
 
 @dataclass(frozen=True)
@@ -295,7 +301,7 @@ class ValueColumn(NamedTuple):
 
 
 def columns_of(watch: InstrumentedProgram) -> list[ValueColumn]:
-    """Return the columns of the values that `RecordingWrapper` keeps."""
+    """Return the columns of the values of a world that keeps its endings and observations."""
     signals = _kept_signals(watch)
     return [
         *(
@@ -323,64 +329,20 @@ def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
     return {name: signal for name, signal in watch.observed_signals.items() if name != "previous_action"}
 
 
-class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that records the actions of an episode, and its values: those of the observation in SI units,
-    the reward terms, and the conditions of the successes (1 or 0). `act` changes the actions."""
-
-    def __init__(self, world: EngineWorld) -> None:
-        self._watch = instrument_program(world.program, include_observation=True)
-        self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=world.permissions)
-        super().__init__(self._supervisor)
-        self.actions: list[Any] = []
-        self.act: Act = lambda action: action
-        self._conditions = _success_conditions(self._watch)
-        own = columns_of(self._watch)
-        self._kept = [own.index(column) for column in world.columns or own]
-        self._rows: list[list[float]] = []
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        self.actions, self._rows = [], []
-        try:
-            outcome = self.env.reset(seed=seed, options=options)
-        except EvaluationError:  # an ending is true already, such as by a wrong sensor
-            self._note()
-            raise
-        self._note()
-        return outcome
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        outcome = self.env.step(self.act(action))
-        self.actions.append(action)
-        self._note()
-        return outcome
-
-    def _note(self) -> None:
-        values = self._watch.read(self._supervisor)
-        terms = (
-            self._supervisor.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
-        )
-        self._rows.append(
-            [
-                *(number for name in _kept_signals(self._watch).values() for number in values[name]),
-                *terms.values(),
-                *(float(measure(leaf, values).holds) for leaf in self._conditions),
-            ]
-        )
-
-    @property
-    def _terms(self) -> list[str]:
-        return [term.name for term in self._watch.program.agent.reward]
-
-    @property
-    def values(self) -> Array:
-        """The values, of shape (moments, columns)."""
-        return np.array(self._rows, float)[:, self._kept]
-
-
-World = EngineWorld | RecordingWrapper
-"""A world to build, or one that exists."""
+def _values(recorder: TraceRecorder, columns: Sequence[ValueColumn] | None) -> Array:
+    """Return columns of an episode that was recorded: the observation in SI units, the reward terms, and the
+    conditions of the successes (1 or 0), of shape (moments, columns)."""
+    watch = recorder.instrumented
+    own, signals, conditions = columns_of(watch), _kept_signals(watch).values(), _success_conditions(watch)
+    rows = [
+        [
+            *(number for name in signals for number in values[name]),
+            *terms.values(),
+            *(float(measure(leaf, values).holds) for leaf in conditions),
+        ]
+        for values, terms in recorder.moments()
+    ]
+    return np.array(rows, float)[:, [own.index(column) for column in columns or own]]
 
 
 @dataclass
@@ -390,21 +352,20 @@ class ChangeEffect:
 
     texts: list[str]
     values: list[Array]
-    world: Callable[[], tuple[World, Act | None]] | None = None
+    world: Callable[[], tuple[EngineWorld, Act | None]] | None = None
 
 
 @contextmanager
-def _recorder(world: World, act: Act | None) -> Iterator[RecordingWrapper]:
-    """Yield the recorder of a world, and close it if it is built here."""
-    recorder = RecordingWrapper(world) if isinstance(world, EngineWorld) else world
-    recorder.act = act or (lambda action: action)
-    with closing(recorder) if recorder is not world else nullcontext():
+def _opened(world: EngineWorld, act: Act | None) -> Iterator[TraceRecorder]:
+    """Yield the recorder of a world, in which `act` changes the actions, and close it if it is built here."""
+    with nullcontext(world.recorder) if world.recorder else closing(world.build()) as recorder:
+        recorder.act = act or (lambda action: action)
         yield recorder
 
 
 def record_episodes(
     run: Run,
-    world: World,
+    world: EngineWorld,
     model: ModelName,
     starts: Iterable[Start],
     *,
@@ -416,25 +377,28 @@ def record_episodes(
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     recorded = []
-    with torch_settings(), _recorder(world, act) as recorder:
+    with torch_settings(), _opened(world, act) as recorder:
         driver = PolicyDriver(load_model(run, model, recorder), recorder, deterministic=True)
         for start in starts:
             *_, step = islice(steps(recorder, driver, start), None if max_steps is None else max_steps + 1)
             is_success = bool(step.info.get("is_success"))
-            recorded.append(RecordedEpisode(start, recorder.actions, recorder.values, is_success))
+            values = _values(recorder, world.columns)
+            recorded.append(RecordedEpisode(start, recorder.actions, values, is_success))
     return recorded
 
 
-def repeat_episodes(world: World, recorded: Sequence[RecordedEpisode], act: Act | None = None) -> list[Array]:
+def repeat_episodes(
+    world: EngineWorld, recorded: Sequence[RecordedEpisode], act: Act | None = None
+) -> list[Array]:
     """Return the values of each episode with its start and actions in a world; `act` changes the actions."""
     values = []
-    with _recorder(world, act) as recorder:
+    with _opened(world, act) as recorder:
         for episode in recorded:
             again = steps(recorder, sequence_driver(episode.actions), episode.start)
             with suppress(EvaluationError):  # an ending is true at the reset
                 for _ in islice(again, len(episode.actions) + 1):
                     pass
-            values.append(recorder.values)
+            values.append(_values(recorder, world.columns))
     return values
 
 

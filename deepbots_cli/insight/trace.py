@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from deepbots_cli import api
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, TypedNode, walk
@@ -489,14 +489,15 @@ def nearest_moment(
 
 
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that records each step of an episode; a reset starts a new record. The wrapper closes the
-    world."""
+    """A world that records each step of an episode; a reset starts a new record. `act` changes the actions,
+    but not the recorded ones. The wrapper closes the world."""
 
     def __init__(
         self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None
     ) -> None:
         super().__init__(world)
         self.world, self.instrumented, self.units = world, instrumented, units or ShownUnits()
+        self.act: Callable[[Any], Any] = lambda action: action
         self.observations: list[Any] = []
         self.actions: list[Any] = []
         self._terms: list[list[Mapping[str, float]]] = []
@@ -505,13 +506,18 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        observation, info = self.env.reset(seed=seed, options=options)
-        self.observations, self.actions, self._terms, self._values = [observation], [], [], []
+        self.observations, self.actions, self._terms, self._values = [], [], [], []
+        try:
+            observation, info = self.env.reset(seed=seed, options=options)
+        except EvaluationError:  # an ending is true already
+            self._note()
+            raise
+        self.observations.append(observation)
         self._note()
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        outcome = self.env.step(action)
+        outcome = self.env.step(self.act(action))
         self.observations.append(outcome[0])
         self.actions.append(action)
         self._terms.append([agent.get_info()["reward_terms"] for agent in self.world.agents.values()])
@@ -520,6 +526,13 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
 
     def _note(self) -> None:
         self._values.append([self.instrumented.read(agent) for agent in self.world.agents.values()])
+
+    def moments(self) -> Iterator[tuple[StepValues, Mapping[str, float]]]:
+        """Yield the kept values and the reward terms of the first agent in each moment so far; the terms are
+        0 at the reset."""
+        yield self._values[0][0], {term.name: 0.0 for term in self.instrumented.program.agent.reward}
+        for values, terms in zip(self._values[1:], self._terms, strict=True):
+            yield values[0], terms[0]
 
     def trace(self, title: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
         """Return the episode so far."""

@@ -41,10 +41,8 @@ from deepbots_cli.insight.recorded_worlds import (
     Difference,
     EngineWorld,
     RecordedEpisode,
-    RecordingWrapper,
     ValueColumn,
     ValueComparison,
-    World,
     action_gains,
     changed_actions,
     columns_of,
@@ -402,7 +400,7 @@ def compare_worlds(
     longest = max([MAX_STEPS, *(parting_steps[number] for number in late)])
 
     def record(
-        numbers: Iterable[int], max_steps: int | None, world: World, act: Act | None = None
+        numbers: Iterable[int], max_steps: int | None, world: EngineWorld, act: Act | None = None
     ) -> list[RecordedEpisode]:
         starts = (Start.of_evaluation(seed, number) for number in numbers)
         return record_episodes(run, world, model, starts, act=act, max_steps=max_steps)
@@ -418,8 +416,8 @@ def compare_worlds(
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
-    with closing(RecordingWrapper(first)) as unchanged:
-        kinds = [*_kinds(first, unchanged, document)]
+    with closing(first.build()) as recorder:
+        kinds = [*_kinds(first, first._replace(recorder=recorder), document)]
         for row in _simulated_causes(comparison, kinds, on_world):
             duplicate = next(
                 (other for other in rows if comparison.all_same([other.values], [row.values])), None
@@ -641,7 +639,7 @@ class Kind:
     """
 
     name: str
-    changed: Callable[[float], tuple[World, Act | None]]
+    changed: Callable[[float], tuple[EngineWorld, Act | None]]
     amounts: tuple[float, ...] = (1.0,)
     probes: tuple[float, ...] = (1.0,)
     form: str = ""
@@ -650,13 +648,13 @@ class Kind:
         return f"{self.name} {self.form.format(amount)}".rstrip()
 
 
-def _kinds(world: EngineWorld, unchanged: RecordingWrapper, document: Document) -> Iterator[Kind]:
-    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
+def _kinds(world: EngineWorld, unchanged: EngineWorld, document: Document) -> Iterator[Kind]:
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other actions."""
 
-    def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[World, Act | None]]:
+    def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[EngineWorld, Act | None]]:
         return lambda amount: (unchanged, act(amount))
 
-    def with_plan(plan: Plan) -> Callable[[float], tuple[World, Act | None]]:
+    def with_plan(plan: Plan) -> Callable[[float], tuple[EngineWorld, Act | None]]:
         return lambda amount: (world._replace(program=changed_program(document, plan.change(amount))), None)
 
     for name, act in changed_actions(world.program):

@@ -11,13 +11,12 @@ names.py         places left to the author, unused definitions, equality of     
 robots.py        commands, actuators, wheels that slip, robots that topple           DB312 to DB315, DB317,
                                                                                      DB319, DB322, DB324,
                                                                                      DB325
-rays.py          rays of sensors that meet nothing                                   DB615
+geometry.py      rays of sensors that meet nothing, mirror images of joints          DB615, DB618
 world.py         objects out of scale, means of engines, how episodes begin          DB309, DB310, DB316,
                                                                                      DB323, DB507, DB809,
                                                                                      DB812
-observations.py  what the policy sees; mirrors.py mirror images                      DB6
-rewards.py       the size of the reward; shaping.py its direction; incentives.py     DB7, DB810
-                 what pays
+observations.py  what the policy sees                                                DB6
+rewards.py       the size of the reward; incentives.py what it pays for              DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                     DB8
 exploits.py      rewards that pay for something other than success                   DB712 to DB715, DB717
 

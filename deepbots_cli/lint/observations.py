@@ -23,7 +23,7 @@ from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import TypedNode, walk
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
@@ -114,8 +114,13 @@ def replace_range(
     )
 
 
-@rule("DB614", versions="training")
-def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB614",
+    "`{name}` depends on `{source}`, as the goal does, but hindsight replay replaces only `desired`",
+    "remove it from the observation: the policy already sees `achieved` and `desired`",
+    versions="training",
+)
+def goal_in_observation(context: RuleContext) -> Iterator[Match]:
     """Report an entry of the observation that depends on the goal, with hindsight replay."""
     program = context.program
     if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
@@ -131,13 +136,8 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     for entry in program.agent.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = (
-                f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight"
-                " replay replaces only `desired`"
-            )
-            help = "remove it from the observation: the policy already sees `achieved` and `desired`"
             also = (Label(program.agent.goal.desired.span, f"the goal depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, help, labels=also)
+            yield Match(entry.value.span, labels=also, name=entry.value.name, source=min(shared))
 
 
 class Linear(NamedTuple):
@@ -147,8 +147,13 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
 
-@rule("DB616")
-def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB616",
+    "`{name}` has noise, and the policy sees its exact value in `{exact}`",
+    "declare the noise once, under `augment`, as `{{value: ..., noise: ...}}`, and use this name in both"
+    " places",
+)
+def noise_without_effect(context: RuleContext) -> Iterator[Match]:
     """Report a value with noise whose exact value the policy sees elsewhere."""
     program, analysis = context.program, context.analysis
     if not any(
@@ -172,20 +177,8 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
         )
         if exact_number is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
-            headline = (
-                f"`{number.name}` has noise, and the policy sees its exact value in `{exact_number.name}`"
-            )
-            help = (
-                "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this"
-                " name in both places"
-            )
-            yield Finding(
-                "DB616",
-                noises[0].std.span,
-                headline,
-                help,
-                labels=(Label(exact_number.entry.value.span, "exact value"),),
-            )
+            labels = (Label(exact_number.entry.value.span, "exact value"),)
+            yield Match(noises[0].std.span, labels=labels, name=number.name, exact=exact_number.name)
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -295,8 +288,12 @@ def _shows(exact_number: RangedNumber, exact: Linear, noisy: RangedNumber, hidde
     return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
 
-@rule("DB601")
-def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB601",
+    "`{name}` is not clipped to its range, and can be arbitrarily large",
+    "remove `clip: false`, or `clamp` the value under `augment`",
+)
+def observation_unbounded(context: RuleContext) -> Iterator[Match]:
     """Report an entry of the observation that is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
     unclipped = [
@@ -305,15 +302,8 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
         if not number.entry.clip and not analysis.ranges.of(number.node).is_finite
     ]
     for entry in {id(number.entry): number.entry for number in unclipped}.values():
-        headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
-        yield Finding(
-            "DB601",
-            context.range_span(entry),
-            headline,
-            "remove `clip: false`, or `clamp` the value under `augment`",
-            fix=fix,
-        )
+        yield Match(context.range_span(entry), fix=fix, name=entry.value.name)
 
 
 @rule("DB602")
@@ -421,8 +411,13 @@ def _number_in_units(simulation: Simulation, number: RangedNumber) -> float:
     return value if abs(value) > number.slack else 0.0
 
 
-@rule("DB611", simulated=True)
-def often_saturated(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB611",
+    "`{name}` is at the end of its range, {end}, in most of the simulated steps",
+    "widen the range so that it covers the usual values",
+    simulated=True,
+)
+def often_saturated(simulation: Simulation) -> Iterator[Match]:
     """Report a number that under every policy is at the same end of its range in most steps, and could lie
     beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
@@ -445,23 +440,18 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
             }
             if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
-                at = with_unit(end, number.dimension)
-                headline = (
-                    f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
-                )
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                yield Finding(
-                    "DB611",
-                    simulation.range_span(entry),
-                    headline,
-                    "widen the range so that it covers the usual values",
-                    notes=notes,
-                )
+                at = with_unit(end, number.dimension)
+                yield Match(simulation.range_span(entry), notes=notes, name=number.full_name, end=at)
                 break
 
 
-@rule("DB318")
-def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB318",
+    "`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {own}",
+    "observe each joint by itself, as in `{name}.{joint}: auto`",
+)
+def range_of_other_parts(context: RuleContext) -> Iterator[Match]:
     """Report the range `auto` of several joints that is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span = context.range_span(entry)
@@ -470,18 +460,12 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in limits]
         if shares and min(shares) < _MIN_RANGE_SHARE:
             narrowest = shares.index(min(shares))
-            joint = entry.value.components[narrowest]
-            own_range = range_text(limits[narrowest], dimension)
-            whole_range = range_text(Interval(entry.low[0], entry.high[0]), dimension)
-            headline = (
-                f"`auto` uses one range for all joints, {whole_range},"
-                f" but `{joint}` moves only within {own_range}"
-            )
-            yield Finding(
-                "DB318",
+            yield Match(
                 span,
-                headline,
-                f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`",
+                whole=range_text(Interval(entry.low[0], entry.high[0]), dimension),
+                joint=entry.value.components[narrowest],
+                own=range_text(limits[narrowest], dimension),
+                name=entry.value.name,
             )
 
 

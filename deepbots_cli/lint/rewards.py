@@ -18,7 +18,7 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.values import Expression
 from deepbots_cli.words import number_text
@@ -157,8 +157,14 @@ class _PoleSearch:
 # Too large, too small
 
 
-@rule("DB702", versions="training")
-def term_dominates(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB702",
+    "in an episode up to the time limit, `{term}` adds up to at least {least} in absolute value, but an"
+    " ending gives at most {prize}",
+    "scale `{term}` down, or scale the rewards of the endings up",
+    versions="training",
+)
+def term_dominates(context: RuleContext) -> Iterator[Match]:
     """Report a term that until the time limit adds up to more than a hundred times the payment of any
     ending."""
     reward = context.analysis.reward
@@ -177,19 +183,9 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
-            headline = (
-                f"in an episode up to the time limit, `{term.name}` adds up to at least {number_text(low)} in"
-                " absolute"
-                f" value, but an ending gives at most {number_text(prize)}"
-            )
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding(
-                "DB702",
-                term.span,
-                headline,
-                f"scale `{term.name}` down, or scale the rewards of the endings up",
-                labels=also,
-            )
+            least, most = number_text(low), number_text(prize)
+            yield Match(term.span, labels=also, term=term.name, least=least, prize=most)
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -217,8 +213,13 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     return total
 
 
-@rule("DB702", simulated=True)
-def term_dominated(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB702",
+    "summed over an episode, `{term}` is at least {ratio} times as large as all other terms together",
+    "scale `{term}` down, or the other terms up",
+    simulated=True,
+)
+def term_dominated(simulation: Simulation) -> Iterator[Match]:
     """Report a term that under every policy adds up to more than a hundred times all other terms and
     endings."""
     if not simulation.is_complete or not simulation.measured:
@@ -244,17 +245,7 @@ def term_dominated(simulation: Simulation) -> Iterator[Finding]:
             )
             notes.append(f"{note}, and an ending pays up to {number_text(prize, 3)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
-            headline = (
-                f"summed over an episode, `{term.name}` is at least {number_text(min(ratios), 3)} times as"
-                " large as all other terms together"
-            )
-            yield Finding(
-                "DB702",
-                term.span,
-                headline,
-                f"scale `{term.name}` down, or the other terms up",
-                notes=tuple(notes),
-            )
+            yield Match(term.span, notes=tuple(notes), term=term.name, ratio=number_text(min(ratios), 3))
 
 
 @rule("DB704", versions="every")
@@ -311,8 +302,13 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     return any(map(is_off, children(node)))
 
 
-@rule("DB704", simulated=True)
-def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB704",
+    "`{term}` was zero in all {steps} simulated steps",
+    "correct the term, or add a script under `scripts` in which it is not zero",
+    simulated=True,
+)
+def term_was_zero(simulation: Simulation) -> Iterator[Match]:
     """Report a term without a condition that was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
@@ -326,9 +322,7 @@ def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
         ):
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
-            headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
-            help = "correct the term, or add a script under `scripts` in which it is not zero"
-            yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
+            yield Match(term.span, notes=(simulation.summary,), term=term.name, steps=simulation.steps)
 
 
 def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
@@ -344,16 +338,18 @@ def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
 
-@rule("DB707", simulated=True)
-def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB707",
+    "`{term}` is not finite",
+    "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow, `exp(min(n,"
+    " 3))` for a number",
+    simulated=True,
+)
+def non_finite_reward(simulation: Simulation) -> Iterator[Match]:
     """Report a term that is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = (
-            "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow,"
-            " `exp(min(n, 3))` for a number"
-        )
-        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
+        yield Match(failed.span, notes=failed.notes, term=failed.name)
 
 
 # Returns

@@ -24,14 +24,12 @@ from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import (
     endings,
+    geometry,
     incentives,
-    mirrors,
     names,
     observations,
-    rays,
     rewards,
     robots,
-    shaping,
     world,
 )
 from deepbots_cli.lint.context import LintRule, RuleContext, SimulatedRule, Simulation, StaticRule
@@ -112,12 +110,10 @@ _MODULES = (
     names,
     world,
     robots,
-    rays,
+    geometry,
     observations,
-    mirrors,
     rewards,
     incentives,
-    shaping,
     endings,
 )
 _RULES = [rule for module in _MODULES for rule in vars(module).values() if isinstance(rule, LintRule)]
