@@ -10,7 +10,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.agents.matches import Match, MatchTable
+    from deepbots_cli.learning.matches import Match, MatchTable
 
 
 def match_lines(result: MatchTable) -> Iterator[str]:

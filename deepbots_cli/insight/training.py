@@ -19,7 +19,7 @@ from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_s
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace
-from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
+from deepbots_cli.learning.environments import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import (

@@ -50,8 +50,8 @@ _SB3_LEARNERS = {
 }
 # By whether agents share a policy that plays against itself.
 _MULTI_AGENT_LEARNERS = {
-    False: "deepbots_cli.learning.agents.multi_agent:MultiAgentLearner",
-    True: "deepbots_cli.learning.agents.self_play:SelfPlayLearner",
+    False: "deepbots_cli.learning.multi_agent:MultiAgentLearner",
+    True: "deepbots_cli.learning.self_play:SelfPlayLearner",
 }
 
 

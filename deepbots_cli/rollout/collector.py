@@ -646,7 +646,7 @@ class ShardedCollector(FetchingCollector):
                     np.append(fragment.starts[:, first], fragment.following_starts[first])
                 )
                 self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
-        # The checkpoints of the training write this very list.
+        # In place, because this is the list of the curriculum.
         self._stages[:] = [episode.stage for episode in self.episodes]
 
     def _steps(

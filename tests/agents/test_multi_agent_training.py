@@ -26,10 +26,10 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.multi_agent import own_model
 from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run

@@ -447,9 +447,6 @@ def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_train
     confirmed = record.result.model_copy(update={"solved_at": at, "confirmations": 1})
     training.run.record = record.model_copy(update={"result": confirmed})
     assert has_learned(training) == "evaluated"
-    before = confirmed.model_copy(update={"confirmations": 0})
-    training.run.record = record.model_copy(update={"result": before})
-    assert has_learned(training) == "exploring"
 
 
 SHORT = (

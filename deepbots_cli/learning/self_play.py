@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.agents.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program.members import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
