@@ -219,7 +219,13 @@ class TrainingProcess:
             sizes = [len(numbers) for numbers in shards.world_numbers(training)]
             seeds = [shards.world_seed(run, world) for world in range(training.environments)]
             return ShardedCollector(
-                pool, seeds, stages, sizes, SingleWorlds([agents], [0]).agents, self._callback
+                pool,
+                seeds,
+                stages,
+                sizes,
+                SingleWorlds([agents], [0]).agents,
+                self._callback,
+                is_ahead=bool(training.staleness),
             )
         worlds = shards.make_worlds(
             stack,
