@@ -488,16 +488,11 @@ def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
         return None
     if evidence.steps > 0.95 * evidence.run.record.total_timesteps or needs_exploration(evidence) is not None:
         return None
-    reason = "because a confirmation, of new episodes without exploration, met `solved`"
-    if result.confirmed_at is None:
-        reason = (
-            "because its own episodes met `solved`: an earlier version did not confirm this with new starts"
-        )
     return {
         **training_length(evidence, evidence.run.record.total_timesteps),
         "likelihood": 0.9,
         "planned": evidence.run.record.total_timesteps,
-        "reason": reason,
+        "reason": "because a confirmation, of new episodes without exploration, met `solved`",
         "verdict": f"An evaluation of {evaluation.episodes:,} episodes does not meet it",
         "result": evaluation.text,
     }

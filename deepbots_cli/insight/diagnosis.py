@@ -90,8 +90,8 @@ from deepbots_cli.insight.training import (
     read_trainings,
     run_probes,
 )
-from deepbots_cli.learning.agents.multi_agent import SHARED
-from deepbots_cli.learning.failures import Failure
+from deepbots_cli.learning.environments import Failure
+from deepbots_cli.learning.multi_agent import SHARED
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import logged_episodes_meet
 from deepbots_cli.program.task import SAME_OBSERVATION
@@ -327,7 +327,7 @@ def _met_while_exploring(evidence: TrainingEvidence) -> bool:
     solved, result = evidence.run.program.agent.solved, evidence.run.record.result
     if result is None or result.solved_at is None:
         return False
-    if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
+    if solved is None:
         return True
     recent = evidence.episodes[-solved.episodes :] if evidence.is_last_stage else evidence.episodes[:0]
     return logged_episodes_meet(solved, recent.returns, recent.successes)

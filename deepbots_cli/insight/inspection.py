@@ -264,7 +264,7 @@ def _run(run: Run) -> Row:
         **{name: result and getattr(result, name) for name in ("steps", "episodes", "mean_return")},
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
-        "best_chosen": result.best_model.text if result and result.best_model else None,
+        "best_chosen": result.best.text if result and result.best else None,
         "solved": verdict if run.program.agent.solved else "the scenario has no `solved` criterion",
         "notes": run.notes(),
     }

@@ -28,7 +28,7 @@ from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageE
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, TypedNode, walk
-from deepbots_cli.learning import failures
+from deepbots_cli.learning import environments
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Goal
@@ -689,13 +689,13 @@ def trace_failure(path: Path, *, permissions: Permissions = Permissions()) -> Tr
     Raises:
         RunError: The file is damaged, or does not lie in the folder of a run.
     """
-    failure, run, program = failures.read_failure(path)
+    failure, run, program = environments.read_failure(path)
     error = ""
     with closing(
         _world(instrument_program(program), run.record.engine, permissions, run.compiled.units)
     ) as world:
         try:
-            for _ in failures.repeat_steps(failure, program, world, path):
+            for _ in environments.repeat_steps(failure, program, world, path):
                 pass
         except RunError:
             raise

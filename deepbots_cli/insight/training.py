@@ -26,7 +26,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.scenario_facts import LintedScenario, ScenarioFacts, linted_scenario, named_source
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, instrument_program, trace_episodes
-from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
+from deepbots_cli.learning.environments import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import (

@@ -3,8 +3,7 @@
 training.py              train and resume: joins all of the below; the speed with several shards
 training_loop.py         a training from its last checkpoint to its end
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
-callbacks.py             the callback of a training, when to stop, and the scalars that it logs
-training_evaluations.py  the evaluations of a training, their confirmations, and the choice of its best model
+callbacks.py             the callback of a training: evaluations, confirmations, the best model, when to stop
 checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
 report.py                the progress of a training and of a group
 
@@ -37,7 +36,6 @@ from typing import TYPE_CHECKING
 from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.agents.matches import MatchTable, play_matches
     from deepbots_cli.learning.campaigns.group import resume_group, train_group
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
     from deepbots_cli.learning.evaluation import (
@@ -46,6 +44,7 @@ if TYPE_CHECKING:
         evaluate_cases,
         evaluate_trained,
     )
+    from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
@@ -56,7 +55,7 @@ _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
     "evaluation": ("evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
     "campaigns.group": ("resume_group", "train_group"),
-    "agents.matches": ("MatchTable", "play_matches"),
+    "matches": ("MatchTable", "play_matches"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "runs.evaluations": ("EvaluationResult",),

@@ -404,8 +404,6 @@ class Checkpoints:
         self.on_restored: list[Callable[[], None]] = [self._cut_logs]
         """Called once the state of the last checkpoint is restored. Until then, no file of the run changes.
         """
-        self.stages: list[int] = []
-        """The stage of each world, which the training keeps up to date."""
         self.inexact: list[str] = []
         self._last = -1
         self._previous = 0
@@ -414,7 +412,6 @@ class Checkpoints:
         with damage_explained(run, self._folder):
             self.state = None if self._folder is None else read_state(self._folder, model)
         if self.state is not None:
-            self.stages = list(self.state.stages)
             self.inexact = list(self.state.inexact)
 
     def _cut_logs(self) -> None:
@@ -564,7 +561,7 @@ class Checkpoints:
             statistics=self.callback.active.statistics.state(),
             curriculum=self.callback.active.curriculum.state(),
             callback=self.callback.state(),
-            stages=self.stages,
+            stages=self.callback.active.curriculum.world_stages,
             # The dictionaries become models.
             starts=[episode.start for episode in shard.episodes],  # type: ignore[misc]
             observed=shard.observed,

@@ -413,7 +413,7 @@ class _Setting:
         confirmation which they repeat."""
         count = (self.judged or self.run).program.evaluation_episodes(self.case)
         result = self.run.record.result
-        best = None if result is None or not self._has_confirmed_starts else result.best_model
+        best = None if result is None or not self._has_confirmed_starts else result.best
         return count if best is None or best.episodes is None else best.episodes
 
     @property
@@ -614,7 +614,7 @@ def keep(
                 " step-000020000.zip"
             )
         program = run.program
-        before = result.best_model
+        before = result.best
         measure = measure_of(program.agent.solved, defines_success=program.defines_success)
         previous = 0 if before is None or before.evaluation_seed is None else before.evaluation_seed
         evaluation_seed = _six_digits(run, "kept", previous)

@@ -50,8 +50,8 @@ _SB3_LEARNERS = {
 }
 # By whether agents share a policy that plays against itself.
 _MULTI_AGENT_LEARNERS = {
-    False: "deepbots_cli.learning.agents.multi_agent:MultiAgentLearner",
-    True: "deepbots_cli.learning.agents.self_play:SelfPlayLearner",
+    False: "deepbots_cli.learning.multi_agent:MultiAgentLearner",
+    True: "deepbots_cli.learning.self_play:SelfPlayLearner",
 }
 
 
@@ -339,8 +339,6 @@ class ArrayLearner(Learner):
         fragment = collector.collect(actor, self.fragment_steps, on_step, with_masks=self.takes_masks)
         if fragment is None:
             return False
-        if self.setup.training.staleness and isinstance(collector, ShardedCollector):
-            collector.ask_ahead(self.actor(), self.fragment_steps, with_masks=self.takes_masks)
         self.fragment = fragment
         self._monitor.on_collected()
         statistics = self._monitor.active.statistics
@@ -375,7 +373,7 @@ class ArrayLearner(Learner):
         _overwrite(self.memory(), arrays)
 
 
-class _ArrayActor:
+class _ArrayActor(PolicyActor):
     """The actor of an `ArrayLearner` whose actions depend on its weights only."""
 
     def __init__(self, learner: ArrayLearner) -> None:
@@ -384,20 +382,11 @@ class _ArrayActor:
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         return self._learner.act(observations, starts, masks)
 
-    def begin(self) -> None:
-        """The actor does nothing before a fragment."""
-
     def parameters(self) -> Mapping[str, Any]:
         return self._learner.weights()
 
-    def memory(self) -> Mapping[str, Array]:
-        return {}
-
     def load(self, parameters: Mapping[str, Any]) -> None:
         _overwrite(self._learner.weights(), parameters)
-
-    def remember(self, memory: Mapping[str, Array]) -> None:
-        """The policy has no memory between two fragments."""
 
 
 def class_of(training: Training) -> type[Learner]:

@@ -379,7 +379,6 @@ def resume(
             "total_timesteps": training.total_timesteps,
             "stop_when_solved": stop_when_solved and not record.stopped_as_solved,
             "quoted": None,  # of an earlier model
-            "task": record.task or _task(resumed.program, None),
             "callbacks": callbacks,
             "loggers": loggers,
         }

@@ -173,7 +173,7 @@ def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog
 
 def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
-    teacher = record.task.teacher if record.task else None
+    teacher = record.task.teacher
     # A recording is not part of the scenario.
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
     settings = short_settings(changed_settings(record.command))
@@ -199,7 +199,7 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
     if quoted := quoted_evaluation(path, record):
         evaluation = quoted.evaluation
         log.evaluation = evaluation if member is None else evaluation.of_agent(member.name)
-        best = record.result.best_model if record.result else None
+        best = record.result.best if record.result else None
         steps = evaluation.model_steps if evaluation.model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
     log.successes = (

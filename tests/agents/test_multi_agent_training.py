@@ -26,10 +26,10 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.multi_agent import own_model
 from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
@@ -37,7 +37,7 @@ from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
+from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS, scenario_fixture, write_scenario
@@ -85,7 +85,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
     assert fragment.endings
     with closing(deepbots_cli.parallel_env(tmp_path / "several.yaml")) as environment:
         for name, member in program.members.items():
-            seat = SeatCollector(SeatLayout(member, program.agent), collector)
+            seat = SeatCollector([SeatLayout(member, program.agent)], collector)
             seat.offer(fragment)
             own = seat.fetch(None, 50)  # type: ignore[arg-type]  # it has acted already
             observed, _ = environment.reset(seed=7)
@@ -304,7 +304,7 @@ def test_the_episodes_of_an_agent_end_where_it_ends(carts: Path) -> None:
     assert fragments["batch"] is not None
     for name in NAMES:
         assert of_all.agent_phases[name].tolist() == fragments["batch"].agent_phases[name].tolist()
-    seat = SeatCollector(SeatLayout(program.members["left"], program.agent), collector)
+    seat = SeatCollector([SeatLayout(program.members["left"], program.agent)], collector)
     seat.offer(of_all)
     own = seat.fetch(None, 90)  # type: ignore[arg-type]  # it has acted already
     assert own.taking_part is not None
@@ -489,8 +489,8 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
         fragment = collector.collect(act, 80)
         assert fragment is not None
         seats = [SeatLayout(member, program.agent) for member in program.members.values()]
-        parts = [SeatCollector(seat, collector).part_of(fragment) for seat in seats]
-        shared = SharedCollector(seats, collector)
+        parts = [SeatCollector([seat], collector).part_of(fragment) for seat in seats]
+        shared = SeatCollector(seats, collector)
         both = shared.part_of(fragment)
     assert shared.rows == 4
     assert both.endings

@@ -363,7 +363,6 @@ def finished(run: Path) -> TrainingResult:
         episodes=146,
         mean_return=42.19,
         success_rate=None,
-        best_return=50.0,
         simulated_hours=0.1,
         evaluation_steps=0,
         solved_at=None,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.learning import checkpoints
-from deepbots_cli.learning.agents.multi_agent import has_agents, own_model
+from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.run import Run
 

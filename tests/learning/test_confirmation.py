@@ -30,13 +30,14 @@ from deepbots_cli.engine_kinds import PHYSICS
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import (
     TrainingResult,
+    callbacks,
     evaluate,
     evaluate_trained,
     learner,
     resume,
     train,
-    training_evaluations,
 )
+from deepbots_cli.learning.callbacks import CONFIRMATION_PART
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import (
     EVALUATION_EPISODES,
@@ -68,7 +69,6 @@ from deepbots_cli.learning.runs.verdict import (
     quoted_evaluation,
     run_verdict,
 )
-from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode, Start
@@ -643,23 +643,6 @@ def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
     assert model_steps(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
 
 
-def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(
-    unpaid: tuple[Worlds, TrainingResult], tmp_path: Path
-) -> None:
-    _, result = unpaid
-    record = json.loads((result.run / "run.json").read_text())
-    for name in ("best", "confirmations", "confirmed_seed"):
-        record["result"].pop(name)
-    (tmp_path / "run.json").write_text(
-        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
-    )
-    best = RunRecord.read(tmp_path).result
-    assert best is not None
-    assert best.best_model is not None
-    assert (best.best_model.chosen_by, best.best_model.mean_return) == ("return", 12.5)
-    assert "chosen by return" in best.best_model.text
-
-
 # When a training stops
 def test_successes_of_training_episodes_do_not_solve_a_task(unpaid: tuple[Worlds, TrainingResult]) -> None:
     build, result = unpaid
@@ -691,8 +674,8 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     result = learned(tmp_path, build, total=100_000, solved=solved)
     assert build.evaluations == 2
     assert result.steps < 6_000
-    assert result.confirmed_at is not None
-    assert result.confirmed_at.steps == result.steps == model_steps(result, "best")
+    assert result.solved_at is not None
+    assert result.solved_at.steps == result.steps == model_steps(result, "best")
     run = Run.open(result.run)
     verdict = run_verdict(result.run, run.record)
     assert verdict.solved is True
@@ -733,7 +716,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = training_evaluations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = callbacks.CONFIRMATION_PART  # episodes of a confirmation that fails at once
     shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 
@@ -832,7 +815,7 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
     assert (
         0
         < result.evaluation_steps
-        <= result.steps * training_evaluations.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
+        <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
     )
 
 
@@ -862,7 +845,7 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(
     unpaid: tuple[Worlds, TrainingResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, few = unpaid
-    monkeypatch.setattr(training_evaluations, "URGENT_SHARE", 2.0)
+    monkeypatch.setattr(callbacks, "URGENT_SHARE", 2.0)
     many = learned(tmp_path, Worlds(poor))
     assert many.evaluation_steps > few.evaluation_steps
     assert many.weights_digest == few.weights_digest
@@ -926,17 +909,6 @@ def test_a_run_of_other_physics_says_so_where_it_is_evaluated(run_copy: Path) ->
     (note,) = evaluate(run_copy, episodes=3, build=stand_in.build).notes
     assert f"was trained with physics {PHYSICS + 1} of deepbots, and this version simulates" in note
     assert Run.open(run_copy).notes_on_physics() == [note]
-
-
-def test_a_run_of_before_is_quoted_from_the_files_of_its_evaluations(run_copy: Path) -> None:
-    run = Run.open(run_copy)
-    run.write_evaluation(evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json"))
-    listed = read_listed(run_copy)
-    record = json.loads((run_copy / "run.json").read_text())
-    for name in ("task", "physics", "plugins", "quoted"):
-        del record[name]
-    (run_copy / "run.json").write_text(json.dumps(record))
-    assert read_listed(run_copy) == listed
 
 
 def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:

@@ -796,19 +796,6 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
 
 
-def test_a_run_of_before_whose_best_model_was_chosen_by_return_is_judged_again(run: Run) -> None:
-    record = json.loads((run.path / "run.json").read_text())
-    record["result"].pop("best")
-    (run.path / "run.json").write_text(
-        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
-    )
-    keep(ModelRef.open(run.path), build=stand_in.build)
-    result = RunRecord.read(run.path).result
-    assert result is not None
-    assert result.best_model is not None
-    assert result.best_model.chosen_by == "new starts"
-
-
 def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:
     name = next(name for name in kept_models(run).values() if name.startswith("step-"))
     before = bytes_of(run, "best")

@@ -48,7 +48,7 @@ from deepbots_cli.learning import (
     resume,
     train,
 )
-from deepbots_cli.learning.failures import FailureRecorder, reproduce
+from deepbots_cli.learning.environments import FailureRecorder, reproduce
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations

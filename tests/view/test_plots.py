@@ -88,7 +88,6 @@ def _run(
             episodes=4,
             mean_return=0.0,
             success_rate=0.0,
-            best_return=None,
             simulated_hours=0.1,
             evaluation_steps=0,
             solved_at=None,
@@ -123,6 +122,7 @@ def _run(
         updated="",
         resumed_at=(),
         result=result,
+        task=TaskRecord(defines_success=True, solved=None, teacher=None),
     )
     write_record(folder, record)
     each = enumerate(zip(returns, endings, stages, strict=True), 1)
@@ -422,6 +422,8 @@ def _evaluated(run, **further):
         **further,
     )
     (run / "evaluations" / "0001.json").write_text(evaluation.model_dump_json())
+    record = RunRecord.read(run)
+    write_record(run, record.model_copy(update={"status": "finished"}).with_evaluation(1, evaluation))
 
 
 @pytest.mark.parametrize(("further", "at"), [({}, 40), ({"model_steps": 17}, 17)])  # of the best model

@@ -58,8 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     compiled, total_timesteps=STEPS, seed=seed, run=path, keep_checkpoints=CHECKPOINTS
                 )
                 rates = success_rates(Run.open(path))
-                assert result.best_model is not None
-                kept_steps = result.best_model.steps
+                assert result.best is not None
+                kept_steps = result.best.steps
                 assert kept_steps is not None
                 kept, best = rates[kept_steps], max(rates.values())
                 low, high = wilson(round(best * EPISODES), EPISODES)

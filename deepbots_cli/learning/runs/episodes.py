@@ -110,19 +110,13 @@ class Generations(Generic[Item]):
         """Return the items, and the world of each."""
         return self.finished, [world for world, items in enumerate(self._window) for _ in items]
 
-    def restore(self, items: Sequence[Item], worlds: Sequence[int] | None) -> None:
+    def restore(self, items: Sequence[Item], worlds: Sequence[int]) -> None:
         """Restore items that `state` returned.
-
-        Versions before 0.2 kept no worlds. The items of several worlds are then dropped, since their
-        generations are unknown.
 
         Raises:
             ValueError: The worlds do not fit.
         """
         self.clear()
-        if worlds is None:
-            worlds = [0] * len(items) if len(self._window) == 1 else []
-            items = items[: len(worlds)]
         if len(worlds) != len(items) or not all(0 <= world < len(self._window) for world in worlds):
             raise ValueError(
                 f"the worlds of {len(items)} episodes do not fit a training with {len(self._window)} worlds"
@@ -416,8 +410,7 @@ class SolvedAt:
     """The time at which a confirmation first showed that the task is solved, with its mean return and success
     rate.
 
-    `cpu_seconds` counts from the start of the training. Versions before 0.2 took the recent episodes of the
-    training instead of a confirmation.
+    `cpu_seconds` counts from the start of the training.
     """
 
     episode: int
@@ -436,13 +429,13 @@ class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
     cpu_seconds: Annotated[float, Field(ge=0)]
     solved_at: SolvedAt | None
     recent: list[Episode]
-    worlds: list[NonNegativeInt] | None = None
-    """The world of each recent episode; versions before 0.2 did not keep it."""
-    present: NonNegativeInt | None = None
-    returns: tuple[float, float] | None = None
-    mean_return: float | None = None
+    worlds: list[NonNegativeInt]
+    """The world of each recent episode."""
+    present: NonNegativeInt
+    returns: tuple[float, float] | None
+    mean_return: float | None
     """For the list of runs, as `success_rate`; both follow from the recent episodes."""
-    success_rate: float | None = None
+    success_rate: float | None
 
 
 class Statistics:
@@ -578,7 +571,7 @@ class Statistics:
         self.solved_at = state.solved_at
         self.cpu_seconds_before = state.cpu_seconds
         self.returns = state.returns
-        self._present = len(state.recent) if state.present is None else state.present
+        self._present = state.present
         self._window.restore(state.recent, state.worlds)
 
 

@@ -228,7 +228,7 @@ class Run:
         path = write_numbered(self.evaluations, text)
         record = RunRecord.read(self.path)  # another process may have changed it
         # A training writes its record at its end, and evaluations until then are of older models.
-        if record.task is not None and record.status != "running":
+        if record.status != "running":
             record = record.with_evaluation(int(path.stem), EvaluationResult.model_validate(entries))
             write_record(self.path, record)
             self.record = self.record.model_copy(update={"quoted": record.quoted})

@@ -159,19 +159,19 @@ def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
     quoted = None if record.state(path) == "training" else quoted_evaluation(path, record)
     if quoted is None:
         return RunVerdict(None, None)
-    confirmed_at = record.result.confirmed_at if record.result is not None else None
-    steps = confirmed_at.steps if confirmed_at is not None else None
+    solved_at = record.result.solved_at if record.result is not None else None
+    steps = solved_at.steps if solved_at is not None else None
     return RunVerdict(quoted.evaluation.solved, quoted.evaluation, steps)
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> QuotedEvaluation | None:
     """Return the evaluation of the best model that is quoted everywhere: the one in the record.
 
-    The record of a version before 0.2 has none, and the file of an evaluation may have been removed. It is
-    then chosen from the files since the training ended, as `RunRecord.with_evaluation` chooses it.
+    Where its file was removed, another one is chosen from the files since the training ended, as
+    `RunRecord.with_evaluation` chooses it.
     """
     quoted = record.quoted
-    if record.task is not None and (quoted is None or evaluation_file(path, quoted.number).is_file()):
+    if quoted is None or evaluation_file(path, quoted.number).is_file():
         return quoted
     record = record.model_copy(update={"quoted": None})
     for number, file in numbered_files(path / "evaluations"):
@@ -277,7 +277,7 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
     Raises:
         RunError: Its evaluations cannot be read.
     """
-    best = record.result.best_model if record.result is not None else None
+    best = record.result.best if record.result is not None else None
     if best is None or best.chosen_by == "newest":  # of rivals: the other one may have learned more
         return None
     return find_decline(read_evaluations(run), best.measure)

@@ -54,7 +54,6 @@ from deepbots_cli.rollout.collector import (
     Fragment,
     LocalCollector,
     PolicyActor,
-    ShardedCollector,
 )
 from deepbots_cli.rollout.worlds import WorldsStep
 
@@ -373,8 +372,6 @@ class OnPolicyLearner(StableLearner):
             )
             if fragment is None:
                 return False
-            if self.setup.training.staleness and isinstance(collector, ShardedCollector):
-                collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
             self._participation = fragment.taking_part
             self._teacher_actions = fragment.columns.get("taught")
@@ -538,8 +535,7 @@ class OffPolicyLearner(StableLearner):
             if fetching is not None:
                 model.recorded = None  # the model draws the actions of the next fragment
                 self._actor.remember(memory)
-                if self.setup.training.staleness and isinstance(fetching, ShardedCollector):
-                    fetching.ask_ahead(self._actor, model.train_freq.frequency)
+                fetching.ask_ahead(self._actor, model.train_freq.frequency)
             return bool(self._rollout.continue_training)
 
     def update(self) -> None:

@@ -9,7 +9,7 @@ JMLR 2011).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, cast
 
@@ -17,14 +17,14 @@ import numpy as np
 from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.agents.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program.members import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
-from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
+from deepbots_cli.rollout.seats import SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -70,68 +70,16 @@ class Sides(NamedTuple):
         )
 
 
-class SidesCollector(OfferedCollector):
+class SidesCollector(SeatCollector):
     """The part of the learning policy in the fragments of two equal agents: a row for each side that it
     plays, those of the first agent first."""
 
     def __init__(self, collector: Any, seats: Sequence[SeatLayout], sides: Sides) -> None:
-        super().__init__(collector, seats[0])
-        self._seats = seats
-        self._sides = sides
-        self.rows = len(sides.first) + len(sides.second)
-
-    @property
-    def starts(self) -> Array:
-        starts: Array = self.rows_of(self._collector.starts, self._collector.starts)
-        return starts
-
-    def begin(self) -> Any:
-        return self.seen(self._collector.begin())
-
-    def rows_of(self, first: Any, second: Any, axis: int = 0) -> Any:
-        """Return the rows of the policy, given those of the first and of the second agent in all worlds."""
-
-        def rows(first_rows: Array, second_rows: Array) -> Array:
-            parts = first_rows.take(self._sides.first, axis), second_rows.take(self._sides.second, axis)
-            return np.concatenate(parts, axis)
-
-        return apply_to_parts(rows, first, second)
-
-    def seen(self, observations: Any, axis: int = 0) -> Any:
-        """Return the observations of the policy, given those of all agents in all worlds."""
-        first, second = (seat.observation(observations) for seat in self._seats)
-        return self.rows_of(first, second, axis)
+        super().__init__(seats, collector, [sides.first, sides.second])
 
     def part_of(self, fragment: Fragment) -> Fragment:
-        first, second = self._seats
-        rewards = fragment.agent_rewards
-        return replace(
-            fragment,
-            observations=self.seen(fragment.observations, 1),
-            actions=self.rows_of(first.actions(fragment.actions), second.actions(fragment.actions), 1),
-            rewards=self.rows_of(rewards[first.member.name], rewards[second.member.name], 1),
-            starts=self.rows_of(fragment.starts, fragment.starts, 1),
-            columns={name: array for name, array in fragment.columns.items() if name != _OPPONENTS},
-            following=self.seen(fragment.following),
-            following_starts=self.rows_of(fragment.following_starts, fragment.following_starts),
-            endings=[*self._endings(fragment)],
-            agent_rewards={},
-        )
-
-    def _endings(self, fragment: Fragment) -> Iterator[tuple[int, Any]]:
-        """Yield the endings of each side that the policy plays, in the order of steps and rows."""
-        offset = len(self._sides.first)
-        rows = [
-            {int(world): row for row, world in enumerate(self._sides.first)},
-            {int(world): offset + row for row, world in enumerate(self._sides.second)},
-        ]
-        of_rows = [
-            (number, own_ending(seat, ending)._replace(row=own_rows[ending.row]))
-            for number, ending in fragment.endings
-            for seat, own_rows in zip(self._seats, rows, strict=True)
-            if ending.row in own_rows
-        ]
-        yield from sorted(of_rows, key=lambda entry: (entry[0], entry[1].row))
+        columns = {name: array for name, array in fragment.columns.items() if name != _OPPONENTS}
+        return replace(super().part_of(fragment), columns=columns)
 
 
 @dataclass
@@ -274,8 +222,8 @@ class SelfPlayLearner(MultiAgentLearner):
         collector, sides = self._collector, self._sides
         decision = self._learner.actor()(
             collector.seen(observations),
-            collector.rows_of(starts, starts),
-            None if masks is None else collector.rows_of(*own_masks),
+            collector.rows_of([starts, starts]),
+            None if masks is None else collector.rows_of(own_masks),
         )
         shape = (len(starts), *decision.actions.shape[1:])
         actions = [np.zeros(shape, decision.actions.dtype) for _ in names]
@@ -441,7 +389,7 @@ class SelfPlayLearner(MultiAgentLearner):
         self._opponents[:] = opponents
 
 
-class _SidesActor:
+class _SidesActor(PolicyActor):
     """The actor of a learner that plays against itself."""
 
     def __init__(self, learner: SelfPlayLearner) -> None:
@@ -456,14 +404,8 @@ class _SidesActor:
     def parameters(self) -> Mapping[str, Any]:
         return self._learner.weights()
 
-    def memory(self) -> Mapping[str, Array]:
-        return {}
-
     def load(self, parameters: Mapping[str, Any]) -> None:
         raise UsageError("`self_play` does not support `shards`; leave one of them out")
-
-    def remember(self, memory: Mapping[str, Array]) -> None:
-        """The policy has no memory between two fragments."""
 
 
 class _Rater:

@@ -33,9 +33,7 @@ from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import PolicyActor
 from deepbots_cli.rollout.seats import (
     MultiAgentActor,
-    OfferedCollector,
     SeatCollector,
-    SharedCollector,
     joined_actions,
     own_entries,
     own_name,
@@ -89,7 +87,7 @@ class MultiAgentLearner(Learner):
         self._critic_seats = {
             name: SeatLayout(member, critic_program.agent) for name, member in critic_program.members.items()
         }
-        self._collectors: dict[str, OfferedCollector] = {}
+        self._collectors: dict[str, SeatCollector] = {}
         self.learners = self._create_learners()
         self._masked = [name for name, learner in self.learners.items() if learner.takes_masks]
         self.takes_masks = bool(self._masked)
@@ -104,15 +102,11 @@ class MultiAgentLearner(Learner):
             return {name: self._create(name, training, None) for name, training in trainings.items()}
         created: dict[str, Learner] = {}
         for first, names in self._policies.items():
-            seats = [self._critic_seats[name] for name in names]
-            is_shared = len(seats) > 1
-            self._collectors[first] = (
-                SharedCollector(seats, collector) if is_shared else SeatCollector(seats[0], collector)
-            )
+            self._collectors[first] = SeatCollector([self._critic_seats[name] for name in names], collector)
             created |= dict.fromkeys(names, self._create(first, trainings[first], self._collectors[first]))
         return {name: created[name] for name in trainings}
 
-    def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
+    def _create(self, agent: str, training: Training, collector: SeatCollector | None) -> Learner:
         """Return a learner for an agent."""
         setup = self.setup
         seat = self._critic_seats[agent]
