@@ -166,62 +166,117 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
     ]
 
 
-def test_a_supervisor_quits_with_an_exit_code(project: Project):
-    project.controller("cart", CART)
-    project.controller(
-        "boss",
-        """
-        from controller import Supervisor
-        boss = Supervisor()
-        boss.step(32)
-        boss.simulationQuit(7)
-        print(boss.step(32))
-        """,
-    )
-    assert project.run(code=7).stdout.splitlines()[0] == "[boss] -1"
+SLOW = pytest.mark.slow
+ONE_STEP = "from controller import Robot\nRobot().step(32)\n"
+QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\nboss.simulationQuit(7)\nprint(boss.step(32))"
 
 
-def test_a_crash_names_its_robot(project: Project):
-    project.controller("cart", CART.replace("emitter.send(", "emitter.sned("))
-    project.controller("boss", BOSS)
-    ran = project.run(code=1)
-    assert (
-        "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'"
-        in ran.stderr
-    )
-    assert "[cart] " in ran.stderr
-    assert "runner.py" not in ran.stderr
+@pytest.mark.parametrize(
+    ("cart", "boss", "options", "code", "line", "error"),
+    [
+        pytest.param(CART, QUITS, "", 7, "[boss] -1", "", id="a supervisor quits"),
+        pytest.param(
+            CART.replace("emitter.send(", "emitter.sned("),
+            BOSS,
+            "",
+            1,
+            "",
+            "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'",
+            id="a crash names its robot",
+        ),
+        pytest.param(
+            CART,
+            "from controller import Mouse",
+            "",
+            1,
+            "",
+            "ImportError: controller.Mouse is not implemented",
+            id="a class that is missing",
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise SystemExit(5)", BOSS, "", 5, "[boss] 3 []", "", id="an exit code is kept"
+        ),
+        pytest.param(
+            "print('done', end='')",
+            BOSS,
+            "",
+            0,
+            "[cart] done",
+            "the controller of 'cart' ended; the others go on",
+            id="an early end",
+        ),
+        pytest.param(
+            "while True: pass",
+            BOSS,
+            "--timeout 1",
+            1,
+            "",
+            "error: the controller of 'cart' made no step for 1 s",
+            id="no step",
+            marks=SLOW,
+        ),
+        pytest.param(
+            f"{ONE_STEP}import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
+            BOSS,
+            "--processes",
+            1,
+            "",
+            "its process was ended by signal 9",
+            id="process: signal",
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise ValueError('no')",
+            BOSS,
+            "--processes",
+            1,
+            "",
+            "error: the controller of 'cart' failed: ValueError: no",
+            id="process: error",
+            marks=SLOW,
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise SystemExit(5)", BOSS, "--processes", 5, "", "", id="process: exit", marks=SLOW
+        ),
+        pytest.param(
+            f"{ONE_STEP}import os; os._exit(6)",
+            BOSS,
+            "--processes",
+            6,
+            "",
+            "",
+            id="process: hard exit",
+            marks=SLOW,
+        ),
+        pytest.param(
+            f"{ONE_STEP}while True: pass",
+            BOSS,
+            "--processes --timeout 1",
+            1,
+            "",
+            "error: the controller of 'cart' made no step for 1 s",
+            id="process: endless",
+            marks=SLOW,
+        ),
+    ],
+)
+def test_the_end_of_a_controller_is_reported(
+    project: Project, cart: str, boss: str, options: str, code: int, line: str, error: str
+):
+    project.controller("cart", cart)
+    project.controller("boss", boss)
+    ran = project.run(*options.split(), code=code)
+    assert line in ran.stdout
+    assert error in ran.stderr
+    assert not re.search(r"runner\.py|client\.py", ran.stderr)
 
 
-def test_an_exit_code_of_a_controller_is_kept(project: Project):
-    project.controller("cart", "from controller import Robot\nRobot().step(32)\nraise SystemExit(5)")
-    project.controller("boss", BOSS)
-    assert "[boss] 3 []" in project.run(code=5).stdout
-
-
-def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
-    project.controller("cart", "print('done', end='')")
-    project.controller("boss", BOSS)
-    ran = project.run()
-    assert "[cart] done" in ran.stdout
-    assert "[boss] 3 []" in ran.stdout
-    assert "the controller of 'cart' ended; the others go on" in ran.stderr
-
-
-@pytest.mark.slow
-def test_a_controller_that_never_steps_ends_the_run(project: Project):
-    project.controller("cart", "while True: pass")
-    project.controller("boss", BOSS)
-    ran = project.run("--timeout", "1", code=1)
-    assert "error: the controller of 'cart' made no step for 1 s" in ran.stderr
-
-
-def test_a_controller_that_ignores_the_end_is_ended(project: Project):
+@pytest.mark.parametrize("options", [[], pytest.param(["--processes"], marks=SLOW)])
+def test_a_controller_that_ignores_the_end_is_ended(project: Project, options: list[str]):
     project.controller("cart", CART)
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
-    ran = project.run("--steps", "50", "--json")
+    ran = project.run("--steps", "50", "--json", *options)
     result = json.loads(ran.stdout)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
     assert [row["robot"] for row in result["controllers"]] == ["boss", "cart"]
@@ -342,12 +397,6 @@ def test_the_packages_of_another_environment_are_found(project: Project):
     assert project.run("--python", sys.executable).stdout.splitlines()[0] == "[boss] ok"
 
 
-def test_a_class_that_is_missing_says_so_by_name(project: Project):
-    project.controller("cart", CART)
-    project.controller("boss", "from controller import Mouse")
-    assert "ImportError: controller.Mouse is not implemented" in project.run(code=1).stderr
-
-
 # A process per controller
 
 
@@ -425,53 +474,6 @@ def test_processes_share_nothing(project: Project):
     first, second = sorted(project.run("--processes").stdout.splitlines())
     assert (first.split()[0], first.split()[2], second.split()[2]) == ("[boss]", "boss", "cart")
     assert first.split()[1] == second.split()[1]
-
-
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize(
-    ("program", "code", "words"),
-    [
-        pytest.param(
-            "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
-            1,
-            "its process was ended by signal 9",
-            id="signal",
-        ),
-        pytest.param(
-            "raise ValueError('no')",
-            1,
-            "error: the controller of 'cart' failed: ValueError: no",
-            id="error",
-            marks=SLOW,
-        ),
-        pytest.param("raise SystemExit(5)", 5, "", id="exit", marks=SLOW),
-        pytest.param("import os; os._exit(6)", 6, "", id="hard exit", marks=SLOW),
-        pytest.param(
-            "while True: pass",
-            1,
-            "error: the controller of 'cart' made no step for 1 s",
-            id="endless",
-            marks=SLOW,
-        ),
-    ],
-)
-def test_the_end_of_a_process_is_reported(project: Project, program: str, code: int, words: str):
-    project.controller("cart", f"from controller import Robot\nRobot().step(32)\n{program}")
-    project.controller("boss", BOSS)
-    ran = project.run("--processes", "--timeout", "1" if "while" in program else "60", code=code)
-    assert words in ran.stderr
-    assert "client.py" not in ran.stderr
-
-
-@pytest.mark.slow
-def test_a_process_that_ignores_the_end_is_ended(project: Project):
-    project.controller("cart", CART)
-    project.controller(
-        "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
-    )
-    assert json.loads(project.run("--steps", "50", "--processes", "--json").stdout)["steps"] == 50
 
 
 # Videos and keys

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -200,40 +200,32 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
         keyboard, other = Keyboard(), Keyboard()
         keyboard.enable(8)
         other.enable(16)
+        shift_a = ord("A") + Keyboard.SHIFT
         with page.open("/drive", page.cookie) as wire:
-            shift_a = ord("A") + Keyboard.SHIFT
-            wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-
-            def arrived() -> bool:
-                simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-                return keyboard.getKey() == shift_a
-
-            _wait(arrived)
-            assert [keyboard.getKey() for _ in range(3)] == [Keyboard.LEFT, -1, -1]
-
-            def arrived_there() -> bool:
-                simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-                return [other.getKey() for _ in range(3)] == [shift_a, Keyboard.LEFT, -1]
-
-            _wait(arrived_there)
-
-            def has_seven() -> bool:
-                wire.send("+".join(map(str, range(65, 75))) + "||")
-                simulation.run_step()
-                return [keyboard.getKey() for _ in range(8)] == [*range(65, 72), -1]
-
-            _wait(has_seven)
-
-        def released() -> bool:
-            simulation.run_step()
-            return keyboard.getKey() == -1
-
-        _wait(released, 2.0)
+            for keys, reader, expected in (
+                ([shift_a, Keyboard.LEFT], keyboard, [shift_a, Keyboard.LEFT, -1]),
+                ([shift_a, Keyboard.LEFT], other, [shift_a, Keyboard.LEFT, -1]),
+                ([*range(65, 75)], keyboard, [*range(65, 72), -1]),
+            ):
+                _wait(lambda: _pressed(simulation, reader, len(expected), wire, keys) == expected)  # noqa: B023
+        _wait(lambda: _pressed(simulation, keyboard, 1) == [-1], 2.0)
         keyboard.disable()
         assert (keyboard.getSamplingPeriod(), keyboard.getKey()) == (0, -1)
     assert capsys.readouterr().err == ""
+
+
+def _pressed(
+    simulation: Simulation,
+    keyboard: Keyboard,
+    count: int,
+    wire: ClientConnection | None = None,
+    keys: Sequence[int] = (),
+) -> list[int]:
+    """Hold keys on the page for a step, and return the first keys that a keyboard reads."""
+    if wire is not None:
+        wire.send("+".join(map(str, keys)) + "||")
+    simulation.run_step()
+    return [keyboard.getKey() for _ in range(count)]
 
 
 def test_rubbish_for_keys_presses_none(capfd):
@@ -650,17 +642,13 @@ def test_a_range_finder_sees_a_slanted_wall_by_its_closed_form():
 
 
 @needs_opengl
-def test_a_range_finder_reads_infinity_beyond_its_range():
-    for limits in ("maxRange 1.9", "minRange 2.1 maxRange 9"):
-        finder = seeing(
-            WALL % ("0", "1 0 0", "8") + robot(f"RangeFinder {{ width 2 height 1 {limits} }}"), "range-finder"
-        )
-        assert finder.getRangeImage() == [math.inf, math.inf]
-
-
-@needs_opengl
-def test_a_range_finder_that_sees_only_sky_reads_infinity_at_any_range():
-    finder = seeing(robot("RangeFinder { width 2 height 1 maxRange 5000 }"), "range-finder")
+@pytest.mark.parametrize(
+    ("wall", "limits"), [("8", "maxRange 1.9"), ("8", "minRange 2.1 maxRange 9"), ("0.001", "maxRange 5000")]
+)
+def test_a_range_finder_reads_infinity_beyond_its_range(wall: str, limits: str):
+    finder = seeing(
+        WALL % ("0", "1 0 0", wall) + robot(f"RangeFinder {{ width 2 height 1 {limits} }}"), "range-finder"
+    )
     assert finder.getRangeImage() == [math.inf, math.inf]
 
 
