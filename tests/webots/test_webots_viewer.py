@@ -261,15 +261,21 @@ def test_a_world_in_real_time_waits_and_does_not_catch_up():
     assert time.monotonic() - begin > 0.38 - MAX_DELAY_S
 
 
-def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
-    controller = tmp_path / "controllers" / "c" / "c.py"
-    controller.parent.mkdir(parents=True)
-    controller.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
+def paused(folder: Path, **options: float) -> tuple[Pace, Runner]:
+    """Return a run of a controller that only steps, and its pace, which is paused."""
+    program = folder / "c.py"
+    program.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
     simulation = simulate('Robot { controller "c" }')
     pace = Pace(simulation, is_fast=True)
     pace.pause()
-    programs = [(simulation.scene.robots[0], Program("c", controller))]
-    runner = Runner(simulation, programs, steps=40, timeout=0.3, pace=pace)
+    return pace, Runner(
+        simulation, [(simulation.scene.robots[0], Program("c", program))], pace=pace, **options
+    )
+
+
+def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
+    pace, runner = paused(tmp_path, steps=40, timeout=0.3)
+    simulation = runner.simulation
     outcomes = []
     thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
     thread.start()
@@ -296,15 +302,8 @@ def test_a_run_leaves_the_environment_of_the_process_as_it_was(tmp_path, monkeyp
 
 
 def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
-    path = tmp_path / "program.py"
-    path.write_text(
-        "from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1:\n    pass\n",
-        encoding="utf-8",
-    )
-    simulation = simulate('Robot { name "box" controller "program" }')
-    pace = Pace(simulation, is_fast=True)
-    pace.pause()
-    runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))], pace=pace)
+    pace, runner = paused(tmp_path)
+    simulation = runner.simulation
     with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0, can_restart=True) as viewer:
         threading.Timer(0.5, pace.restart).start()
         outcome = runner.run()
@@ -387,10 +386,10 @@ def test_a_run_with_a_page_is_the_same_run(project: Path, options: list[str]):
     assert "Keyboard" not in seen[1]
 
 
-def test_a_port_needs_the_page(project: Path):
-    process = _start(project, 1, "--port", "0")
-    assert "--port needs --view" in process.communicate(timeout=60)[1]
-    assert process.returncode == 2
+def test_a_port_needs_the_page(project: Path, deepbots):
+    assert (
+        "--port needs --view" in deepbots("webots", "worlds/w.wbt", "--allow-code", "--port", "0", code=2).err
+    )
 
 
 @pytest.mark.browser
