@@ -270,6 +270,7 @@ PLAIN_BASE = "from deepbots.robots import CSVRobot\n\nclass Cart(CSVRobot):"
         "from deepbots.robots import CSVRobot as Robot\n\nclass Cart(Robot):",
         "import deepbots.robots as robots\n\nclass Cart(robots.CSVRobot):",
         "import base\n\nclass Cart(base.Base):",
+        "from base import Base as Cart\n\nclass Cart(Cart):",
         "from . import base\n\nclass Cart(base.Base):",
         "from deepbots.robots import CSVRobot\nfrom base import Mixin\n\nclass Cart(CSVRobot, Mixin):",
     ],
