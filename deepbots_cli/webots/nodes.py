@@ -121,7 +121,11 @@ def vectors(node: Node, field: str) -> list[Triple]:
 
 def rotation(node: Node, field: str) -> Quaternion:
     """Return a rotation about an axis as a quaternion (x, y, z, w)."""
-    x, y, z, angle = (*numbers(node, field), 0.0, 0.0, 0.0, 0.0)[:4]
+    return turned_about(*(*numbers(node, field), 0.0, 0.0, 0.0, 0.0)[:4])
+
+
+def turned_about(x: float, y: float, z: float, angle: float) -> Quaternion:
+    """Return the rotation about an axis of any length; none about one of length 0."""
     length = hypot(x, y, z)
     if length == 0:
         return frames.IDENTITY_ROTATION

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.webots.nodes import axis_angle, parameters, real, value_of, walk
+from deepbots_cli.webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
 from deepbots_cli.webots.scene import AXES
 from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute
 from deepbots_cli.webots.shapes import compose, inverse
@@ -395,14 +394,12 @@ class Field:
 
     def setSFRotation(self, values: Sequence[float]) -> None:
         x, y, z, angle = map(float, values)
-        length = math.hypot(x, y, z)
         if self._name != "rotation" or self._real not in self._simulation.scene.attachments:
             self._set("setSFRotation", [x, y, z, angle])
             return
-        if length == 0:
+        if x == y == z == 0:
             raise ValueError("setSFRotation(): the axis is zero")
-        rotation = frames.from_axis_angle((x / length, y / length, z / length), angle)
-        self._move("setSFRotation", None, rotation)
+        self._move("setSFRotation", None, turned_about(x, y, z, angle))
 
     def _move(self, function: str, position: Triple | None, rotation: Quaternion | None) -> None:
         """Move a solid that stands alone in the world."""
