@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 class JointDevice(Device):
     """A device of a joint."""
 
+    ROTATIONAL, LINEAR = 0, 1
+
     def getType(self) -> int:
         return 1 if self._spec.joint is not None and self._spec.joint.kind == "slide" else 0
 
@@ -66,8 +68,6 @@ class JointDevice(Device):
 class PositionSensor(JointDevice, ScalarSensor):
     """The position of a joint, rad or m."""
 
-    ROTATIONAL, LINEAR = 0, 1
-
     def sample(self) -> None:
         joint = self._spec.joint
         if joint is not None:
@@ -77,8 +77,6 @@ class PositionSensor(JointDevice, ScalarSensor):
 
 class Brake(JointDevice):
     """Damping that a controller adds to a joint, N m s/rad or N s/m."""
-
-    ROTATIONAL, LINEAR = 0, 1
 
     def setDampingConstant(self, dampingConstant: float) -> None:
         if self._spec.joint is not None:
@@ -95,8 +93,6 @@ class _Feedback(ScalarSensor):
 
 class Motor(JointDevice):
     """A motor of a joint: position (rad or m), velocity (per s), or torque (N m or N)."""
-
-    ROTATIONAL, LINEAR = 0, 1
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)

@@ -24,6 +24,16 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.syntax import Node
 
 
+class _HasRange(Sensor):
+    """A device that measures distances within a range, m."""
+
+    def getMinRange(self) -> float:
+        return number(self._spec.node, "minRange")
+
+    def getMaxRange(self) -> float:
+        return number(self._spec.node, "maxRange")
+
+
 class _Optics(Sensor):
     """A device with a picture, planar and with square pixels."""
 
@@ -160,7 +170,7 @@ class Camera(_Optics):
         self._fov = float(f)
 
 
-class RangeFinder(_Optics):
+class RangeFinder(_Optics, _HasRange):
     """A depth camera: distances along its axis (m), row by row from above; infinite beyond its range."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
@@ -183,12 +193,6 @@ class RangeFinder(_Optics):
             depths = np.round(depths / resolution) * np.float32(resolution)
         depths[~is_seen] = np.inf
         self._depths = depths
-
-    def getMinRange(self) -> float:
-        return number(self._spec.node, "minRange")
-
-    def getMaxRange(self) -> float:
-        return number(self._spec.node, "maxRange")
 
     def getRangeImage(self, data_type: str = "list") -> Any:
         """Return the distances as a list, or as bytes of float32 for `buffer`; None before the first."""
@@ -228,7 +232,7 @@ class LidarPoint(NamedTuple):
     time: float
 
 
-class Lidar(Sensor):
+class Lidar(_HasRange):
     """Distances along rays, row by row from above, each row from the left; infinite beyond the range.
 
     The rays of a rotating lidar cover the whole circle. In each basic time step, its head turns clockwise by
@@ -242,7 +246,6 @@ class Lidar(Sensor):
         self._columns, self._layers = (
             max(1, integer(node, field)) for field in ("horizontalResolution", "numberOfLayers")
         )
-        self._range = number(node, "minRange"), number(node, "maxRange")
         self._fov, self._high = number(node, "fieldOfView"), number(node, "verticalFieldOfView")
         self._rotates = text(node, "type") == "rotating"
         self._frequencies = number(node, "minFrequency"), number(node, "maxFrequency")
@@ -289,7 +292,7 @@ class Lidar(Sensor):
         start, rotation = self._frame()
         axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
         robot = self._spec.body.robot
-        least, most = self._range
+        least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
         distances = self._simulation.physics.rays.distances(start, rays, most, robot.index if robot else None)
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
@@ -340,12 +343,6 @@ class Lidar(Sensor):
     def getNumberOfLayers(self) -> int:
         return self._layers
 
-    def getMinRange(self) -> float:
-        return self._range[0]
-
-    def getMaxRange(self) -> float:
-        return self._range[1]
-
     def getFov(self) -> float:
         return self._fov
 
@@ -384,7 +381,7 @@ class RadarTarget:
     azimuth: float
 
 
-class Radar(Sensor):
+class Radar(_HasRange):
     """Solids with a `radarCrossSection` within the range and the field of view."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
@@ -398,12 +395,6 @@ class Radar(Sensor):
         # The radar equation: P = Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4).
         self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
         """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
-
-    def getMinRange(self) -> float:
-        return number(self._spec.node, "minRange")
-
-    def getMaxRange(self) -> float:
-        return number(self._spec.node, "maxRange")
 
     def getHorizontalFov(self) -> float:
         return number(self._spec.node, "horizontalFieldOfView")

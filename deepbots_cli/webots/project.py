@@ -20,7 +20,6 @@ from deepbots_cli.webots.syntax import (
     MAX_BYTES,
     Node,
     WorldError,
-    WorldFinding,
     WorldFindings,
     WorldSyntaxError,
     parse,
@@ -184,8 +183,3 @@ def controller(files: Files, name: str) -> Program | None:
         if (folder / f"{name}{suffix}").is_file():
             return Program(name, None, f"is written in {language}; deepbots runs Python")
     return Program(name, None, f"has no file controllers/{name}/{name}.py")
-
-
-def no_world(path: Path, headline: str) -> WorldError:
-    """Return the error about a whole file."""
-    return WorldError([WorldFinding("error", Span(Source(str(path), ""), 0, 0), headline)])

@@ -22,11 +22,10 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.frames import IDENTITY_ROTATION
 from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
-from deepbots_cli.webots.model import GRID_DEPTH_M
+from deepbots_cli.webots.model import geom_fields
 from deepbots_cli.webots.nodes import number, parameters, real, rotation, text, vector, walk
-from deepbots_cli.webots.shapes import compose, look_of, sky_color, visible_shape
+from deepbots_cli.webots.shapes import look_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -210,19 +209,12 @@ class _VisualModel:
         if shape is None:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
-        fields = self._fields(shape)
-        position, rotation = visual.frame
-        if shape.kind == "grid":
-            middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
-            position = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
         parent.add_geom(
-            pos=position,
-            quat=frames.wxyz(rotation),
+            **geom_fields(self.spec, shape, visual.frame, self._name(), is_seen=True),
             **self._surface(visual.node, shape),
             contype=0,
             conaffinity=0,
             mass=0.0,
-            **fields,
         )
 
     def _surface(self, node: Node, shape: Shape) -> dict[str, Any]:
@@ -240,45 +232,6 @@ class _VisualModel:
         material = self.spec.add_material(name=name, texuniform=False, texrepeat=repeats)
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
         return {"rgba": look.base, "material": name}
-
-    def _fields(self, shape: Shape) -> dict[str, Any]:
-        types = mj.mjtGeom
-        match shape.kind:
-            case "box":
-                return {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
-            case "sphere":
-                return {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
-            case "cylinder" | "capsule":
-                kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
-                return {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
-            case "plane":
-                x, y = (*shape.size, 1.0, 1.0)[:2]
-                return {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
-            case "grid":
-                return {"type": types.mjGEOM_HFIELD, "hfieldname": self._grid(shape)}
-        return {"type": types.mjGEOM_MESH, "meshname": self._mesh(shape)}
-
-    def _grid(self, shape: Shape) -> str:
-        heights = np.array(shape.heights, np.float64)
-        rise = max(float(np.ptp(heights)), 1e-6)
-        name = self._name()
-        self.spec.add_hfield(
-            name=name,
-            size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
-            nrow=len(heights) // shape.columns,
-            ncol=shape.columns,
-            userdata=((heights - heights.min()) / rise).tolist(),
-        )
-        return name
-
-    def _mesh(self, shape: Shape) -> str:
-        name = self._name()
-        mesh = self.spec.add_mesh(name=name)
-        mesh.uservert = np.array(shape.vertices, np.float64).ravel()
-        mesh.userface = np.array(shape.faces, np.int32).ravel()
-        # Flat meshes have no volume, and need none here.
-        mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        return name
 
     def _name(self) -> str:
         self._count += 1

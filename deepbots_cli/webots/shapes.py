@@ -219,6 +219,12 @@ def compose(outer: Frame, inner: Frame, scale: Triple = (1.0, 1.0, 1.0)) -> Fram
     return frames.add(outer[0], offset), frames.multiply(outer[1], rotation)
 
 
+def inverse(frame: Frame) -> Frame:
+    """Return the frame of the outer one in a frame of it."""
+    rotation = frames.inverse(frame[1])
+    return frames.rotate(rotation, frames.scaled(frame[0], -1.0)), rotation
+
+
 # How Shape nodes look
 
 MAX_PICTURE_BYTES = 16 * 2**20

@@ -353,17 +353,25 @@ class EngineRecorder(EngineProxy):
 def static_gaps(program: Program) -> Gaps:
     """Return what the program alone shows."""
     gaps = Gaps()
-    if program.members or program.others is not None:
-        gaps.miss("Several agents with policies of their own cannot be exported.")
-    if program.links:
-        gaps.miss("Messages between robots cannot be exported.")
-    if program.python_functions:
-        gaps.miss("Reward terms and endings that are Python functions cannot be exported.")
     milliseconds = program.world.timestep * 1000
-    if abs(milliseconds - round(milliseconds)) > 1e-9:
-        gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
-    if any(program.world.gravity[:2]):
-        gaps.miss("Gravity that is not vertical cannot be exported.")
+    for is_there, sentence in (
+        (
+            program.members or program.others is not None,
+            "Several agents with policies of their own cannot be exported.",
+        ),
+        (program.links, "Messages between robots cannot be exported."),
+        (
+            program.python_functions,
+            "Reward terms and endings that are Python functions cannot be exported.",
+        ),
+        (
+            abs(milliseconds - round(milliseconds)) > 1e-9,
+            f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.",
+        ),
+        (any(program.world.gravity[:2]), "Gravity that is not vertical cannot be exported."),
+    ):
+        if is_there:
+            gaps.miss(sentence)
     robots = [robot.name for robot in program.world.robots]
     bodies = [*robots, *(body.name for body in program.world.objects)]
     taken = Counter([*map(names.def_name, bodies), *names.OWN_NODES])

@@ -27,7 +27,7 @@ from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Inertial, Mesh, Sphere
 from deepbots_cli.webots.bridge import names
-from deepbots_cli.webots.bridge.plant import axis_angle
+from deepbots_cli.webots.nodes import axis_angle
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame

@@ -25,8 +25,12 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.project import Files
     from deepbots_cli.webots.syntax import WorldFindings
 
-MAX_FILES = 60
+MAX_FILES = 30
 MAX_CHARACTERS = 300_000
+MAX_CLASSES = 500
+MAX_BASES = 8
+MAX_VALUES = 100
+"""The maximum numbers of files and their characters, of classes and their bases, and of values."""
 MAX_LINES = 60
 """The maximum number of lines of a quote."""
 
@@ -87,6 +91,15 @@ class Normalized:
     clips: bool
 
 
+@dataclass
+class Bindings:
+    """How often the files of a controller bind names and attributes; empty if they may bind others. `values`
+    are those of simple assignments, with the scope where they always run: `module`, `self` or ""."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    values: dict[str, tuple[str, ast.expr]] = field(default_factory=dict)
+
+
 @dataclass(eq=False)
 class Controller:
     """A class derived from one of deepbots, with the methods of its bases in the project."""
@@ -96,10 +109,10 @@ class Controller:
     nodes: list[ast.ClassDef] = field(default_factory=list)
     """The class, and its bases in the project."""
     methods: dict[str, tuple[Module, ast.FunctionDef]] = field(default_factory=dict)
-    bound: Counter[str] = field(default_factory=Counter)
-    """How often the files bind names and attributes; empty if they may bind others."""
-    values: dict[str, tuple[str, ast.expr]] = field(default_factory=dict)
-    """What simple assignments give to names, and the scope where they always run: `module`, `self` or ""."""
+
+    @cached_property
+    def bindings(self) -> Bindings:
+        return _bindings(self)
 
     def quote(self, method: str, about: str) -> Quote:
         """Return a method of the class with its lines."""
@@ -111,7 +124,9 @@ class Controller:
         """Return what a method returns that has no other statement; None for any other method."""
         _, function = self.methods[method]
         match _body(function):
-            case [ast.Return(value=value)] if self.bound[method] == 1 and not function.decorator_list:
+            case [ast.Return(value=value)] if (
+                self.bindings.counts[method] == 1 and not function.decorator_list
+            ):
                 return value
         return None
 
@@ -130,8 +145,10 @@ class Controller:
         return None
 
     def _bound(self, name: str, scope: str) -> float | None:
-        match self.values.get(name):
-            case (place, ast.Constant() | ast.UnaryOp() as value) if place == scope and self.bound[name] == 1:
+        match self.bindings.values.get(name):
+            case (place, ast.Constant() | ast.UnaryOp() as value) if (
+                place == scope and self.bindings.counts[name] == 1
+            ):
                 return self.constant(value)
         return None
 
@@ -151,7 +168,7 @@ class Controller:
             if isinstance(node, ast.Call) and module.resolved(node.func) in _NORMALIZE
         ]
         calls.sort(key=lambda call: (call.lineno, call.col_offset))
-        read = (self._normalized(module, call, names.get(call, "")) for call in calls)
+        read = (self._normalized(module, call, names.get(call, "")) for call in calls[:MAX_VALUES])
         return [normalized for normalized in read if normalized is not None]
 
     def _normalized(self, module: Module, call: ast.Call, name: str) -> Normalized | None:
@@ -193,63 +210,67 @@ def _last_name(node: ast.expr) -> str:
 # Classes
 
 
+Classes = dict[str, list[tuple[Module, ast.ClassDef]]]
+
+
 def controllers(modules: Sequence[Module], bases: frozenset[str]) -> list[Controller]:
     """Return the classes that derive from one of these, and from which no other class does."""
-    found = []
+    classes: Classes = {}
     for module in modules:
         for node in module.classes:
-            controller = Controller(node.name, modules)
-            if _collect(controller, module, node, bases):
-                _bind(controller)
-                found.append(controller)
+            classes.setdefault(node.name, []).append((module, node))
+    found = []
+    for module, node in [pair for pairs in classes.values() for pair in pairs][:MAX_CLASSES]:
+        controller = Controller(node.name, modules)
+        if _collect(controller, module, node, bases, classes):
+            found.append(controller)
     further = {id(base) for controller in found for base in controller.nodes[1:]}
     return [controller for controller in found if id(controller.nodes[0]) not in further]
 
 
-def _collect(controller: Controller, module: Module, node: ast.ClassDef, bases: frozenset[str]) -> bool:
+def _collect(
+    controller: Controller, module: Module, node: ast.ClassDef, bases: frozenset[str], classes: Classes
+) -> bool:
     """Add the methods of a class and of its bases; return whether one of them is a class of deepbots."""
-    if node in controller.nodes or len(controller.nodes) > MAX_FILES:
-        return False
     controller.nodes.append(node)
     own = {each.name: (module, each) for each in node.body if isinstance(each, ast.FunctionDef)}
     controller.methods = own | controller.methods
     names = [module.resolved(base) for base in node.bases]
     is_found = not bases.isdisjoint(names)
-    for name in names:
-        owners = [
-            (owner, inner) for owner in controller.modules for inner in owner.classes if inner.name == name
-        ]
-        owners.sort(key=lambda pair: pair[0] is not module)
-        for owner, inner in owners[:1]:
-            is_found |= _collect(controller, owner, inner, bases)
+    for name in names[:MAX_BASES]:
+        others = [pair for pair in classes.get(name, ())[:MAX_FILES] if pair[1] not in controller.nodes]
+        if others and len(controller.nodes) <= MAX_BASES:
+            owner, inner = min(others, key=lambda pair: pair[0] is not module)
+            is_found |= _collect(controller, owner, inner, bases, classes)
     return is_found
 
 
-def _bind(controller: Controller) -> None:
-    """Count the bindings of names and attributes in the files, and record simple ones."""
+def _bindings(controller: Controller) -> Bindings:
+    """Return how the files bind names and attributes."""
+    result = Bindings()
     own = {module.name for module in controller.modules}
     for module in controller.modules:
         scopes = dict(_scopes(module, controller))
         for node in ast.walk(module.tree):
             match node:
                 case ast.Name(id=name) | ast.Attribute(attr=name) if name in _BINDS_UNSEEN:
-                    controller.bound.clear()
-                    return
+                    return Bindings()
                 case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
-                    controller.bound[name] += 1
+                    result.counts[name] += 1
                 case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.arg(arg=name):
-                    controller.bound[name] += 1
+                    result.counts[name] += 1
                 case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)):
-                    controller.bound[name] += 1
+                    result.counts[name] += 1
                 case (
                     ast.Assign(targets=[target], value=value)
                     | ast.AnnAssign(target=target, value=ast.expr() as value)
                 ):
                     scope = scopes.get((node, type(target)), "")
-                    controller.values[_last_name(target)] = (scope, value)
+                    result.values[_last_name(target)] = (scope, value)
                 case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
                     is_own = getattr(node, "module", None) in own
-                    controller.bound.update(alias.asname or alias.name for alias in aliases if not is_own)
+                    result.counts.update(alias.asname or alias.name for alias in aliases if not is_own)
+    return result
 
 
 def _scopes(module: Module, controller: Controller) -> Iterator[tuple[tuple[ast.AST, type[ast.expr]], str]]:

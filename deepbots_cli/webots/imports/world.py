@@ -22,7 +22,7 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_cli.webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
-from deepbots_cli.webots.shapes import color_of, visible_shape
+from deepbots_cli.webots.shapes import color_of, inverse, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -103,7 +103,7 @@ class RobotParts:
 
     def frame_in_link(self, body: Body, frame: Frame) -> Frame:
         """Return a frame of a body in the frame of its link."""
-        return frames.compose(_inverse(_link_frame(body)), frame)
+        return frames.compose(inverse(_link_frame(body)), frame)
 
 
 def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
@@ -154,8 +154,8 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
             geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
             visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
             inertias = body.inertias if solid is None else ()
-            link = _link(parts.links[node], _inverse(frame), geometries, inertias, built, scene, findings)
-            links.append(_as_seen(link, visuals, _inverse(frame), built, scene))
+            link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
+            links.append(_as_seen(link, visuals, inverse(frame), built, scene))
             if solid is not None:
                 name, pose = f"{link.name}_fixed", pose_of(parts.frame_in_link(body, frame))
                 joints.append(urdf.Joint(name, "fixed", parts.link_of(body), link.name, pose))
@@ -284,7 +284,7 @@ def _joints(
     """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
     assert body.parent is not None
     above = parts.link_of(body.parent)
-    frame = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
+    frame = frames.compose(inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
     links: list[urdf.Link] = []
     joints: list[urdf.Joint] = []
     if body.joints and body.joints[0].kind == "ball":
@@ -354,11 +354,6 @@ def _link_frame(body: Body) -> Frame:
     if body.parent is None or not body.joints:
         return ORIGIN
     return body.joints[0].anchor, frames.IDENTITY_ROTATION
-
-
-def _inverse(frame: Frame) -> Frame:
-    rotation = frames.inverse(frame[1])
-    return frames.rotate(rotation, frames.scaled(frame[0], -1.0)), rotation
 
 
 def pose_of(frame: Frame) -> urdf.Pose:
