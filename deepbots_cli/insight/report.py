@@ -191,7 +191,7 @@ class Report:
         try:
             self.agents = [
                 ReportAgent(
-                    member, [training_logs.read_agent_log(entry.run.path, member) for entry in self.runs]
+                    member, [training_logs.read_run(entry.run.path, member=member) for entry in self.runs]
                 )
                 for member in self.runs[0].run.program.members.values()
             ]

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import nicegui
 from nicegui import ui
@@ -79,7 +78,7 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
 
     def underline(self, revision: int, findings: Sequence[EditorFinding]) -> None:
         """Underline findings of a revision."""
-        self.run_method("underline", revision, [_row(finding) for finding in findings])
+        self.run_method("underline", revision, [asdict(finding) for finding in findings])
 
     def go_to(self, line: int, column: int = 0) -> None:
         """Put the cursor at a place, from 0."""
@@ -115,16 +114,6 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
         if file is not None and file is self._file:
             self._sent = file.revision
             self.run_method("confirm", path, file.revision, None if file.text == text else file.text)
-
-
-def _row(finding: EditorFinding) -> dict[str, Any]:
-    return {
-        "start": finding.start,
-        "end": finding.end,
-        "severity": finding.severity,
-        "code": finding.code,
-        "message": finding.message,
-    }
 
 
 class FindingList:

@@ -115,18 +115,18 @@ class Language:
 
     def update(self, file: OpenFile) -> None:
         """Analyze the present text of a file soon."""
-        document = self._put(file)
-        dependents = self._workspace.dependents(document)
-        uris = [document.uri] if document.is_scenario or not dependents else []
-        self._checker.schedule(*uris, *dependents)
+        uri = uri_of(file.path)
+        present = self._workspace.documents.get(uri)
+        if present is None or (present.text, present.version) != (file.text, file.revision):
+            present = Document(uri, file.revision, file.text, file.path)
+        self._checker.put(present)
 
     def update_all(self) -> None:
         """Analyze all open files again, because a file that they read has changed."""
         self._checker.schedule(*self._workspace.documents)
 
     def remove(self, path: Path) -> None:
-        self._workspace.remove(uri_of(path))
-        self._checker.retract(uri_of(path))
+        self._checker.remove(uri_of(path))
 
     def findings(self, path: Path) -> tuple[EditorFinding, ...]:
         """Return the findings of the last analysis of a file, errors first."""
@@ -266,16 +266,6 @@ class Language:
         if document is None or document.text != text:
             document = Document(uri, -1, text, path)
         return self._workspace.view_of(document, types.Position(line, column))
-
-    def _put(self, file: OpenFile) -> Document:
-        """Return the document of a file, the one that is open if the text has not changed."""
-        uri = uri_of(file.path)
-        present = self._workspace.documents.get(uri)
-        if present is not None and (present.text, present.version) == (file.text, file.revision):
-            return present
-        document = Document(uri, file.revision, file.text, file.path)
-        self._workspace.put(document)
-        return document
 
     def _publish(self, uri: str, version: int | None, shown: list[types.Diagnostic]) -> None:
         document = self._workspace.documents.get(uri)

@@ -144,16 +144,6 @@ def is_loopback(host: str) -> bool:
     return host == "localhost"
 
 
-def free_port(host: str, port: int | None, first: int = FIRST_PORT) -> int:
-    """Return a port that can be listened on: `port`, or the first free one from `first` on.
-
-    Raises:
-        UsageError: The host is unknown, or the port is in use.
-    """
-    with listening_socket(host, port, first) as probe:
-        return int(probe.getsockname()[1])
-
-
 def listening_socket(host: str, port: int | None, first: int = FIRST_PORT) -> socket.socket:
     """Return a socket that listens on `port`, or on the first free one from `first` on. No other program can
     take the port before the server answers.
@@ -303,7 +293,8 @@ def serve(
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a page in the browser") from error
     host = plain_address(host)
-    number = free_port(host, port)
+    with listening_socket(host, port) as probe:
+        number = int(probe.getsockname()[1])
     token = "" if is_loopback(host) and not needs_token else new_token()
     for name in ("websockets", "websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -126,7 +126,7 @@ def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool 
     """
     logs = list[TrainingLog]()
     for path in run_folders(paths):
-        logs += [_read_run(path, window)] if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
+        logs += [read_run(path, window)] if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
     first = {log.group: log.path for log in reversed(logs)}  # the first run of each scenario
     # Scenarios of one name that differ are called after the folder of their first run or group, or its path
     # if folders share a name.
@@ -156,22 +156,18 @@ def _agent_logs(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[Tra
         yield log
         return
     for agent, member in Run.open(log.path).program.members.items():
-        agent_log = _read_run(log.path, window, member)
+        agent_log = read_run(log.path, window, member)
         agent_log.agent = agent
         agent_log.name = agent if is_only else f"{log.name}: {agent}"
         yield agent_log
 
 
-def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog:
-    """Read the log of a run as it is for one of its several agents.
+def read_run(path: Path, window: int = 100, member: Member | None = None) -> TrainingLog:
+    """Read the log of a run, or of a run as it is for one of its several agents.
 
     Raises:
         RunError: The run is damaged, or an older version wrote it, which did not log each agent.
     """
-    return _read_run(path, window, member)
-
-
-def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
     teacher = record.task.teacher
     # A recording is not part of the scenario.

@@ -102,33 +102,6 @@ def _run(page, until, seconds=30.0):
     assert until()
 
 
-def test_time_stands_still_while_nobody_looks():
-    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
-        page.run(iter([False] * 10 + [True]).__next__)
-        assert page.player.frame.step == 0
-        _run(page, lambda: page.player.frame.step > 0)
-
-
-@pytest.mark.slow
-def test_time_goes_on_stands_still_and_begins_again():
-    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
-        _run(page, lambda: page.player.frame.step > 3)
-        page.playback.play(False)
-        step = page.player.frame.step
-        page.run(iter([False] * 5 + [True]).__next__)
-        assert page.player.frame.step == step
-        page.playback.step_once()
-        assert page.player.frame.step == step + 1
-        page.playback.begin()
-        first = page.player.frame
-        page.playback.begin(1)
-        assert first.step == page.player.frame.step == 0
-        assert first.links != page.player.frame.links
-        page.playback.play(True)
-        _run(page, lambda: page.player.frame.ended_by is not None)
-        assert "failure: fallen" in page.banner.content
-
-
 @pytest.mark.parametrize(("goal", "color"), [(5, "#009E73"), (6, "#808080")])
 def test_an_episode_that_reaches_the_return_of_a_solved_task_is_green(tmp_path, goal, color):
     path = tmp_path / "mine.yaml"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from contextlib import closing
@@ -36,7 +35,6 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.overview import overview
 from deepbots_cli.view import pictures, plots, training_logs
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.panel import training_rows
 from deepbots_cli.view.pictures import (
     PaintedPath,
     Viewpoint,
@@ -326,19 +324,6 @@ def test_a_mean_covers_the_timesteps_of_all_curves(steps, covered):
     plots.plot_band(panel, [(np.array(s, float), np.ones(len(s))) for s in steps], {"color": "red"})
     drawn = panel.lines[0].get_xdata()
     assert (min(drawn), max(drawn)) == covered if covered else not len(drawn)
-
-
-def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
-    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
-    episodes, evaluations = training_logs.logs_of(tmp_path / "a")
-    text = "".join(
-        training_rows(
-            training_logs.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True
-        )
-    )
-    cells = re.findall(r"<td[^>]*>([^<]+)", text)
-    assert cells[1:5] == ["1. open", "0", "2. crowded", "22"]
-    assert cells[6:] == ["30 steps, stage crowded", "return 2, success 50%"]
 
 
 def _taught(folder, teacher, **scalars):

@@ -32,7 +32,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program.members import RANDOM, ZERO
-from deepbots_cli.rollout.drivers import HAND, POLICY
+from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
@@ -517,13 +517,6 @@ def test_fields_have_units_ranges_and_options():
     assert choice.text(1.0) == choice.options[1]
 
 
-def test_a_person_drives_by_the_names_of_action_fields():
-    with closing(Player(Showing("find_ball").open(), HAND)) as player:
-        player.begin(0, 0)
-        player.manual_values = {"gas": 1.0, "wheel": -0.5}
-        assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
-
-
 def test_messages_are_those_that_receivers_go_by():
     """A message that arrives k ticks after it was sent has an age of k ticks, and the value of the tick in
     which it was sent."""
@@ -631,23 +624,6 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
         text = page.panel.training.text.content
     (done,) = run.record.result.stages
     assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
-
-
-def test_the_tab_training_shows_the_evaluations_of_the_run_that_is_shown_now(tmp_path):
-    pytest.importorskip("viser")
-    from deepbots_cli.view.page import Page
-
-    first = _trained(tmp_path, "cartpole")
-    second = shutil.copytree(first, tmp_path / "second")
-    for run, value in ((first, 8.0), (second, 9.0)):
-        line = {"steps": 64, "stage": None, "returns": [value], "lengths": [8], "successes": [False]}
-        (run / "evaluations" / "training.jsonl").write_text(json.dumps(line) + "\n")
-    with closing(Page(Showing(str(first)), port=0)) as page:
-        panel = page.panel
-        page.show_source(str(second))
-        assert page.panel is panel
-        assert panel.training.mean_returns == (9.0,)
-        assert "return 9<" in panel.training.text.content
 
 
 def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
