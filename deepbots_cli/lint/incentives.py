@@ -747,7 +747,7 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     return [] if any(concerned & _concerns(analysis, node) for node in right_nodes) else wrong
 
 
-def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
+def _concerns(analysis: RangeAnalysis, node: Scalar) -> set[str]:
     """Return the names without definition that a value depends on, and the bodies on whose places it
     depends."""
     bodies: set[str] = set()
