@@ -93,6 +93,10 @@ class SuccessRate(dict[str, Any]):
         """Return the rate of episodes, run again or of an evaluation, by their `is_success`."""
         return SuccessRate([episode.is_success for episode in episodes])
 
+    @staticmethod
+    def counted(successes: int, episodes: int) -> SuccessRate:
+        return SuccessRate([1.0] * successes + [0.0] * (episodes - successes))
+
     @property
     def rate(self) -> float:
         return float(self["rate"])

@@ -649,7 +649,8 @@ class Kind:
 
 
 def _kinds(world: EngineWorld, unchanged: EngineWorld, document: Document) -> Iterator[Kind]:
-    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other actions."""
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other
+    actions."""
 
     def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[EngineWorld, Act | None]]:
         return lambda amount: (unchanged, act(amount))
