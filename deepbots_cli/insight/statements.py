@@ -1,7 +1,8 @@
 """Sentences with their evidence, the form of every row in the two tables, and the templates of pages.
 
 A row is a sentence with fields for numbers, and the function that finds these numbers. There is no sentence
-without its numbers."""
+without its numbers.
+"""
 
 from __future__ import annotations
 
