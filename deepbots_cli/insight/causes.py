@@ -235,23 +235,27 @@ def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
     return SuccessRate(final or evidence.episodes_between(0.75, 1.0).successes)
 
 
-def _has_teacher(evidence: TrainingEvidence) -> bool:
+def _teacher(evidence: TrainingEvidence) -> str | None:
+    """Return the script that teaches the policy."""
     training = evidence.program.agent.training
+    return training.teacher.script if training is not None and training.teacher is not None else None
+
+
+def _has_teacher(evidence: TrainingEvidence) -> bool:
     taught_by_file = evidence.run.demonstrations.exists() or evidence.run.teacher.exists()
-    return taught_by_file or (training is not None and training.teacher is not None)
+    return taught_by_file or _teacher(evidence) is not None
 
 
 def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
     """Return the success rate of the script that teaches: from the starts of the evaluations, as the training
     logged it, else in short episodes."""
-    training, logged = evidence.program.agent.training, evidence.curve("teacher/success_rate")
-    if training is None or training.teacher is None:
+    teacher, logged = _teacher(evidence), evidence.curve("teacher/success_rate")
+    if teacher is None:
         return None
     sizes = [len(evaluation["successes"]) for evaluation in evidence.evaluations if "steps" in evaluation]
     if len(logged) and sizes:
-        won = round(float(logged[-1]) * sizes[-1])
-        return SuccessRate([1.0] * won + [0.0] * (sizes[-1] - won))
-    played = evidence.scripts.get(training.teacher.script, ())
+        return SuccessRate.counted(round(float(logged[-1]) * sizes[-1]), sizes[-1])
+    played = evidence.scripts.get(teacher, ())
     return SuccessRate.of(played) if played else None
 
 
@@ -263,8 +267,8 @@ def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
     " endings. Or train without it.",
 )
 def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
-    training, script, policy = evidence.program.agent.training, teacher_rate(evidence), policy_rate(evidence)
-    if training is None or training.teacher is None or script is None:
+    script, policy = teacher_rate(evidence), policy_rate(evidence)
+    if script is None:
         return None
     solved = evidence.program.agent.solved
     required = _GOOD_TEACHER if solved is None or solved.success_rate is None else solved.success_rate
@@ -272,10 +276,9 @@ def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
         return None
     if policy.rate < _AS_GOOD * script.rate or policy.rate >= required:
         return None
-    name = training.teacher.script
     return {
         "likelihood": 0.895,
-        "script": name,
+        "script": _teacher(evidence),
         "by_script": script,
         "by_policy": policy,
         "scenario": evidence.scenario_argument,
@@ -291,23 +294,19 @@ def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
     " more of the past: {past} for the sensors that change with it.",
 )
 def teacher_sees_more(evidence: TrainingEvidence) -> Numbers | None:
-    training = evidence.program.agent.training
-    if (
-        training is None
-        or training.teacher is None
-        or not (played := evidence.scripts.get(training.teacher.script))
-    ):
+    teacher = _teacher(evidence)
+    if teacher is None or not (played := evidence.scripts.get(teacher)):
         return None
     script = SuccessRate.of(played)
     policy = SuccessRate.of(evidence.final_episodes) if evidence.final_episodes else evidence.late_success
-    hidden = unobserved_reads(evidence.program, training.teacher.script)
+    hidden = unobserved_reads(evidence.program, teacher)
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None
     longer = evidence.facts.history
     past = "`history: 4`" if longer == 1 else f"a `history` of more than the {longer} steps that it has"
     return {
         "likelihood": 0.88,
-        "script": training.teacher.script,
+        "script": teacher,
         "names": " and ".join(f"`{text}`" for text in hidden[:3]),
         "by_script": script,
         "by_policy": policy,

@@ -2,7 +2,8 @@
 of actions and observations.
 
 A table is a list of rows, or one row; values are in SI units. Expressions are shown as the scenario writes
-them: the tree `root` holds its text."""
+them: the tree `root` holds its text.
+"""
 
 from __future__ import annotations
 

@@ -4,7 +4,8 @@ deepbots weighs each setting of a training that fell apart by its distance from 
 of its own where 1 means "often breaks a training that has learned", and by the scalars of the run: an
 update that changes the policy a lot has a large KL divergence, a weight of the entropy that is too large
 lets the entropy rise again. `tests/insight/collapses.py` measures how often the planted setting is
-named."""
+named.
+"""
 
 from __future__ import annotations
 

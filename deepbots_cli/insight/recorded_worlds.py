@@ -2,7 +2,8 @@
 that.
 
 A world is recorded while the policy acts, or while it repeats the starts and actions of another one. The
-values are those of the observation, in SI units, and the reward terms."""
+values are those of the observation, in SI units, and the reward terms.
+"""
 
 from __future__ import annotations
 

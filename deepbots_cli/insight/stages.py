@@ -449,9 +449,9 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         "observed": observed,
         "drawn": name,
         "worst": _range(worst, label),
-        "failing": _part_rate(worst),
+        "failing": str(SuccessRate.counted(worst.successes, worst.episodes)),
         "best": _range(best, label),
-        "succeeding": _part_rate(best),
+        "succeeding": str(SuccessRate.counted(best.successes, best.episodes)),
         "source": source,
         "parts": shares,
         "bins": rates,
@@ -499,12 +499,6 @@ def _is_apart(parts: Sequence[DrawnPart]) -> bool:
 def _range(part: DrawnPart, label: DrawLabel) -> str:
     text = label.range_text(part)
     return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
-
-
-def _part_rate(part: DrawnPart) -> str:
-    low, high = part.success_interval
-    interval = f"{rate_text(low)} to {rate_text(high)}"
-    return f"{rate_text(part.success_rate)} ({interval}) of {part.episodes:,} episodes"
 
 
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:

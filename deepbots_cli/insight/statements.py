@@ -1,7 +1,8 @@
 """Sentences with their evidence, the form of every row in the two tables, and the templates of pages.
 
 A row is a sentence with fields for numbers, and the function that finds these numbers. There is no sentence
-without its numbers."""
+without its numbers.
+"""
 
 from __future__ import annotations
 
@@ -92,6 +93,10 @@ class SuccessRate(dict[str, Any]):
     def of(episodes: Sequence[Any]) -> SuccessRate:
         """Return the rate of episodes, run again or of an evaluation, by their `is_success`."""
         return SuccessRate([episode.is_success for episode in episodes])
+
+    @staticmethod
+    def counted(successes: int, episodes: int) -> SuccessRate:
+        return SuccessRate([1.0] * successes + [0.0] * (episodes - successes))
 
     @property
     def rate(self) -> float:

@@ -3,7 +3,8 @@
 Runs keep the seeds of their evaluations, recordings their actions, failures both: each of them gives the
 same episode once more. Its endings are comparisons: `instrument_program` gives a program whose supervisor
 keeps both sides of each. Everything else of an episode stays the same to the bit: the added signals read
-what the endings read, and share their memories."""
+what the endings read, and share their memories.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 actions and of scripts.
 
 Logs are `monitor.csv`, the TensorBoard files and the evaluations during the training. Nothing is
-written."""
+written.
+"""
 
 from __future__ import annotations
 

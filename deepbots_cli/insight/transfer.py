@@ -11,7 +11,8 @@ are simulated, each with the same starts and actions.
 Most kinds of changes explain nothing. Therefore the first round simulates a small, a medium and a large
 amount of each kind, in two episodes, until the differences have grown. The second round simulates all
 amounts of the likely kinds. The third round searches between the amounts of the best kinds. Finally, the
-best amount of each kind is simulated in all episodes."""
+best amount of each kind is simulated in all episodes.
+"""
 
 from __future__ import annotations
 
@@ -649,7 +650,8 @@ class Kind:
 
 
 def _kinds(world: EngineWorld, unchanged: EngineWorld, document: Document) -> Iterator[Kind]:
-    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other actions."""
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other
+    actions."""
 
     def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[EngineWorld, Act | None]]:
         return lambda amount: (unchanged, act(amount))

@@ -150,7 +150,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         _Version(name, RuleContext(version), CascadeFilter(version)) for name, version in _versions(checked)
     ]
     plugins = [
-        LintRule(entry.code, partial(_found_by_plugin, entry.check), entry.versions)
+        LintRule(entry.code, partial(_found_by_plugin, entry.check), versions=entry.versions)
         for entry in RULES.from_plugins.values()
         if entry.check is not None
     ]

@@ -3,7 +3,8 @@
 The scenario is simulated by `rollouts` in a process of its own, with limits on time and memory, so that a
 scenario that hangs or crashes the engine ends that process and no other. The plan counts steps and follows
 from the scenario alone: findings are the same on every machine. The process writes a line for each entry,
-and the report is read from these lines."""
+and the report is read from these lines.
+"""
 
 from __future__ import annotations
 

@@ -507,7 +507,8 @@ CASES: dict[str, Case] = {
         first=["ending_early_pays"],
         says={
             "ending_early_pays": [
-                "'hit' ends 100% of them after 20 steps on average; the first episodes of the training lasted 60",
+                "'hit' ends 100% of them after 20 steps on average; the first episodes of the training lasted"
+                " 60",
                 "'effort' went from -28 to -9 per episode and 'time' went from -1.2 to -0.4",
             ]
         },

@@ -1,11 +1,11 @@
 """The most frequent slips of a beginner: one change of a scenario that works, or one command line, and what
 the message must say.
 
-The fields of a slip in slips.yaml: `says`, words of the reason and the line to write; `at`, the place that the
-message names; `edits`, pairs of a text of the scenario and what is written instead; `command`, the words after
-`deepbots`; `of`, the shipped scenario that was copied, and `path`, where the copy lies; `files`, further files with
-their text; `folder`, in which the command runs; `is_copied_by_hand`, for a copy without its robot, whose paths
-lead nowhere.
+The fields of a slip in slips.yaml: `says`, words of the reason and the line to write; `at`, the place that
+the message names; `edits`, pairs of a text of the scenario and what is written instead; `command`, the words
+after `deepbots`; `of`, the shipped scenario that was copied, and `path`, where the copy lies; `files`, further
+files with their text; `folder`, in which the command runs; `is_copied_by_hand`, for a copy without its robot,
+whose paths lead nowhere.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 a simulation.
 
 Inputs are sensors of robots, readings of the world and goals; outputs are the commands of actuators, with
-their limits and their safe posture."""
+their limits and their safe posture.
+"""
 
 from __future__ import annotations
 
