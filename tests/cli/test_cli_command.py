@@ -18,7 +18,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from importlib.machinery import PathFinder
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
@@ -108,10 +107,14 @@ def test_only_one_module_starts_python():
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
-def test_every_verb_explains_itself_with_examples(deepbots, verb):
+def test_every_verb_explains_itself_with_examples_that_parse(deepbots, verb):
     ran = deepbots(verb, "--help")
     assert COMMANDS[verb] in ran.out
     assert f"  deepbots {verb} " in ran.out or f"  deepbots {verb}\n" in ran.out
+    command = Commands().get_command(None, verb)
+    examples = [line.strip().split("  ")[0].split(" && ")[0].split() for line in command.help.splitlines()]
+    for words in [words for words in examples if words[:2] == ["deepbots", verb]]:
+        command.make_context(verb, words[2:]).close()
 
 
 def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
@@ -123,19 +126,6 @@ def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
     assert any(
         example[example.index("-k") + 1] in test.name for test in api.load("cartpole", tests=True).tests
     )
-
-
-@pytest.mark.parametrize("verb", COMMANDS)
-def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb):
-    command = Commands().get_command(None, verb)
-    examples = [line.strip().split("  ")[0].split(" && ")[0].split() for line in command.help.splitlines()]
-    for words in [words for words in examples if words[:2] == ["deepbots", verb]]:
-        command.make_context(verb, words[2:]).close()
-
-
-def test_the_overview_lists_every_verb(deepbots):
-    ran = deepbots("--help")
-    assert all(verb in ran.out and summary in ran.out for verb, summary in COMMANDS.items())
 
 
 @pytest.mark.parametrize(
@@ -152,10 +142,6 @@ def test_a_shell_completes_commands_and_options(deepbots, monkeypatch, line, exp
     assert deepbots().out.split() == expected
 
 
-def test_the_version_is_that_of_the_package(deepbots):
-    assert deepbots("--version").out == f"deepbots {deepbots_cli.__version__}\n"
-
-
 def test_eval_has_at_most_twelve_options_outside_advanced(deepbots):
     output = deepbots("eval", "--help").out
     common = output[output.index("\nOptions:") : output.index("\nAdvanced:")]
@@ -169,6 +155,7 @@ def test_eval_has_at_most_twelve_options_outside_advanced(deepbots):
 def test_the_overview_has_at_most_33_commands_in_groups_and_begins_with_three(deepbots):
     output = deepbots("--help").out
     assert len(COMMANDS) <= 33
+    assert all(verb in output and summary in output for verb, summary in COMMANDS.items())
     assert [line[:-1] for line in output.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
         GROUPS
     )
@@ -261,17 +248,11 @@ def test_an_internal_error_has_its_own_exit_code_and_its_traceback_is_kept(deepb
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     ran = deepbots("compile", "cartpole", code=3)
-    assert "ZeroDivisionError" in ran.err
-    assert "Traceback" not in ran.err
     (kept,) = tmp_path.glob("deepbots-*.txt")
-    assert str(kept) in ran.err
-    assert "Traceback" in kept.read_text()
-    assert "1 // 0" in kept.read_text()
-
-
-def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
+    assert [word for word in ("ZeroDivisionError", str(kept)) if word not in ran.err] == []
+    assert "Traceback" not in ran.err
+    assert re.search(r"Traceback(.|\n)*1 // 0", kept.read_text())
     monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
-    monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         deepbots("compile", "cartpole")
 
@@ -290,13 +271,17 @@ def test_a_terminal_with_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     assert b"Traceback" not in done.stderr
 
 
-def test_linting_imports_neither_simulator_nor_learner():
-    code = (
-        "import sys; from deepbots_cli.cli import main; assert main(['lint', 'cartpole']) == 0;"
-        " print([*sys.modules])"
-    )
+@pytest.mark.parametrize(
+    ("words", "absent"),
+    [
+        (["lint", "cartpole"], (*EXTRA, "rich", "jinja2")),
+        (["--help"], ("deepbots_cli.scenario", "deepbots_cli.cli.commands.train")),
+    ],
+)
+def test_a_command_imports_only_what_it_needs(words, absent):
+    code = f"import sys; from deepbots_cli.cli import main; main({words}); print([*sys.modules])"
     loaded = in_process_of_its_own(code)
-    assert not [name for name in (*EXTRA, "rich", "jinja2") if f"'{name}'" in loaded]
+    assert not [name for name in absent if f"'{name}'" in loaded]
 
 
 WITHOUT = [
@@ -349,13 +334,6 @@ def test_commands_that_run_nothing_need_no_extra(tmp_path):
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.stderr.splitlines()[-1] == str([0] * len(lines)), done.stderr
-
-
-def test_the_overview_imports_no_verb_and_not_even_the_language():
-    code = "import sys; from deepbots_cli.cli import main; main(['--help']); print([*sys.modules])"
-    loaded = in_process_of_its_own(code)
-    assert "'deepbots_cli.scenario'" not in loaded
-    assert "'deepbots_cli.cli.commands.train'" not in loaded
 
 
 def test_the_package_runs_as_a_module():
@@ -475,44 +453,26 @@ def put(path: Path, text: str) -> None:
         draft.write_text(text)
 
 
-def test_a_file_is_replaced_as_a_whole_and_keeps_its_permissions(tmp_path):
-    path = tmp_path / "a.txt"
+def test_a_file_is_replaced_as_a_whole_or_stays_and_keeps_its_permissions_and_links(tmp_path):
+    path, link = tmp_path / "there" / "a.txt", tmp_path / "link.txt"
+    path.parent.mkdir()
     put(path, "one")
     path.chmod(0o640)
-    put(path, "two")
-    assert (path.read_text(), path.stat().st_mode & 0o777, [*tmp_path.iterdir()]) == ("two", 0o640, [path])
-
-
-def test_an_exception_leaves_the_file_as_it_was(tmp_path):
-    path = tmp_path / "a.txt"
-    put(path, "one")
+    link.symlink_to(path)
+    put(link, "two")
     with pytest.raises(TypeError, match="str"):
         put(path, 2)  # after the draft was opened for writing
-    assert (path.read_text(), [*tmp_path.iterdir()]) == ("one", [path])
-
-
-def test_a_link_stays_a_link(tmp_path):
-    (tmp_path / "there").mkdir()
-    target = tmp_path / "there" / "a.txt"
-    link = tmp_path / "link.txt"
-    target.write_text("one")
-    link.symlink_to(target)
-    put(link, "two")
-    assert link.is_symlink()
-    assert target.read_text() == "two"
+    assert (path.read_text(), path.stat().st_mode & 0o777, link.is_symlink()) == ("two", 0o640, True)
+    assert {*tmp_path.rglob("*")} == {path.parent, path, link}
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
 def test_a_file_that_is_not_regular_is_written_to_and_not_replaced(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    read: list[str] = []
-    reader = threading.Thread(target=lambda: read.append(pipe.read_text()), daemon=True)
-    reader.start()
-    put(pipe, "through")
-    reader.join(10)
-    assert read == ["through"]
-    assert pipe.is_fifo()
+    with open(os.open(pipe, os.O_RDWR), "rb", buffering=0) as reader:
+        put(pipe, "through")
+        assert (reader.read(20), pipe.is_fifo()) == (b"through", True)
 
 
 def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
@@ -608,16 +568,18 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_on_a_terminal_one_line_is_rewritten_and_erased() -> None:
-    screen = Terminal()
-    bar = ProgressBar(40, "episodes", stream=screen)
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()])
+def test_a_terminal_has_one_line_that_is_erased_and_a_log_a_line_for_every_tenth(stream: io.StringIO) -> None:
+    bar = ProgressBar(40, "episodes", stream=stream)
     for number in range(1, 41):
         bar.update(number)
     bar.close()
-    text = screen.getvalue()
-    assert "1 of 40 episodes" in text
-    assert "40 of 40 episodes" in text
-    assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
+    text = stream.getvalue()
+    if stream.isatty():
+        assert "1 of 40 episodes" in text
+        assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
+    else:
+        assert [line.partition(" ")[0] for line in text.splitlines()] == [*map(str, range(4, 41, 4))]
 
 
 def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
@@ -631,14 +593,6 @@ def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
     ] * 2
 
 
-def test_elsewhere_there_is_a_line_for_every_tenth() -> None:
-    log = io.StringIO()
-    bar = ProgressBar(40, "episodes", stream=log)
-    for number in range(1, 41):
-        bar.update(number)
-    assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*map(str, range(4, 41, 4))]
-
-
 CELLS = st.one_of(
     st.none(),
     st.booleans(),
@@ -650,20 +604,19 @@ CELLS = st.one_of(
 ROWS = st.lists(st.fixed_dictionaries({"a": CELLS, "b": CELLS, "c": CELLS}), min_size=1, max_size=5)
 
 
-def test_numbers_stand_to_the_right_and_text_to_the_left():
+def test_rows_are_columns_of_text_and_numbers():
     assert table([{"name": "x", "steps": 5}, {"name": "longer", "steps": 12_000}], indent="") == (
         "name     steps\n------  ------\nx            5\nlonger  12,000"
     )
-
-
-def test_a_column_without_any_value_is_left_out():
     assert "empty" not in table([{"name": "x", "empty": None, "also": []}])
-    assert "empty" not in row_as_lines({"name": "x", "empty": ""})
-
-
-def test_wide_characters_take_two_columns():
+    assert row_as_lines({"name": "x", "empty": ""}, indent="") == "name  x"
     first, _, second, third = table([{"n": "日本", "m": "x"}, {"n": "ab", "m": "y"}], indent="").splitlines()
     assert display_width(second[: second.index("x")]) == third.index("y") == first.index("m")
+    long = [f"j{n}" for n in range(12)]
+    assert [row_as_lines({"joints": joints}, indent="") for joints in (long, long[:5])] == [
+        "joints  j0, j1, j2, j3, ... 12 in all",
+        "joints  j0, j1, j2, j3, j4",
+    ]
 
 
 @given(rows=ROWS)
@@ -671,14 +624,6 @@ def test_any_values_make_lines_that_no_terminal_obeys(rows):
     text = table(rows)
     assert text.replace("\n", "").isprintable()
     assert text.count("\n") == len(rows) + 1
-
-
-def test_a_long_list_is_cut_short_and_says_how_long_it_is():
-    assert (
-        row_as_lines({"joints": [f"j{n}" for n in range(12)]}, indent="")
-        == "joints  j0, j1, j2, j3, ... 12 in all"
-    )
-    assert row_as_lines({"joints": [f"j{n}" for n in range(5)]}, indent="") == "joints  j0, j1, j2, j3, j4"
 
 
 LINES = [

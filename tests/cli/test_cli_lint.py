@@ -21,7 +21,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -52,6 +52,7 @@ from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze, uri_of
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.view.episodes import Showing
+from tests.commands import Ran
 from tests.named import with_defaults
 from tests.worlds import CART
 
@@ -131,44 +132,33 @@ def test_arbitrary_assignments_never_end_in_a_fault(value, path):
     assert main(["lint", "cartpole", "--set", f"{path}={value}", "--format", "json"]) in (0, 1)
 
 
-def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
-    (tmp_path / "s").mkdir()
-    for name in ("b", "a"):
-        (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE + "oops: 1\n")
-    (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
-    (tmp_path / "s" / "short.yml").write_text("deepbots: 2\n")
-    (tmp_path / "s" / "quoted.yaml").write_text('"deepbots": 2\n')
-    (tmp_path / "s" / "within.yaml").write_text("# not at the top level\njobs:\n  deepbots: 1\n")
-    ran = deepbots("lint", "s", "--format", "concise", code=1)
-    assert list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines())) == [
-        "s/a.yaml",
-        "s/b.yaml",
-        "s/quoted.yaml",
-        "s/short.yml",
-    ]
-
-
 def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepbots, tmp_path):
-    places = (
-        "top",
-        "worlds/one",
-        "worlds/deep/two",
-        ".hidden/three",
-        "runs/cartpole-0/scenario",
-        "env/lib/four",
-        "node_modules/p/five",
-    )
-    for place in (*places, "old/six", "worlds/deep/old/seven"):
-        path = tmp_path / f"{place}.yaml"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("deepbots: 1\n")
-    (tmp_path / "runs" / "cartpole-0" / "run.json").touch()
-    (tmp_path / "env" / "pyvenv.cfg").touch()
+    seen = {"top.yaml", "short.yml", "worlds/one.yaml", "worlds/deep/two.yaml", "worlds/deep/old/seven.yaml"}
+    texts = dict.fromkeys(
+        (
+            *seen,
+            ".hidden/three.yaml",
+            "runs/cartpole-0/scenario.yaml",
+            "runs/cartpole-0/run.json",
+            "env/lib/four.yaml",
+            "env/pyvenv.cfg",
+            "node_modules/p/five.yaml",
+            "old/six.yaml",
+        ),
+        "deepbots: 1\n",
+    ) | {
+        "quoted.yaml": '"deepbots": 2\n',
+        "other.yaml": "jobs: []\n",
+        "within.yaml": "# not at the top level\njobs:\n  deepbots: 1\n",
+        "deepbots.toml": '[lint]\nexclude = ["old"]\n',
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
     (tmp_path / "worlds" / "again").symlink_to(tmp_path / "worlds", target_is_directory=True)
-    (tmp_path / "deepbots.toml").write_text('[lint]\nexclude = ["old"]\n')
     ran = deepbots("lint", ".", "--format", "concise", code=1)
     files = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
-    assert files == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
+    assert files == sorted({*seen, "quoted.yaml"})
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
@@ -317,17 +307,30 @@ def test_the_settings_in_the_docs_are_settings(deepbots, files):
     ]
 
 
-def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch):
-    texts = iter([CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m")])
+@pytest.fixture
+def watched(deepbots, monkeypatch):
+    """Watch while these files get contents one after the other, until Ctrl-C."""
 
-    def save_or_interrupt(_):
-        text = next(texts, None)
-        if text is None:
-            raise KeyboardInterrupt
-        (files / "broken.yaml").write_text(text)
+    def watch(changes: Iterable[tuple[Path, bytes]], *words: str) -> Ran:
+        changes = iter(changes)
 
-    monkeypatch.setattr("time.sleep", save_or_interrupt)
-    ran = deepbots("lint", "broken.yaml", "--watch", "--format", "concise")
+        def save_or_interrupt(_):
+            file, content = next(changes, (None, b""))
+            if file is None:
+                raise KeyboardInterrupt
+            file.write_bytes(content)
+
+        monkeypatch.setattr("time.sleep", save_or_interrupt)
+        return deepbots("lint", *words, "--watch")
+
+    return watch
+
+
+def test_watching_lints_again_when_a_file_is_saved(deepbots, files, watched):
+    texts = (CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m"))
+    ran = watched(
+        [(files / "broken.yaml", text.encode()) for text in texts], "broken.yaml", "--format", "concise"
+    )
     codes_shown = re.findall(r"DB\d+", ran.out)
     assert (codes_shown[0], codes_shown[-1], len(codes_shown)) == ("DB402", "DB503", 2)
     assert ran.err.count("watching 2 files; Ctrl-C ends it") == 3
@@ -616,22 +619,17 @@ def pattern():
 
 
 def test_the_hook_for_commits_lints_the_scenarios_of_a_repository(deepbots, tmp_path, hook):
-    assert hook["language"] == "python"
-    assert hook["pass_filenames"] is False
     command, *words = [*shlex.split(hook["entry"]), *hook["args"]]
-    assert command == "deepbots"
+    assert (command, hook["language"], hook["pass_filenames"]) == ("deepbots", "python", False)
+    for name in ("scenarios/a.yaml", "robots/a.urdf", "b.yml"):
+        assert re.search(hook["files"], name)
+        assert not re.search(hook["files"], name + ".orig")
     (tmp_path / "scenarios").mkdir()
     (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE)
     (tmp_path / "scenarios" / "part.yaml").write_text("a: 1\n")
     deepbots(*words)
     (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE.replace("timestep:", "timestop:"))
     assert deepbots(*words, code=1).out.startswith("scenarios/mine.yaml:")
-
-
-@pytest.mark.parametrize("name", ["scenarios/a.yaml", "robots/a.urdf", "b.yml"])
-def test_the_hook_heeds_whatever_a_scenario_may_read(hook, name):
-    assert re.search(hook["files"], name)
-    assert not re.search(hook["files"], name + ".orig")
 
 
 @pytest.mark.parametrize("name", ["a.yaml", "my worlds/a.yaml", "a:1:2: b.yaml"])
@@ -641,22 +639,18 @@ def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp
         CARTPOLE.replace("timestep:", "timestop:").replace("summary:", "summary: on #")
     )
     lines = deepbots("lint", name, "--format", "concise", code=1).out.splitlines()
-    assert len(lines) == 2
-    matches = [re.match(pattern["regexp"], line) for line in lines]
-    assert [match[pattern["file"]] for match in matches] == [name, name]
-    assert [match[pattern["severity"]] for match in matches] == ["warning", "error"]
-    assert [match[pattern["code"]] for match in matches] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
     report = json.loads(deepbots("lint", name, "--json", code=1).out)["findings"]
-    assert [int(match[pattern["line"]]) for match in matches] == [
-        finding["start"]["line"] for finding in report
-    ]
-    assert [int(match[pattern["column"]]) for match in matches] == [
-        finding["start"]["column"] for finding in report
-    ]
-    assert all(
-        match[pattern["message"]].startswith(finding["message"])
-        for match, finding in zip(matches, report, strict=True)
-    )
+    assert [finding["code"] for finding in report] == ["DB003", "DB101"]
+    for line, finding in zip(lines, report, strict=True):
+        match = re.match(pattern["regexp"], line)
+        read = {part: match[pattern[part]] for part in ("file", "severity", "code", "line", "column")}
+        assert read == {
+            "file": name,
+            "severity": finding["severity"],
+            "code": f"{finding['code']}[{finding['name']}]",
+            **{part: str(number) for part, number in finding["start"].items()},
+        }
+        assert match[pattern["message"]].startswith(finding["message"])
 
 
 def test_the_command_lines_of_the_page_on_linting_parse():
@@ -912,39 +906,22 @@ def test_every_file_that_lint_view_or_the_studio_opens_is_watched_also_with_an_e
         assert opened <= {path.resolve() for path in analysis.reads}
 
 
+MESHED = {"robot": "xacro", "mesh": "stl", "terrain": "none", "included": True, "extended": False}
+
+
 @pytest.mark.parametrize("missing", ["bot.yaml", "bot.xacro", "parts.xacro", "limits.yaml", "body.stl"])
-def test_watching_lints_again_when_a_missing_file_comes(deepbots, tmp_path, monkeypatch, missing):
-    written(
-        tmp_path, {"robot": "xacro", "mesh": "stl", "terrain": "none", "included": True, "extended": False}
-    )
-    contents = [(tmp_path / missing).read_bytes()]
+def test_watching_lints_again_when_a_missing_file_comes(watched, tmp_path, missing):
+    written(tmp_path, MESHED)
+    content = (tmp_path / missing).read_bytes()
     (tmp_path / missing).unlink()
-
-    def save_or_interrupt(_):
-        if not contents:
-            raise KeyboardInterrupt
-        (tmp_path / missing).write_bytes(contents.pop())
-
-    monkeypatch.setattr("time.sleep", save_or_interrupt)
-    ran = deepbots("lint", "mine.yaml", "--watch")
-    assert ran.err.count("Ctrl-C ends it") == 2
+    assert watched([(tmp_path / missing, content)], "mine.yaml").err.count("Ctrl-C ends it") == 2
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_watching_lints_again_for_each_file_of_a_robot(deepbots, tmp_path, monkeypatch, jobs):
-    scenario, _ = written(
-        tmp_path, {"robot": "xacro", "mesh": "stl", "terrain": "none", "included": True, "extended": False}
-    )
+def test_watching_lints_again_for_each_file_of_a_robot(watched, tmp_path, jobs):
+    scenario, _ = written(tmp_path, MESHED)
     (tmp_path / "other.yaml").write_text(scenario.read_text())
     names = ["mine.yaml", "bot.yaml", "bot.xacro", "parts.xacro", "limits.yaml", "body.stl", "deepbots.toml"]
-    changed = iter(names)
-
-    def save_or_interrupt(_):
-        name = next(changed, None)
-        if name is None:
-            raise KeyboardInterrupt
-        (tmp_path / name).write_bytes((tmp_path / name).read_bytes() + b"\n")
-
-    monkeypatch.setattr("time.sleep", save_or_interrupt)
-    ran = deepbots("lint", "mine.yaml", "other.yaml", "--watch", "--jobs", str(jobs))
+    changes = [(tmp_path / name, (tmp_path / name).read_bytes() + b"\n") for name in names]
+    ran = watched(changes, "mine.yaml", "other.yaml", "--jobs", str(jobs))
     assert ran.err.count("Ctrl-C ends it") == 1 + len(names)

@@ -17,6 +17,7 @@ from contextlib import closing
 from itertools import pairwise, product
 from math import cos, dist, pi, sin
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,27 +157,44 @@ def test_a_legged_robot_begins_with_springs_a_gait_and_a_batch_of_worlds(deepbot
         assert json.loads(stood.out)["summary"]["mean_length"] > 100
 
 
+def stepped(environment: Any, steps: int) -> tuple[Any, Any, bool]:
+    """Return the poses of the robot before and after so many steps without a command, or until a failure."""
+    environment.reset(seed=0)
+    read = environment.engine.pose("robot")
+    before, terminated = tuple(map(np.copy, read())), False
+    while steps and not terminated:
+        action = np.zeros(environment.action_space.shape, np.float32)
+        _, _, terminated, _, _ = environment.step(action)
+        steps -= 1
+    return before, read(), terminated
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "robot",
-    few(
-        ["a1/a1", "laikago/laikago_toes_limits", "laikago/laikago_toes_zup"], ["laikago/laikago_toes_limits"]
-    ),
+    ("robot", "lying"),
+    [
+        ("a1/a1", ()),
+        ("laikago/laikago_toes_limits", ()),
+        ("laikago/laikago_toes_zup", ()),
+        ("a1/a1", ("reset.place.robot.roll=90 deg", "reset.place.robot.z=3 m")),
+        ("laikago/laikago_toes", ("reset.place.robot.roll=0 deg", "reset.place.robot.z=3 m")),
+    ],
 )
-def test_a_legged_robot_stands_on_feet_below_its_hips(deepbots, tmp_path, robot):
+def test_a_legged_robot_stands_on_feet_below_its_hips_and_has_fallen_where_it_lies(
+    deepbots, tmp_path, robot, lying
+):
     pytest.importorskip("pybullet_data")
     pytest.importorskip("mujoco")
     deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
     scenario = tmp_path / "first.yaml"
-    assert "so that it stands on its feet" in scenario.read_text(encoding="utf-8")
-    with closing(api.make(scenario)) as environment:
-        environment.reset(seed=0)
-        read = environment.engine.pose("robot")
-        upright = read()[1]
-        for _ in range(50):
-            _, _, terminated, _, _ = environment.step(np.zeros(environment.action_space.shape, np.float32))
-        assert not terminated
-        assert abs(np.dot(read()[1], upright)) > np.cos(np.radians(15.0) / 2.0)
+    with closing(api.make(scenario, overrides=lying)) as environment:
+        before, after, terminated = stepped(environment, 15 if lying else 50)
+    assert terminated == bool(lying)
+    if lying:
+        assert after[0][2] > 1.0, "before it is low"
+    else:
+        assert "so that it stands on its feet" in scenario.read_text(encoding="utf-8")
+        assert abs(np.dot(before[1], after[1])) > np.cos(np.radians(15.0) / 2.0)
 
 
 def test_feet_that_are_not_below_the_hips_are_described_as_such(deepbots, tmp_path):
@@ -185,23 +203,6 @@ def test_feet_that_are_not_below_the_hips_are_described_as_such(deepbots, tmp_pa
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
     assert "so that it stands on its feet" not in text
     assert "Look at the robot with `deepbots view`, and change the pose until it stands." in text
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("robot", "roll"), [("a1/a1", 90), ("laikago/laikago_toes", 0)])
-def test_a_legged_robot_on_its_side_falls_before_it_is_low(deepbots, tmp_path, robot, roll):
-    pytest.importorskip("pybullet_data")
-    pytest.importorskip("mujoco")
-    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
-    lying = [f"reset.place.robot.roll={roll} deg", "reset.place.robot.z=3 m"]
-    with closing(api.make(tmp_path / "first.yaml", overrides=lying)) as environment:
-        environment.reset(seed=0)
-        for _ in range(15):
-            _, _, terminated, _, _ = environment.step(np.zeros(environment.action_space.shape, np.float32))
-            if terminated:
-                break
-        assert terminated
-        assert environment.engine.pose("robot")()[0][2] > 1.0
 
 
 def test_every_shipped_robot_is_among_those_that_are_tried():

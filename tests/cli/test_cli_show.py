@@ -234,18 +234,22 @@ def test_the_size_of_a_message_is_what_its_codec_makes(format):
         assert message_size(layout, format) == len(codec(layout, format).encode(*[0.5] * len(layout.fields)))
 
 
-def test_inspect_prints_where_the_hand_of_an_arm_is_and_how_it_is_turned_at_the_start(deepbots):
-    ran = deepbots("inspect", "panda_push", "--json")
-    (pose,) = json.loads(ran.out)["poses"]
-    assert (pose["robot"], pose["link"]) == ("panda", "panda_grasptarget")
-    assert [pose["x_m"], pose["y_m"], pose["z_m"]] == pytest.approx([0.33, 0, 0.03], abs=1e-3)
-    assert [abs(pose["roll_deg"]), pose["pitch_deg"], pose["yaw_deg"]] == pytest.approx([180, 0, 0], abs=0.1)
-
-
-def test_without_sensors_and_hands_the_end_that_the_reset_sets_has_a_pose(deepbots):
-    (pose,) = json.loads(deepbots("inspect", "cartpole", "--json").out)["poses"]
-    assert (pose["robot"], pose["link"]) == ("cart", "tip")
-    assert abs(pose["pitch_deg"]) < 1.0
+@pytest.mark.parametrize(
+    ("scenario", "robot", "link", "pose"),
+    [
+        ("panda_push", "panda", "panda_grasptarget", [0.33, 0, 0.03, 180, 0, 0]),
+        # Without sensors and hands, the end that the reset sets.
+        ("cartpole", "cart", "tip", [0, 0, 1.07, 0, 0, 0]),
+    ],
+)
+def test_inspect_prints_where_a_hand_is_and_how_it_is_turned_at_the_start(
+    deepbots, scenario, robot, link, pose
+):
+    (shown,) = json.loads(deepbots("inspect", scenario, "--json").out)["poses"]
+    assert (shown["robot"], shown["link"]) == (robot, link)
+    names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+    assert [abs(shown[name]) for name in names] == pytest.approx(pose, abs=1.0)
+    assert [abs(shown[name]) for name in names[:3]] == pytest.approx(pose[:3], abs=0.05)
 
 
 def test_a_world_that_cannot_begin_is_inspected_without_poses(deepbots):
@@ -564,25 +568,20 @@ def report_of(deepbots, *words):
     return json.loads(deepbots("try", *words, "--json").out)
 
 
-def test_a_script_drives_every_episode(deepbots, scripted):
-    onward = report_of(deepbots, scripted, "--driver", "onward")
-    assert onward["driver"] == "onward"
-    assert onward["episodes"] == report_of(deepbots, scripted, "--driver", "forward")["episodes"]
-    assert onward["episodes"] != report_of(deepbots, scripted, "--driver", "catch")["episodes"]
-
-
-def test_a_script_may_be_another_in_a_case(deepbots, scripted):
-    words = (scripted, "--case", "back")
-    assert (
-        report_of(deepbots, *words, "--driver", "onward")["episodes"]
-        == report_of(deepbots, *words, "--driver", "backward")["episodes"]
-    )
-
-
-def test_actions_are_repeated_and_may_be_those_of_a_script(deepbots, scripted):
-    once = report_of(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
-    assert report_of(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
-    assert report_of(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
+@pytest.mark.parametrize(
+    ("words", "same"),
+    [
+        (("--driver", "onward"), ("--driver", "forward")),
+        (("--case", "back", "--driver", "onward"), ("--case", "back", "--driver", "backward")),
+        (("--driver", "onward*3,backward*1"), ("--driver", "forward,forward,forward,backward")),
+        (("--driver", "forward*3,backward"), ("--driver", "forward,forward,forward,backward")),
+    ],
+)
+def test_a_script_drives_every_episode_and_actions_are_repeated(deepbots, scripted, words, same):
+    driven = report_of(deepbots, scripted, *words)
+    assert driven["driver"] == words[-1]
+    assert driven["episodes"] == report_of(deepbots, scripted, *same)["episodes"]
+    assert driven["episodes"] != report_of(deepbots, scripted, "--driver", "catch")["episodes"]
 
 
 def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):

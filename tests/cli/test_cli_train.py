@@ -168,18 +168,22 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
     assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
 
 
+def awaited(capfd: pytest.CaptureFixture[str], pattern: str) -> str:
+    """Return what is printed until this is."""
+    output, end = "", time.monotonic() + 120
+    while not re.search(pattern, output) and time.monotonic() < end:
+        time.sleep(0.1)
+        output += capfd.readouterr().err
+    return output
+
+
 @pytest.mark.slow
 def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
     pytest.importorskip("viser")
     with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "mine")
-        match = None
-        end = time.monotonic() + 120
-        while match is None and time.monotonic() < end:
-            time.sleep(0.1)
-            match = re.search(r"http://\S+", capfd.readouterr().err)
-        assert match is not None
-        with urllib.request.urlopen(match[0]) as answer:
+        address = re.search(r"http://\S+", awaited(capfd, r"http://\S+\s"))[0]
+        with urllib.request.urlopen(address) as answer:
             assert answer.status == 200
 
 
@@ -191,12 +195,7 @@ def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
     with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "missing")
-        output = ""
-        end = time.monotonic() + 60
-        while "missing" not in output and time.monotonic() < end:
-            time.sleep(0.1)
-            output += capfd.readouterr().err
-    assert output.startswith("error: ")
+        assert awaited(capfd, "missing").startswith("error: ")
     assert not (tmp_path / "typer.py.ran").exists()
 
 
@@ -256,35 +255,32 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     assert all(episode["length"] < 15 for episode in ran["episodes"])
 
 
-def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, monkeypatch):
+@pytest.fixture
+def cases(monkeypatch):
+    """The setting of two cases, of which the second is interrupted."""
+
     class InterruptedInSteep(terminal.ProgressBar):
         def __init__(self, total, unit):
-            if unit == "episodes of case steep":
+            if unit.startswith("episodes of case steep"):
                 raise KeyboardInterrupt
             super().__init__(total, unit)
 
     monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
-    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+    return "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+
+
+def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, cases):
     ran = deepbots("eval", "mine", "--episodes", "3", "--set", cases, "--json", code=130)
     report = json.loads(ran.out)
     assert ([case["case"] for case in report["cases"]], report["unfinished"]) == (["short"], ["case steep"])
     assert "not evaluated: case steep" in ran.err
 
 
-def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, monkeypatch):
-    class InterruptedInSteep(terminal.ProgressBar):
-        def __init__(self, total, unit):
-            if unit == "episodes of case steep (2 of 2)":
-                raise KeyboardInterrupt
-            super().__init__(total, unit)
-
-    monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
-    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, cases):
     ran = deepbots(*TINY, "--run", "cut", "--set", cases, code=130)
     assert "interrupted; the training is finished, evaluate it with: deepbots eval cut" in ran.err
     (path,) = Path("cut/evaluations").glob("*.json")
-    kept = json.loads(path.read_text("utf-8"))
-    assert [case["case"] for case in kept["cases"]] == ["short"]
+    assert [case["case"] for case in json.loads(path.read_text("utf-8"))["cases"]] == ["short"]
 
 
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
