@@ -17,7 +17,7 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES, FaultyGltfError
 from deepbots_cli.robots.meshes import read_mesh
 
 ELSEWHERE = "elsewhere_"

@@ -26,8 +26,7 @@ from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import RunVerdict, logged_episodes_meet, quoted_episodes, run_verdict
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
-from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import CurriculumStage, Member, Program
 from deepbots_cli.program.task import AdaptiveRate, Schedule
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.episode import own_episode

@@ -8,7 +8,6 @@ from itertools import groupby
 from typing import NamedTuple
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
@@ -20,6 +19,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program import Program
+from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
 

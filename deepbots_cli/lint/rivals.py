@@ -10,7 +10,7 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, StaticRule, rule
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member
 from deepbots_cli.program.values import Expression
 
 

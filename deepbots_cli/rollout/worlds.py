@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.program.members import AgentEnding
+from deepbots_cli.program import AgentEnding
 from deepbots_cli.rollout.episode import (
     Episode,
     EpisodeAccumulator,

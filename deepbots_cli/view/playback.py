@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
-from deepbots_cli.program.members import ZERO
+from deepbots_cli.program import ZERO
 from deepbots_cli.rollout.drivers import HAND, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.view.episodes import BatchPlayer, Player

@@ -28,7 +28,7 @@ from deepbots_cli.cli.episodes import MAX_SHOWN, run_episodes, show_episodes
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
 from deepbots_cli.words import counted

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import SPACE
 from deepbots_cli.program import Program
+from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.robots import Link, MessageField, NoiseModel, Robot, Sensor
 from deepbots_cli.program.topics import components_of
 from deepbots_cli.program.values import Expression

@@ -12,7 +12,7 @@ from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.agents.multi_agent import has_agents, own_model
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.shards import random_numbers_kept
-from deepbots_cli.program.members import Others
+from deepbots_cli.program import Others
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 

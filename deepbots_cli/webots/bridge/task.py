@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from deepbots_cli.port import EngineProxy
-from deepbots_cli.runtime.controllers import SupervisedRobots
+from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.messages import FieldCodec
 from deepbots_cli.webots.bridge.plant import MirrorEngine
 
