@@ -47,8 +47,8 @@ _WITH_ID = (("source", "id"), ("vertices", "id"))
 _REFERENCES = (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry", "url"))
 
 
-class FaultyColladaError(ValueError):
-    """The reason why PyBullet cannot read a file, as a headline."""
+class FaultyMeshError(ValueError):
+    """The reason why a file is not read, as a headline."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,14 @@ def collada_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
     elements in them, and the unit of the file scales it.
 
     Raises:
-        FaultyColladaError: PyBullet cannot read the file, or it places too much.
+        FaultyMeshError: PyBullet cannot read the file, or it places too much.
     """
     root = _root(data)
     _require(root, _REFERENCES)
     unit = root.find("asset/unit")
     meter = 1.0 if unit is None else _floats(unit.attrib.get("meter", "1").split(), 1)[0]
     if not meter > 0.0:
-        raise FaultyColladaError("the unit of the COLLADA file is not above 0")
+        raise FaultyMeshError("the unit of the COLLADA file is not above 0")
     geometries = {
         "#" + geometry.attrib["id"]: [part for mesh in geometry.iter("mesh") for part in _triangles_of(mesh)]
         for geometry in root.iter("geometry")
@@ -98,7 +98,7 @@ def collada_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
         for part in geometries.get(url, ()):
             corners += len(part.corners)
             if corners > MAX_CORNERS:
-                raise FaultyColladaError(f"the COLLADA file places more than {MAX_CORNERS:,} corners")
+                raise FaultyMeshError(f"the COLLADA file places more than {MAX_CORNERS:,} corners")
             placed.append((part, tuple(tuple(meter * entry for entry in row) for row in rows)))
     return tuple(placed)
 
@@ -113,7 +113,7 @@ def _root(data: bytes) -> ElementTree.Element:
             data.decode("utf-8", errors="replace").removeprefix("\ufeff").strip(" \t\r\n\0")
         )
     except ElementTree.ParseError as error:
-        raise FaultyColladaError("the mesh is not a COLLADA file") from error
+        raise FaultyMeshError("the mesh is not a COLLADA file") from error
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # ElementTree writes {namespace}tag
     return root
@@ -135,7 +135,7 @@ def _instances(
         for element in node:
             placed += element.tag in ("node", "instance_node", "instance_geometry")
             if placed > MAX_NODES:
-                raise FaultyColladaError(f"the COLLADA file places more than {MAX_NODES:,} nodes")
+                raise FaultyMeshError(f"the COLLADA file places more than {MAX_NODES:,} nodes")
             url = element.attrib.get("url", "")
             if element.tag == "instance_geometry":
                 yield url, rows
@@ -186,20 +186,20 @@ def product(outer: Rows, inner: Rows) -> Rows:
 
 
 def _floats(words: list[str], count: int) -> list[float]:
-    """Return so many numbers. Raises: FaultyColladaError: There are fewer, or one is not finite."""
+    """Return so many numbers. Raises: FaultyMeshError: There are fewer, or one is not finite."""
     try:
         numbers = list(map(float, words[:count]))
     except ValueError as error:
-        raise FaultyColladaError("a number of the COLLADA file is not a number") from error
+        raise FaultyMeshError("a number of the COLLADA file is not a number") from error
     if len(numbers) < count or not math.isfinite(sum(map(abs, numbers))):
-        raise FaultyColladaError("a vector of the COLLADA file lacks a number, or is not finite")
+        raise FaultyMeshError("a vector of the COLLADA file lacks a number, or is not finite")
     return numbers
 
 
 def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...]) -> None:
     for tag, name in attributes:
         if any(name not in element.attrib for element in holder.iter(tag)):
-            raise FaultyColladaError(f"a <{tag}> of the COLLADA file has no {name}")
+            raise FaultyMeshError(f"a <{tag}> of the COLLADA file has no {name}")
 
 
 def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
@@ -213,7 +213,7 @@ def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
         source = sources.get(name)
         floats = source.find("float_array") if source is not None else None
         if source is None or floats is None or source.find(".//accessor") is None:
-            raise FaultyColladaError("a <triangles> of the COLLADA file refers to no positions")
+            raise FaultyMeshError("a <triangles> of the COLLADA file refers to no positions")
         if name not in positions:
             words = (floats.text or "").split()
             positions[name] = array("d", _floats(words, len(words) // 3 * 3))
@@ -222,13 +222,13 @@ def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
 
 
 def _used(numbers: array[float], corners: array[int]) -> Triangles:
-    """Return triangles with the vertices that they use. Raises: FaultyColladaError: One is missing."""
+    """Return triangles with the vertices that they use. Raises: FaultyMeshError: One is missing."""
     indices = sorted(set(corners))
     vertices = len(numbers) // 3
     outside = next((index for index in (*indices[-1:], *indices[:1]) if not 0 <= index < vertices), None)
     if outside is not None:
         reason = f"has vertex {outside}, but there are only {vertices} vertices"
-        raise FaultyColladaError(f"a triangle of the COLLADA file {reason}")
+        raise FaultyMeshError(f"a triangle of the COLLADA file {reason}")
     if len(indices) == vertices:
         return Triangles(numbers, corners)
     used = array("d")
@@ -245,18 +245,18 @@ class _Input:
 
 
 def _input(holder: ElementTree.Element, semantic: str) -> _Input:
-    """Return the source of the numbers of a kind. Raises: FaultyColladaError: There is none."""
+    """Return the source of the numbers of a kind. Raises: FaultyMeshError: There is none."""
     for element in holder.iter("input"):
         if element.attrib.get("semantic") == semantic:
             return _Input(element.attrib.get("source", "").removeprefix("#"), _count(element, "offset", 0))
-    raise FaultyColladaError(f"a <{holder.tag}> of the COLLADA file has no <input> with semantic {semantic}")
+    raise FaultyMeshError(f"a <{holder.tag}> of the COLLADA file has no <input> with semantic {semantic}")
 
 
 def _count(element: ElementTree.Element, name: str, default: int) -> int:
-    """Return an attribute that counts. Raises: FaultyColladaError: It is not a number from 0 to a billion."""
+    """Return an attribute that counts. Raises: FaultyMeshError: It is not a number from 0 to a billion."""
     text = element.attrib.get(name, str(default)).strip()
     if not re.fullmatch("[0-9]{1,9}", text):
-        raise FaultyColladaError(f"the {name} of a <{element.tag}> of the COLLADA file is not a number")
+        raise FaultyMeshError(f"the {name} of a <{element.tag}> of the COLLADA file is not a number")
     return int(text)
 
 
@@ -264,19 +264,19 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
     """Return the indices of the vertices of triangles."""
     inputs = [*triangles.iter("input")]
     if any(not {"semantic", "source", "offset"} <= {*element.attrib} for element in inputs):
-        raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")
+        raise FaultyMeshError("an <input> of the COLLADA file lacks its semantic, source or offset")
     stride = 1 + max(_count(element, "offset", 0) for element in inputs)
     text = next((element.text or "" for element in triangles.iter("p")), "")
     # The limit keeps the rest of a huge text in one piece, which is then refused.
     tokens = text.split(None, _MAX_INDICES)
     if len(tokens) > _MAX_INDICES:
-        raise FaultyColladaError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")
+        raise FaultyMeshError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")
     if not tokens or 3 * stride * _count(triangles, "count", 0) > len(tokens):
-        raise FaultyColladaError("a <triangles> of the COLLADA file has fewer triangles than its count")
+        raise FaultyMeshError("a <triangles> of the COLLADA file has fewer triangles than its count")
     try:
         corners = array("q", map(int, tokens[offset::stride]))
     except (ValueError, OverflowError) as error:
-        raise FaultyColladaError("an index of the COLLADA file is not a number") from error
+        raise FaultyMeshError("an index of the COLLADA file is not a number") from error
     return corners
 
 
@@ -293,27 +293,25 @@ def _polygon_corners(polygons: ElementTree.Element, offset: int) -> array[int]:
             indices.append(every[at : at + count])
             at += max(count, 0)
         if at > len(every):
-            raise FaultyColladaError("a <polylist> of the COLLADA file has fewer corners than its counts")
+            raise FaultyMeshError("a <polylist> of the COLLADA file has fewer corners than its counts")
     corners = array("q")
     for polygon in indices:
         if len(corners) + 3 * len(polygon) > 3 * MAX_CORNERS:
-            raise FaultyColladaError(
-                f"the polygons of the COLLADA file have more than {MAX_CORNERS:,} corners"
-            )
+            raise FaultyMeshError(f"the polygons of the COLLADA file have more than {MAX_CORNERS:,} corners")
         for second in range(1, len(polygon) - 1):
             corners.extend((polygon[0], polygon[second], polygon[second + 1]))
     return corners
 
 
 def _integers(text: str) -> array[int]:
-    """Return the integers of a text. Raises: FaultyColladaError: There are too many, or one is none."""
+    """Return the integers of a text. Raises: FaultyMeshError: There are too many, or one is none."""
     tokens = text.split(None, _MAX_INDICES)
     if len(tokens) > _MAX_INDICES:
-        raise FaultyColladaError(f"a <p> of the COLLADA file has more than {_MAX_INDICES:,} indices")
+        raise FaultyMeshError(f"a <p> of the COLLADA file has more than {_MAX_INDICES:,} indices")
     try:
         return array("q", map(int, tokens))
     except (ValueError, OverflowError) as error:
-        raise FaultyColladaError("an index of the COLLADA file is not a number") from error
+        raise FaultyMeshError("an index of the COLLADA file is not a number") from error
 
 
 # glTF
@@ -329,15 +327,11 @@ _NOT_DRAWN = ("images", "textures", "samplers", "animations", "cameras", "skins"
 _ZERO, _ONE, _UPRIGHT = (0.0,) * 3, (1.0,) * 3, (0.0, 0.0, 0.0, 1.0)
 
 
-class FaultyGltfError(ValueError):
-    """The reason why a file is not read, as a headline."""
-
-
 def read_gltf(path: Path, limit: int) -> bytes:
     """Return a glTF file as `.glb`, with at most `limit` bytes; one byte more shows that it is larger.
 
     Raises:
-        FaultyGltfError: It is not JSON, or a buffer is missing, outside the folder of the file, or wrong.
+        FaultyMeshError: It is not JSON, or a buffer is missing, outside the folder of the file, or wrong.
         OSError: The file cannot be read.
     """
     data = read_at_most(path, limit + 1)
@@ -371,9 +365,9 @@ def _buffer(uri: str, folder: Path, limit: int) -> bytes:
         return base64.b64decode(uri.partition(",")[2], validate=True)
     path = Path(os.path.realpath(folder / uri.replace("%20", " ")))
     if "://" in uri or not path.is_relative_to(os.path.realpath(folder)):
-        raise FaultyGltfError("a buffer of the glTF file lies outside its folder")
+        raise FaultyMeshError("a buffer of the glTF file lies outside its folder")
     if not is_file(path):
-        raise FaultyGltfError(f"the buffer {uri[-60:]!r} of the glTF file does not exist beside it")
+        raise FaultyMeshError(f"the buffer {uri[-60:]!r} of the glTF file does not exist beside it")
     return read_at_most(path, limit + 1)
 
 
@@ -385,19 +379,19 @@ class _faults:  # noqa: N801  (a context manager, called as a function)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         wrong = (ValueError, LookupError, TypeError, AttributeError, OverflowError, struct.error)
-        if isinstance(error, wrong) and not isinstance(error, FaultyGltfError):
+        if isinstance(error, wrong) and not isinstance(error, FaultyMeshError):
             is_base64 = isinstance(error, binascii.Error)
             what = "a buffer of the glTF file is not base64" if is_base64 else "the glTF file is not sound"
-            raise FaultyGltfError(what) from error
+            raise FaultyMeshError(what) from error
 
 
 def _document(data: bytes) -> dict[str, Any]:
     try:
         document = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FaultyGltfError("the mesh is not a glTF file") from error
+        raise FaultyMeshError("the mesh is not a glTF file") from error
     if not isinstance(document, dict):
-        raise FaultyGltfError("the mesh is not a glTF file")
+        raise FaultyMeshError("the mesh is not a glTF file")
     return document
 
 
@@ -407,12 +401,12 @@ def gltf_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
     of the file, once for each node that places the mesh.
 
     Raises:
-        FaultyGltfError: The file is not sound, is compressed, or places too much.
+        FaultyMeshError: The file is not sound, is compressed, or places too much.
     """
     document, buffer = _parts(data)
     for extension in document.get("extensionsRequired") or []:
         if any(word in str(extension) for word in _IS_COMPRESSED):
-            raise FaultyGltfError(f"the glTF file is compressed ({str(extension)[:40]})")
+            raise FaultyMeshError(f"the glTF file is compressed ({str(extension)[:40]})")
     with _faults():
         meshes: dict[int, list[Triangles]] = {}
         placed: list[tuple[Triangles, Rows]] = []
@@ -428,7 +422,7 @@ def gltf_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
             for part in meshes[number]:
                 corners += len(part.corners)
                 if corners > MAX_CORNERS:
-                    raise FaultyGltfError(f"the glTF file places more than {MAX_CORNERS:,} corners")
+                    raise FaultyMeshError(f"the glTF file places more than {MAX_CORNERS:,} corners")
                 placed.append((part, rows))
         return tuple(placed)
     raise AssertionError  # `_faults` passes every other exception on
@@ -437,19 +431,19 @@ def gltf_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
 def _parts(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the JSON of a `.glb` file, and its buffer."""
     if len(data) < _HEADER.size + _CHUNK.size or not data.startswith(_MAGIC):
-        raise FaultyGltfError("the mesh is not a binary glTF file")
+        raise FaultyMeshError("the mesh is not a binary glTF file")
     _, version, size = _HEADER.unpack_from(data)
     if version != 2:
-        raise FaultyGltfError(f"the glTF file is of version {version}, and deepbots reads version 2")
+        raise FaultyMeshError(f"the glTF file is of version {version}, and deepbots reads version 2")
     if size != len(data):
-        raise FaultyGltfError(f"the glTF file declares {size:,} bytes, but has {len(data):,}")
+        raise FaultyMeshError(f"the glTF file declares {size:,} bytes, but has {len(data):,}")
     chunks: dict[bytes, bytes] = {}
     at = _HEADER.size
     while at + _CHUNK.size <= len(data):
         length, kind = _CHUNK.unpack_from(data, at)
         at += _CHUNK.size
         if at + length > len(data):
-            raise FaultyGltfError("a part of the glTF file is longer than the file")
+            raise FaultyMeshError("a part of the glTF file is longer than the file")
         chunks.setdefault(kind, data[at : at + length])
         at += length
     return _document(chunks.get(b"JSON", b"")), chunks.get(b"BIN\0", b"")
@@ -464,7 +458,7 @@ def _gltf_instances(document: dict[str, Any]) -> Iterator[tuple[int, Rows]]:
     while waiting:
         visited += 1
         if visited > MAX_NODES:
-            raise FaultyGltfError(f"the glTF file places more than {MAX_NODES:,} nodes")
+            raise FaultyMeshError(f"the glTF file places more than {MAX_NODES:,} nodes")
         number, above = waiting.pop()
         node = nodes[_index(number)]
         rows = product(above, _rows(node))
@@ -475,7 +469,7 @@ def _gltf_instances(document: dict[str, Any]) -> Iterator[tuple[int, Rows]]:
 
 def _index(number: object) -> int:
     if not isinstance(number, int) or number < 0:
-        raise FaultyGltfError("the glTF file is not sound")
+        raise FaultyMeshError("the glTF file is not sound")
     return number
 
 
@@ -496,7 +490,7 @@ def _rows(node: dict[str, Any]) -> Rows:
 def _gltf_floats(values: object, size: int) -> tuple[float, ...]:
     numbers = tuple(map(float, values)) if isinstance(values, (list, tuple)) else ()
     if len(numbers) != size or not all(map(math.isfinite, numbers)):
-        raise FaultyGltfError("a node of the glTF file is not placed by finite numbers")
+        raise FaultyMeshError("a node of the glTF file is not placed by finite numbers")
     return numbers
 
 
@@ -508,11 +502,11 @@ def _triangles(document: dict[str, Any], buffer: bytes, primitive: dict[str, Any
     numbers = _accessor(document, buffer, primitive["attributes"]["POSITION"], 3, "f")
     count = len(numbers) // 3
     if not math.isfinite(sum(numbers)):
-        raise FaultyGltfError("the glTF file contains a vertex that is not finite")
+        raise FaultyMeshError("the glTF file contains a vertex that is not finite")
     given = primitive.get("indices")
     indices = array("I", range(count)) if given is None else _accessor(document, buffer, given, 1, "BHI")
     if len(indices) and max(indices) >= count:
-        raise FaultyGltfError(
+        raise FaultyMeshError(
             f"a face of the glTF file has vertex {max(indices)}, but there are only {count}"
         )
     return Triangles(array("d", numbers), _LISTED[mode](array("I", indices)))
@@ -545,16 +539,16 @@ def _accessor(document: dict[str, Any], buffer: bytes, number: object, size: int
     accessor = document["accessors"][_index(number)]
     code = _TYPES.get(accessor["componentType"], "")
     if not code or code not in types or "sparse" in accessor or "bufferView" not in accessor:
-        raise FaultyGltfError("the numbers of the glTF file are compressed or of a kind that is not read")
+        raise FaultyMeshError("the numbers of the glTF file are compressed or of a kind that is not read")
     view = document["bufferViews"][_index(accessor["bufferView"])]
     if _index(view["buffer"]) != 0:
-        raise FaultyGltfError("a buffer of the glTF file lies outside of it")
+        raise FaultyMeshError("a buffer of the glTF file lies outside of it")
     count, numbers = _index(accessor["count"]), array(code)
     width = size * numbers.itemsize
     stride = _index(view.get("byteStride", 0)) or width
     start = _index(view.get("byteOffset", 0)) + _index(accessor.get("byteOffset", 0))
     if stride < width or start + (count - 1) * stride + width > len(buffer) or count * size > 3 * MAX_CORNERS:
-        raise FaultyGltfError("the glTF file has fewer numbers than it declares")
+        raise FaultyMeshError("the glTF file has fewer numbers than it declares")
     if stride == width:
         numbers.frombytes(buffer[start : start + count * width])
     else:

@@ -32,8 +32,7 @@ from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, parse
 from deepbots_cli.robots.mesh_formats import (
     GLTF_SUFFIXES,
-    FaultyColladaError,
-    FaultyGltfError,
+    FaultyMeshError,
     Rows,
     Triangles,
     collada_triangles,
@@ -171,7 +170,7 @@ class MeshReader:
         # By the bytes that are read: the size that the system names may be that of another moment.
         try:
             data = read_mesh(path)
-        except FaultyGltfError as error:
+        except FaultyMeshError as error:
             return UnusableMesh(str(error), "export the mesh again")
         if len(data) > MAX_BYTES:
             return UnusableMesh(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
@@ -216,7 +215,7 @@ def read_mesh(path: Path) -> bytes:
     than `MAX_BYTES`.
 
     Raises:
-        FaultyGltfError: A `.gltf` file cannot be read with its buffers.
+        FaultyMeshError: A `.gltf` file cannot be read with its buffers.
         OSError: The file cannot be read.
     """
     if path.suffix.lower() in GLTF_SUFFIXES:
@@ -229,8 +228,7 @@ def placed_triangles(suffix: str, data: bytes) -> tuple[tuple[Triangles, Rows], 
     each node that places them.
 
     Raises:
-        FaultyColladaError: The COLLADA file is not sound.
-        FaultyGltfError: The glTF file is not sound.
+        FaultyMeshError: The file is not sound.
     """
     read = collada_triangles if suffix == ".dae" else gltf_triangles
     return read(data)
@@ -247,7 +245,7 @@ def read_verified(mesh: Mesh) -> bytes:
         raise EngineError(f"mesh {mesh.path} cannot be read: it is not a file")
     try:
         data = read_mesh(path)
-    except FaultyGltfError as error:
+    except FaultyMeshError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error}") from error
     except OSError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read: {error.strerror}") from error
@@ -470,19 +468,19 @@ def _dae(data: bytes) -> str | None:
     missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
     if missing:
         return f"the COLLADA file has no <{missing}>"
-    try:
-        has_triangles = any(part.corners for part, _ in collada_triangles(data))
-    except FaultyColladaError as error:
-        return str(error)
-    return None if has_triangles else "the scene of the COLLADA file has no triangle or polygon"
+    return _without_triangles(".dae", data, "the scene of the COLLADA file has no triangle or polygon")
 
 
 def _gltf(data: bytes) -> str | None:
+    return _without_triangles(".glb", data, "the scene of the glTF file has no triangle")
+
+
+def _without_triangles(suffix: str, data: bytes, headline: str) -> str | None:
+    """Return the headline of a file that places no triangles, or is not sound."""
     try:
-        has_triangles = any(part.corners for part, _ in gltf_triangles(data))
-    except FaultyGltfError as error:
+        return None if any(part.corners for part, _ in placed_triangles(suffix, data)) else headline
+    except FaultyMeshError as error:
         return str(error)
-    return None if has_triangles else "the scene of the glTF file has no triangle"
 
 
 # Coverage
@@ -521,9 +519,11 @@ def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
         data: The content of the file.
         seed: The seed of the sample, such as a digest: a file cannot be written to fit it.
     """
-    pick = {".stl": _sampled_stl, ".obj": _sampled_obj, ".dae": _sampled_dae}.get(suffix, _sampled_glb)
     try:
-        count, sample = pick(data, Random(seed))
+        if suffix in PLACED_SUFFIXES:
+            count, sample = _placed(placed_triangles(suffix, data), Random(seed))
+        else:
+            count, sample = (_sampled_stl if suffix == ".stl" else _sampled_obj)(data, Random(seed))
     except (ValueError, LookupError, OverflowError, struct.error):  # no engine draws such a file
         return None
     return _coverage(count, sample) if count > MAX_LAYERS and sample else None
@@ -558,7 +558,7 @@ def _vector(numbers: Sequence[bytes | str | float]) -> Vector:
 
 
 def _sampled_stl(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
+    if is_text_stl(data):
         corners = _CORNER_STL.findall(data) if data.count(b"facet") > MAX_LAYERS else []
         count = len(corners) // 3
         triangles = (
@@ -596,17 +596,8 @@ def _sampled_obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     return count, sample
 
 
-def _sampled_dae(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    """Return the number of triangles and some of them, without the nodes that place geometries."""
-    return _placed(collada_triangles(data), random)
-
-
-def _sampled_glb(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    """Return the number of triangles and some of them, without the nodes that place meshes."""
-    return _placed(gltf_triangles(data), random)
-
-
 def _placed(parts: Iterable[tuple[Triangles, Rows]], random: Random) -> tuple[int, list[Triangle]]:
+    """Return the number of triangles and some of them, without the nodes that place them."""
     count, sample = 0, list[Triangle]()
     for triangles, _ in parts:
         for number in _chosen(len(triangles.corners) // 3, random):

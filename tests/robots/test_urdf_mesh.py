@@ -35,7 +35,7 @@ from deepbots_cli.diagnostics import Findings
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes, packages
-from deepbots_cli.robots.mesh_formats import FaultyGltfError, gltf_triangles, read_gltf
+from deepbots_cli.robots.mesh_formats import FaultyMeshError, gltf_triangles, read_gltf
 from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds, mesh_coverage
 from deepbots_cli.robots.model import (
     Box,
@@ -855,5 +855,5 @@ def test_no_buffer_outside_the_folder_of_a_gltf_file_is_opened(tmp_path: Path, u
     folder.mkdir()
     (folder / "link.bin").symlink_to(tmp_path / "secret.bin")
     (folder / "m.gltf").write_text(json.dumps({**DOCUMENT, "buffers": [{"byteLength": 36, "uri": uri}]}))
-    with pytest.raises(FaultyGltfError, match=r"outside its folder|does not exist beside it"):
+    with pytest.raises(FaultyMeshError, match=r"outside its folder|does not exist beside it"):
         read_gltf(folder / "m.gltf", MAX_BYTES)
