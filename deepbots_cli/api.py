@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from deepbots_cli.port import Engine
-    from deepbots_cli.program import Program
-    from deepbots_cli.program.members import Others
+    from deepbots_cli.program import Others, Program
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchEnvironment, BatchSupervisor
@@ -308,7 +307,7 @@ def build_batch(
     if program.others is None:
         return _build_batch(program, count, engine, fixed, scripts=program.scripted_rivals)
     from deepbots_cli.codegen import batch_obstacles
-    from deepbots_cli.program.members import world_of
+    from deepbots_cli.program import world_of
 
     if reasons := batch_obstacles(program):
         raise BatchError(f"{program.name} does not fit a batch: {'; '.join(reasons)}")
@@ -423,7 +422,7 @@ def build(
     from deepbots_cli.program.identity import digest
 
     if program.others is not None:
-        from deepbots_cli.program.members import world_of
+        from deepbots_cli.program import world_of
         from deepbots_cli.runtime.agents import AgentEnvironment
 
         world = build(

@@ -9,7 +9,6 @@ ranges.py      the interval of a value, in any step and right after a reset; int
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
 returns.py     what the terms of the reward pay in a step and at an end; the return of an episode, also within
                limits of speed
-deployment.py  the readings of the world that a policy needs on a real robot
 changes.py     what differs between two scenarios
 shown_units.py in which unit a quantity is shown: the one in which the file writes it
 """

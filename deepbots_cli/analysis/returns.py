@@ -1,5 +1,5 @@
-"""What the terms of the reward pay in a step and at an end, and the return that an episode can have; limits of
-speed, which bound the return further.
+"""What the terms of the reward pay in a step and at an end, and the return that an episode can have;
+limits of speed, which bound the return further.
 
 Wheels on flat ground limit the speed of their robot, and motors the speed of their joints. A distance changes
 no faster than its two bodies move, so the sum of its changes over an episode is at most speed times time.

@@ -8,7 +8,7 @@ namespace.py    one flat namespace, each name typed on first use; the names that
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
 controllers.py  poses, commands, actuators and messages of a robot
-sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
+sensing.py      its sensors: kinds, frames on links, rays, cameras, errors; ROS 2 topics
 policy.py       action, observation, goal, scripts, copies of a robot
 agents.py       several agents: a scenario for each of them
 multi_agent.py  their programs as one, and their tests
@@ -17,7 +17,6 @@ episodes.py     draws (parameters, channels, disturbances), start, signals, rewa
 learner.py      the learner that deepbots chooses for a scenario that names none; the search of `tune`
 training.py     levels of the curriculum, and the mirror symmetry of a training
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
-topics.py       the ROS 2 topics of sensors and actuators
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
@@ -63,8 +62,8 @@ from deepbots_cli.compiler.learner import choose, compile_search, with_learner
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
+from deepbots_cli.compiler.sensing import report_topics_of_no_agent, topics
 from deepbots_cli.compiler.texts import verify_fix
-from deepbots_cli.compiler.topics import report_topics_of_no_agent, topics
 from deepbots_cli.compiler.training import levels, symmetry
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world

@@ -20,8 +20,7 @@ from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode
 from deepbots_cli.document.load import TESTS, settings_in
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
+from deepbots_cli.program import RANDOM, SEPARATOR, ZERO, Others, Program
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate

@@ -1,5 +1,5 @@
-"""The functions of the language: one entry per function, in one table; the operators of scalar trees in the same
-form.
+"""The functions of the language: one entry per function, in one table; the operators of scalar trees in
+the same form.
 
 Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the
 entries and nothing else, so one entry makes a function. `runtime` reads functions of the world from the

@@ -1,4 +1,5 @@
-"""Scalar trees as text: for people, and as Python for one world or a batch; the units that a text is written in.
+"""Scalar trees as text: for people, and as Python for one world or a batch; the units that a text is
+written in.
 
 Python text has no more parentheses than it needs, and the order of sums is that of the tree. A `Target` has
 the code of each operation: on plain floats (`SCALAR`), or on the values of another column of the function

@@ -17,7 +17,7 @@ from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.files import atomic_write, check_folder
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.runs.evaluations import DrawnEffects
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.kinematics import bounds_of_shape
 from deepbots_cli.robots.model import Cylinder, Sphere

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli import api, rollout
-from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar
@@ -42,6 +41,7 @@ from deepbots_cli.port import (
     VelocityReader,
 )
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.identity import Deployment
 from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start
 from deepbots_cli.rollout.episode import Step

@@ -45,7 +45,7 @@ from deepbots_cli.learning.runs.evaluations import (
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind

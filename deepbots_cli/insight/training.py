@@ -41,8 +41,7 @@ from deepbots_cli.learning.runs.verdict import (
     run_verdict,
 )
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
-from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import CurriculumStage, Member, Program
 from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver

@@ -47,8 +47,7 @@ from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, has_model, 
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, error_level
 from deepbots_cli.learning.runs.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.program import identity
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO, identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode

@@ -25,8 +25,7 @@ from deepbots_cli.learning.runs.episodes import Scores, agent_scores
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, wilson
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.program import Program, identity
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM, Program, identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode, own_episode

@@ -21,7 +21,7 @@ from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, 
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.runs.records import PoolGames, Rating
-from deepbots_cli.program.members import qualified_name
+from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import SeatCollector, joined_actions

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
-from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval, rigid_root
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
@@ -25,6 +24,7 @@ from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import TypedNode, walk
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
+from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.robots import kinematics

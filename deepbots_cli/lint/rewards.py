@@ -19,7 +19,7 @@ from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member
 from deepbots_cli.program.values import Expression
 from deepbots_cli.words import number_text
 

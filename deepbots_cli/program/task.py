@@ -1,5 +1,5 @@
-"""Agents (action, observation, goal, reward, scripts, training), and their shared parts: endings, time limits,
-evaluation, and the levels of a curriculum in which each world of a training has its own."""
+"""Agents (action, observation, goal, reward, scripts, training), and their shared parts: endings, time
+limits, evaluation, and the levels of a curriculum in which each world of a training has its own."""
 
 from __future__ import annotations
 

@@ -232,7 +232,7 @@ def _mismatch(element: str, parts: Sequence[_Part]) -> UnitFault:
         + ("in millimeters, 1000 times too large" if is_larger else "1000 times too small"),
         f'write scale="0.001 0.001 0.001" at the mesh of the <{element}>, or its lengths in meters'
         if is_larger
-        else f'remove scale="0.001 0.001 0.001" at the mesh of the <{element}>, or write its lengths in meters',
+        else f'remove scale="0.001 0.001 0.001" at the mesh of the <{element}>, or write lengths in meters',
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver, Start
 from deepbots_cli.words import counted

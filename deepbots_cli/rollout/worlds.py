@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.program.members import AgentEnding
+from deepbots_cli.program import AgentEnding
 from deepbots_cli.rollout.episode import (
     Episode,
     EpisodeAccumulator,

@@ -1,7 +1,6 @@
 """The runtime of generated code.
 
 supervisor.py   base of the generated supervisors, a Gymnasium environment; ends of episodes; Python terms
-controllers.py  base of the generated robot controllers; the robots of a supervisor
 copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
 agents.py       several agents in one world or a batch: the seat of each, and the environment of one
 parallel.py     several agents as an environment of PettingZoo, and its window
@@ -12,7 +11,7 @@ streams.py      named random streams under one root seed, draws of an episode, v
 placement.py    the poses of bodies at the beginning of an episode
 paths.py        shortest paths around solid objects; painted lines: places beside and along them, light
 overview.py     a camera that sees the whole scene
-actuation.py    actuators that are more than a motor of the engine, and pushes
+actuation.py    base of the generated robot controllers; actuators beyond a motor of the engine, and pushes
 sensing.py      sensors that are sampled once per tick, with their faults
 readers.py      the measurement of each kind of sensor
 batch.py        base of the generated supervisor of a batch; the batch as a vector environment
@@ -23,8 +22,7 @@ Nothing here reads YAML, or depends on an engine beyond the port.
 """
 
 from deepbots_cli.frames import quaternion
-from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
-from deepbots_cli.runtime.controllers import RobotController
+from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, RobotController, Thrust
 from deepbots_cli.runtime.copies import make_environment
 from deepbots_cli.runtime.formulas import (
     Accumulate,

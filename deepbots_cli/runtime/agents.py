@@ -2,7 +2,7 @@
 for all of them.
 
 One generated supervisor steps the world. Its action and its observation are those of all agents in a row
-(`program/members.py`); a `Seat` has the part of one agent.
+(`program/__init__.py`); a `Seat` has the part of one agent.
 
 In a batch, one agent acts on the worlds and the others act by themselves.
 """
@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, Member, qualified_name
+from deepbots_cli.program import RANDOM, ZERO, Member, Program, qualified_name
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.batch import (
     BatchStep,

@@ -24,11 +24,10 @@ from deepbots_cli.engine_kinds import diagonal_of
 from deepbots_cli.errors import EndsAtResetError, EvaluationError, UsageError
 from deepbots_cli.geometry import Height, ground_height
 from deepbots_cli.port import Engine, View
-from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import AgentEnding
+from deepbots_cli.program import AgentEnding, Program, generated
 from deepbots_cli.program.task import Agent
+from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.columns import where_running
-from deepbots_cli.runtime.controllers import SupervisedRobots
 from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.messages import excerpt
 from deepbots_cli.runtime.overview import FollowingView

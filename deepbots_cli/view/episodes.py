@@ -25,8 +25,7 @@ from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
-from deepbots_cli.program import Program, identity
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO, Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.rollout.drivers import HAND, POLICY, RECORDED, ROBOT, action_from_values, named_driver
 from deepbots_cli.rollout.recordings import RobotLog, is_robot_log

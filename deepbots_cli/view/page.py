@@ -21,7 +21,7 @@ from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import add, scaled
 from deepbots_cli.learning.runs.verdict import changed_texts, listed_values
 from deepbots_cli.port import ZERO_VECTOR
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
 from deepbots_cli.view import server

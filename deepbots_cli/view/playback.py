@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.program.members import ZERO
+from deepbots_cli.program import ZERO
 from deepbots_cli.rollout.drivers import HAND, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.view.episodes import BatchPlayer, Player

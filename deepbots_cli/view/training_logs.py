@@ -27,7 +27,7 @@ from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evalu
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
-    from deepbots_cli.program.members import Member
+    from deepbots_cli.program import Member
 
 _MAX_ENDINGS = 20
 """The number of endings with a curve of their own."""

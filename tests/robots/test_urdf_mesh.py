@@ -35,9 +35,8 @@ from deepbots_cli.diagnostics import Findings
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes, packages
-from deepbots_cli.robots.coverage import mesh_coverage
-from deepbots_cli.robots.gltf import FaultyGltfError, placed_triangles, read_gltf
-from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds
+from deepbots_cli.robots.mesh_formats import FaultyMeshError, gltf_triangles, read_gltf
+from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds, mesh_coverage
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -797,7 +796,7 @@ def test_buffers_in_the_text_and_beside_the_file_give_the_same(tmp_path: Path):
     (tmp_path / "b.bin").write_bytes(POINTS)
     first, second = (read_gltf(tmp_path / name, MAX_BYTES) for name in ("a.gltf", "b.gltf"))
     assert first == second
-    ((part, rows),) = placed_triangles(first)
+    ((part, rows),) = gltf_triangles(first)
     assert list(part.moved(rows)) == [0, 0, 3, 1, 0, 3, 0, 2, 3]
 
 
@@ -806,7 +805,7 @@ def test_strips_and_fans_are_triangles():
         document = json.loads(json.dumps(DOCUMENT))
         document["meshes"][0]["primitives"][0]["mode"] = mode
         document["accessors"][0]["count"] = 4
-        ((part, _),) = placed_triangles(glb(document, POINTS + struct.pack("<3f", 1, 1, 1)))
+        ((part, _),) = gltf_triangles(glb(document, POINTS + struct.pack("<3f", 1, 1, 1)))
         assert list(part.corners) == corners
 
 
@@ -856,5 +855,5 @@ def test_no_buffer_outside_the_folder_of_a_gltf_file_is_opened(tmp_path: Path, u
     folder.mkdir()
     (folder / "link.bin").symlink_to(tmp_path / "secret.bin")
     (folder / "m.gltf").write_text(json.dumps({**DOCUMENT, "buffers": [{"byteLength": 36, "uri": uri}]}))
-    with pytest.raises(FaultyGltfError, match=r"outside its folder|does not exist beside it"):
+    with pytest.raises(FaultyMeshError, match=r"outside its folder|does not exist beside it"):
         read_gltf(folder / "m.gltf", MAX_BYTES)

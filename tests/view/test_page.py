@@ -30,7 +30,7 @@ import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import Recording

@@ -31,7 +31,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings

@@ -36,8 +36,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
-from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinds import Kind
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
 from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile

@@ -48,7 +48,7 @@ from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.runs.episodes import Summary, agent_scores
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM
 from deepbots_cli.program.task import ScenarioTest
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
-from deepbots_cli.analysis.deployment import Deployment, reading_key
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
@@ -28,6 +27,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import SPACE, Constant, ValueType
 from deepbots_cli.program import Program, generated
+from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.robots import (
     Actuator,
     Cartesian,

@@ -30,8 +30,7 @@ from deepbots_cli.learning.runs.statistics import (
     mean_interval,
     wilson,
 )
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member, Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.episode import own_episode

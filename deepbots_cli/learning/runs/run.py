@@ -46,8 +46,7 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.directories import write_numbered, write_text
 from deepbots_cli.learning.runs.evaluations import MAX_EVALUATION_BYTES, EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, is_installed, timestamp, write_record
-from deepbots_cli.program import Program, identity
-from deepbots_cli.program.members import Member
+from deepbots_cli.program import Member, Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind
 

@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.port import EngineProxy
-from deepbots_cli.runtime.controllers import SupervisedRobots
+from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.runtime.messages import FieldCodec
 from deepbots_cli.webots.bridge.plant import MirrorEngine, Plant
