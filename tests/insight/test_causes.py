@@ -678,10 +678,9 @@ def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_train
     training = with_logs(run, returns_of(NONE, 0), FLAT, evaluations=evaluations_with(1.0, 1.0))
     record = training.run.record
     at = SolvedAt(episode=9, steps=9, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
-    for confirmations, where in ((1, "evaluated"), (0, "exploring")):
-        changes = {"solved_at": at, "confirmations": confirmations}
-        training.run.record = record.model_copy(update={"result": record.result.model_copy(update=changes)})
-        assert has_learned(training) == where
+    changes = {"solved_at": at, "confirmations": 1}
+    training.run.record = record.model_copy(update={"result": record.result.model_copy(update=changes)})
+    assert has_learned(training) == "evaluated"
     poorly = [Episode(5.0, 60, number >= 7, "parked") for number in range(100)]
     assert training.solved
     assert not replace(training, final_episodes=poorly, verdict=RunVerdict(False, None)).solved
