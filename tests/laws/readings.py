@@ -220,7 +220,7 @@ class Start:
 
 
 def start_of(environment: Supervisor) -> Start:
-    """Read the state of a world after a reset, for a placement of the same state."""
+    """Read the state of a world, for a placement of the same state."""
     world, engine = environment.scenario.world, environment.engine
     bodies = {}
     for body in (*world.robots, *world.objects):
