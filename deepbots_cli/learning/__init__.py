@@ -7,10 +7,9 @@ callbacks.py             the callback of a training: evaluations, confirmations,
 checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
 report.py                the progress of a training and of a group
 
-environments.py          the worlds of a training or an evaluation, and their held-out episodes
+environments.py          the worlds of a training or an evaluation, held-out episodes, failures of an episode
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 executor.py              executors of work, in this process or on workers; Ctrl-C and SIGTERM
-failures.py              failures of an episode, kept to be reproduced
 
 evaluation.py            evaluate: a policy on held-out starts, with intervals; the best model chosen again
 comparison.py            compare: groups of runs on the same starts; a group as one
@@ -19,9 +18,12 @@ policy.py                the policies of runs: loaded, as objects to call, besid
 teaching.py              teachers: scripts, recordings and other policies
 scenario_tests.py        the tests of a scenario
 
+multi_agent.py           the learner of several agents: one for each of them
+self_play.py             one policy for two equal agents, against itself and a pool of its past versions
+matches.py               policies and scripts of two agents against each other
+
 runs/                    the directory of a run, and what follows from its files alone
 campaigns/               several trainings of one scenario: groups, studies, and how they are listed
-agents/                  several agents: their learners, and matches between them
 sb3/                     the learner of the built-in algorithms
 
 The names below are imported on first use, because torch alone takes a second. For the same reason, commands

@@ -26,8 +26,8 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.environments import (
     EVALUATION_EPISODES,
     Evaluator,
-    confirmation_root,
     evaluation_seeds,
+    six_digits,
 )
 from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Activity, Reporter, TrainingProgress
@@ -187,7 +187,7 @@ class Confirmations:
                     "write fewer episodes, such as `over 100 episodes`, or a lower value"
                 )
             return None
-        root = confirmation_root(self._active.run.record.seed, number)
+        root = six_digits(self._active.run.record.seed, "confirmation", number)
         episodes = self._play(plan, root, report)
         self.count = number
         self.activity = None
@@ -428,6 +428,7 @@ class TrainingCallback:
     kept.
 
     Attributes:
+        episode_log: The log of the episodes, which is opened once it ends at the checkpoint.
         evaluation_seconds: Time of evaluations and confirmations in this process, without the choice of the
             best model.
         stopped_by: The reason that stopped the training after an evaluation, such as `patience`; else None.
@@ -443,9 +444,7 @@ class TrainingCallback:
         self._steps_before = 0
         self._on_evaluation = on_evaluation
         self._until_solved = active.run.record.stop_when_solved
-        self._episode_log = EpisodeLog(
-            active.run.monitor, active.run.program.name, active.run.program.members
-        )
+        self.episode_log = EpisodeLog(active.run.monitor, active.run.program.name, active.run.program.members)
         self._kept_candidates: Sequence[Candidate] = ()
         # About a hundred checks in a short training, and more in a long one.
         self._check_interval = max(1, min(MAX_CHECK_INTERVAL, active.total // 100))
@@ -612,13 +611,6 @@ class TrainingCallback:
 
     # Called by the worlds, or by their shards
 
-    def open_log(self) -> None:
-        """Open the log of the episodes, once it ends at the checkpoint."""
-        self._episode_log.open()
-
-    def close_log(self) -> None:
-        self._episode_log.close()
-
     def present(self) -> tuple[int, int, int]:
         statistics = self.active.statistics
         return statistics.steps, statistics.next_episode, self.active.curriculum.index
@@ -630,7 +622,7 @@ class TrainingCallback:
         statistics, curriculum = self.active.statistics, self.active.curriculum
         is_present = curriculum.is_present(stage)
         statistics.add(episode, world, present=is_present)
-        self._episode_log.write(episode, statistics, curriculum.name_of(stage), draws)
+        self.episode_log.write(episode, statistics, curriculum.name_of(stage), draws)
         if not is_present or self.is_taught:
             return
         if curriculum.add(episode, statistics.steps, statistics.episodes, world):

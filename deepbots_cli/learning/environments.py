@@ -1,13 +1,22 @@
-"""The worlds of a training or an evaluation: one by one, or as a batch; and held-out episodes in them: their
-starts during a training, and the evaluator that plays them.
+"""The worlds of a training or an evaluation, one by one or as a batch: how they are created, the held-out
+episodes in them, and their failures.
+
+A failure of an episode is a number that is not finite, or a world that explodes. Failures are located, and
+kept for reproduction:
+
+    failures/0001.json      the start of the episode, its actions, and the error
+
+`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchFailureRecorder` does
+the same for a batch of worlds. `reproduce` repeats the episode of a file.
 """
 
 from __future__ import annotations
 
 import math
+import random
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -211,10 +220,21 @@ def evaluation_seeds(seed: int, numbers: range) -> list[int]:
     return [derive_seed(seed, "trial", number) for number in numbers]
 
 
-def confirmation_root(seed: int, number: int) -> int:
-    """Return the root seed of the starts of a confirmation, by its number from 1: six digits, which are easy
-    to repeat."""
-    return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
+def six_digits(seed: int, stream: str, number: int) -> int:
+    """Return a root seed that is easy to repeat, from the named stream of another one."""
+    return 100_000 + derive_seed(seed, stream, number) % 900_000
+
+
+@contextmanager
+def random_numbers_kept() -> Iterator[None]:
+    """Context after which the generators of this process continue as if nothing had been drawn in it."""
+    states = torch.get_rng_state(), np.random.get_state(), random.getstate()
+    try:
+        yield
+    finally:
+        torch.set_rng_state(states[0])
+        np.random.set_state(states[1])
+        random.setstate(states[2])
 
 
 class Evaluator:
@@ -262,24 +282,23 @@ class Evaluator:
             KeyboardInterrupt: The training was interrupted. When it is resumed, it continues from its last
                 checkpoint, before this evaluation. Shards complete their part first.
         """
-        state = torch.get_rng_state()
 
         def look(count: int = 0, total: int = len(seeds)) -> None:
             if interruption.requested:
                 raise KeyboardInterrupt
 
         look()
-        self._worlds.enter(scenario, stage=stage)
-        try:
+        with random_numbers_kept():
+            self._worlds.enter(scenario, stage=stage)
             if self.shards is not None and not without_shards and not self._worlds.has_batch_for(len(seeds)):
                 return self.shards.evaluate(model.actor(), seeds, stage)
             return self._worlds.play(model, seeds, on_episode=look)
-        finally:
-            torch.set_rng_state(state)
 
     def close(self) -> None:
         self._worlds.close()
 
+
+# Failures
 
 FAILURES_FOLDER = "failures"
 _MAX_FILE_BYTES = 20_000_000

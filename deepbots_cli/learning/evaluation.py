@@ -22,9 +22,8 @@ from deepbots_cli.analysis import possible_returns
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, StorageError, UsageError
-from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning.environments import EvaluationWorlds, WorldFactory, supervisor_factory
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.environments import EvaluationWorlds, WorldFactory, six_digits, supervisor_factory
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Counter, Executor, Watcher, results
 from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import run_lock
@@ -616,7 +615,7 @@ def keep(
         before = result.best
         measure = measure_of(program.agent.solved, defines_success=program.defines_success)
         previous = 0 if before is None or before.evaluation_seed is None else before.evaluation_seed
-        evaluation_seed = _six_digits(run, "kept", previous)
+        evaluation_seed = six_digits(run.record.seed, "kept", previous)
         played: list[PlayedModel] = []
         if ref.is_named:
             name = ref.name
@@ -625,7 +624,7 @@ def keep(
             )
         else:
             options = {
-                "seed": _six_digits(run, "choice", previous),
+                "seed": six_digits(run.record.seed, "choice", previous),
                 "permissions": permissions,
                 "build": build,
             }
@@ -640,22 +639,14 @@ def keep(
                 mean_return=winner.mean_return,
                 evaluation_seed=evaluation_seed,
             )
-        try:
-            is_same = _is_best(run, name)
-            earlier = None if is_same else _put_first(run, name)
-        except OSError as error:
-            raise StorageError(unwritable_message(run.model("best"), error)) from error
+        is_same = _is_best(run, name)
+        earlier = None if is_same else _put_first(run, name)
         if is_same:  # the evaluations and the confirmation of this model stay
             run.update(updated=run.record.updated, result=result.model_copy(update={"best": best}))
         else:
             result = result.model_copy(update={"best": best, "confirmed_seed": None})
             run.update(result=result, quoted=None)
     return KeptModel(run, name, best, earlier, tuple(played))
-
-
-def _six_digits(run: Run, stream: str, number: int) -> int:
-    """Return a root seed that is easy to repeat."""
-    return 100_000 + derive_seed(run.record.seed, stream, number) % 900_000
 
 
 def kept_models(run: Run) -> dict[int, ModelName]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.environments import random_numbers_kept
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run

@@ -335,7 +335,7 @@ class SelfPlayLearner(MultiAgentLearner):
             opponents[:] = np.where(opponents < 0, opponents, np.maximum(opponents - 1, 0))
 
     def _past(self, rating: Rating, weights: Mapping[str, Array]) -> PastPolicy:
-        from deepbots_cli.learning.shards import random_numbers_kept
+        from deepbots_cli.learning.environments import random_numbers_kept
 
         name, training = self.setup.training.agents[0]
         # A new learner seeds the global generators and draws weights from them.

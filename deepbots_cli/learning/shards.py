@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from time import perf_counter
@@ -27,6 +27,7 @@ from deepbots_cli.learning.environments import (
     EvaluationWorlds,
     FailureRecorder,
     WorldFactory,
+    random_numbers_kept,
     reasons_against_batch,
 )
 from deepbots_cli.learning.learner import Learner, Setup
@@ -300,18 +301,6 @@ class Shard:
     def close(self) -> None:
         self._stack.close()
         self._evaluation.close()
-
-
-@contextmanager
-def random_numbers_kept() -> Iterator[None]:
-    """Context after which the generators of this process continue as if nothing had been drawn in it."""
-    states = torch.get_rng_state(), np.random.get_state(), random.getstate()
-    try:
-        yield
-    finally:
-        torch.set_rng_state(states[0])
-        np.random.set_state(states[1])
-        random.setstate(states[2])
 
 
 class LocalShards:

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import torch
 from pydantic import BaseModel, Field
 
 from deepbots_cli import api
@@ -37,6 +36,7 @@ from deepbots_cli.learning.environments import (
     EvaluationWorlds,
     WorldFactory,
     play_script,
+    random_numbers_kept,
 )
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.run import ModelRef, Run
@@ -379,14 +379,11 @@ class PolicyTeacher:
 
     def play(self, program: Program, build: WorldFactory, engine: str, seeds: Sequence[int]) -> list[Episode]:
         """Play an episode from each seed in a scenario of the training."""
-        worlds = EvaluationWorlds(build, self._run, engine=engine, batch=EVALUATION_EPISODES)
-        worlds.enter(program.with_critic)
-        random = torch.get_rng_state()  # a player seeds the generator for each episode
-        try:
+        evaluation_worlds = EvaluationWorlds(build, self._run, engine=engine, batch=EVALUATION_EPISODES)
+        # A player seeds the generators for each episode.
+        with closing(evaluation_worlds) as worlds, random_numbers_kept():
+            worlds.enter(program.with_critic)
             return worlds.play(self, seeds)
-        finally:
-            torch.set_rng_state(random)
-            worlds.close()
 
 
 def copy_teacher(teacher: ModelRef, folder: Path) -> None:

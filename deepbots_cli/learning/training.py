@@ -277,7 +277,12 @@ def checked_settings(
         if teacher is None:
             read_recording(demonstrations, program)
         else:
-            _check_taught_by_policy(training)
+            model = ALGORITHMS[training.algorithm]
+            if not (model.on_policy and model.imitates):
+                raise UsageError(
+                    f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of"
+                    " that policy as teacher"
+                )
             PolicyTeacher(teacher, program)
     source = options.get("initialize_from")
     return training, None if source is None else ModelRef.open(source)
@@ -288,20 +293,6 @@ def _teaching_run(demonstrations: str | Path | None) -> ModelRef | None:
     if demonstrations is None or _teacher_copy(demonstrations) == DEMONSTRATIONS_NAME:
         return None
     return ModelRef.open(demonstrations)
-
-
-def _check_taught_by_policy(training: Training) -> None:
-    """Check that a policy can teach a training.
-
-    Raises:
-        UsageError: The algorithm is not on-policy.
-    """
-    model = ALGORITHMS[training.algorithm]
-    if not (model.on_policy and model.imitates):
-        raise UsageError(
-            f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of that"
-            " policy as teacher"
-        )
 
 
 def resume(

@@ -191,8 +191,8 @@ class TrainingProcess:
         checkpoints = self.checkpoints
         stack.enter_context(algorithms.torch_settings())
         stack.callback(self._evaluator.close)
-        checkpoints.on_restored.append(callback.open_log)
-        stack.callback(callback.close_log)
+        checkpoints.on_restored.append(callback.episode_log.open)
+        stack.callback(callback.episode_log.close)
         collector = self._make_collector(stack)
         self._evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
         policy_seed = derive_seed(run.record.seed, "policy")

@@ -43,7 +43,7 @@ from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS, scenario_fixture, write_scenario
 from tests.agents.test_agents import ALONE, SEVERAL
 from tests.few import few
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import becomes_the_same
 
 PPO = (
     "train: {algorithm: PPO, total_timesteps: 768, n_steps: 64, n_epochs: 1,"
@@ -158,20 +158,16 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
     assert json.loads(result.model_dump_json())["agents"]["left"]["episodes"] == 4
 
 
-@pytest.mark.parametrize(
-    "training",
-    [
-        pytest.param(PPO, id="PPO", marks=pytest.mark.slow),
-        pytest.param(SAC, id="SAC", marks=pytest.mark.slow),
-    ],
-)
-def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, training: str) -> None:
-    scenario = write_scenario(tmp_path, SEVERAL.replace(OWN, training))
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(scenario, run=whole, seed=2)
-    assert deepbots_cli.train(scenario, run=cut, seed=2, progress=At(100)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["PPO", "SAC", "older weights", "one policy"])
+def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, case: str) -> None:
+    text = {
+        "PPO": SEVERAL.replace(OWN, PPO),
+        "SAC": SEVERAL.replace(OWN, SAC),
+        "older weights": SHARED.replace("n_steps", "environments: 2, shards: 2, staleness: 1, n_steps"),
+        "one policy": SHARED_POLICY + PPO_512,
+    }[case]
+    becomes_the_same(write_scenario(tmp_path, text), tmp_path, 100, seed=2)
 
 
 @pytest.mark.slow
@@ -354,12 +350,8 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
 
 @pytest.mark.slow
 def test_a_training_with_such_ends_resumes_exactly_and_is_evaluated(carts: Path, tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(carts, run=whole, seed=2)
-    assert deepbots_cli.train(carts, run=cut, seed=2, progress=At(500)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
-    assert {*evaluate(whole, episodes=4, seed=5).agents} == {"left", "right"}
+    becomes_the_same(carts, tmp_path, 500, seed=2)
+    assert {*evaluate(tmp_path / "whole", episodes=4, seed=5).agents} == {"left", "right"}
 
 
 @pytest.mark.parametrize("algorithm", ["SAC", "RecurrentPPO"])
@@ -517,17 +509,6 @@ def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path
     assert left
     assert all(np.array_equal(array, weights[f"right/{name}"]) for name, array in left.items())
     assert {*evaluate(tmp_path / "run", episodes=2).agents} == {"left", "right"}
-
-
-@pytest.mark.slow
-def test_an_interrupted_training_of_a_shared_policy_becomes_the_same(
-    sharing_carts: Path, tmp_path: Path
-) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(sharing_carts, run=whole, seed=2)
-    assert deepbots_cli.train(sharing_carts, run=cut, seed=2, progress=At(100)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
 
 
 @pytest.mark.slow

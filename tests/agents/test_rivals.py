@@ -47,7 +47,7 @@ from deepbots_cli.view.training_logs import read_logs
 from tests.agents.carts import write_scenario
 from tests.agents.test_multi_agent_training import SHARED
 from tests.commands import Deepbots
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import becomes_the_same
 from tests.worlds import RAIL
 
 
@@ -389,11 +389,7 @@ def test_an_interrupted_training_with_self_play_becomes_the_same(
     tmp_path: Path, text: str, worlds: int
 ) -> None:
     scenario = write_scenario(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
-    deepbots_cli.train(scenario, run=tmp_path / "whole", seed=2)
-    assert deepbots_cli.train(scenario, run=tmp_path / "cut", seed=2, progress=At(900)).interrupted
-    resumed = deepbots_cli.resume(tmp_path / "cut")
-    assert outcome(tmp_path / "cut") == outcome(tmp_path / "whole")
-    assert resumed.ratings == Run.open(tmp_path / "whole").record.result.ratings  # type: ignore[union-attr]
+    assert becomes_the_same(scenario, tmp_path, 900, seed=2)["result"]["ratings"]
 
 
 @pytest.mark.slow

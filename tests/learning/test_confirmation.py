@@ -42,8 +42,8 @@ from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import (
     EVALUATION_EPISODES,
     Evaluator,
-    confirmation_root,
     evaluation_seeds,
+    six_digits,
 )
 from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import Reporter
@@ -458,7 +458,7 @@ SEED = 0
 EVALUATION = evaluation_seeds(SEED, range(EVALUATION_EPISODES))
 NEW_STARTS = evaluation_seeds(SEED, range(EVALUATION_EPISODES, 200))
 CONFIRMATIONS = {
-    Start.of_evaluation(confirmation_root(SEED, number), start).seed: number
+    Start.of_evaluation(six_digits(SEED, "confirmation", number), start).seed: number
     for number in range(1, 30)
     for start in range(400)
 }
@@ -685,7 +685,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     trained = evaluate_trained(run)
     again = evaluate(run, episodes=verdict.evaluation.episodes, build=build)
     assert [each.total_return for each in trained.outcomes] == [each.total_return for each in again.outcomes]
-    assert trained.seed == again.seed == result.confirmed_seed == confirmation_root(SEED, 1)
+    assert trained.seed == again.seed == result.confirmed_seed == six_digits(SEED, "confirmation", 1)
     assert result.best is not None
     assert result.best.chosen_by == "confirmation"
 

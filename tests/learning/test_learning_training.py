@@ -41,7 +41,6 @@ from deepbots_cli.errors import DeepbotsError, EngineError, RunError, ScenarioEr
 from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import (
     TrainingResult,
-    checkpoints,
     evaluate,
     evaluate_cases,
     learner,
@@ -56,7 +55,6 @@ from deepbots_cli.learning.runs.order import Candidate
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from deepbots_cli.rollout.source import Source
@@ -208,29 +206,6 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
     assert first.run.parent == tmp_path / "many"
     assert short(tmp_path, run=str(tmp_path / "one"), build=stand_in.build).run == tmp_path / "one"
     assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
-
-
-def test_resuming_takes_up_networks_and_optimizer(run_copy: Path, trained: TrainingResult) -> None:
-    def stop(program: Any, *, render_mode: str | None = None) -> Any:
-        raise DeepbotsError("no world today")
-
-    with pytest.raises(DeepbotsError, match="no world"):
-        resume(run_copy, total_timesteps=100_000, build=stop)
-
-    class Impatient(Telling):
-        def start(self, progress: TrainingProgress) -> None:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    progress = Impatient(0, None)
-    result = resume(run_copy, total_timesteps=100_000, progress=progress, build=stand_in.build)
-    assert result.interrupted
-    assert result.weights_digest == trained.weights_digest
-    kept, before = (run / "models" / "agent" / "last.zip" for run in (run_copy, trained.run))
-    with zipfile.ZipFile(kept) as mine, zipfile.ZipFile(before) as theirs:
-        assert any("optimizer" in name for name in theirs.namelist())
-        assert all(
-            mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth")
-        )
 
 
 @pytest.mark.parametrize(
@@ -434,18 +409,6 @@ def test_every_algorithm_trains_resumes_and_is_evaluated(
     again = resume(result.run, total_timesteps=result.steps + 60, build=stand_in.build)
     assert again.steps >= result.steps + 60
     assert evaluate(result.run, episodes=2, model="last", build=stand_in.build).episodes == 2
-
-
-@pytest.mark.slow
-def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
-    training = Training(
-        "DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu")
-    )
-    result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
-    again = resume(result.run, total_timesteps=150, build=stand_in.build)
-    last = checkpoints.latest_checkpoint(Run.open(again.run))
-    assert last is not None
-    assert checkpoints.read_state(last, StableState).segments[-1][1] == again.steps
 
 
 @pytest.mark.parametrize(

@@ -416,13 +416,15 @@ def _train_seeds(
     """Train or continue every seed that is not finished, with `changes` of the options that the group began
     with."""
     seeds, options = group.record.seeds, group.record.options
-    skipped = tuple(seed for seed in seeds if _is_complete(group, seed, changes))
-    left = [seed for seed in seeds if seed not in skipped]
+    all_changes = {seed: _changes_of(group, seed, changes) for seed in seeds}
+    left = [seed for seed, own in all_changes.items() if own is not None]
+    skipped = tuple(seed for seed in seeds if seed not in left)
     if left:
         group = group.changed(status="running")
     items = [
-        _SeedTraining(group.run(seed), seed, compiled, options, _changes_of(group, seed, changes))
-        for seed in left
+        _SeedTraining(group.run(seed), seed, compiled, options, own)
+        for seed, own in all_changes.items()
+        if own is not None
     ]
     trained: list[TrainingResult] = []
     failed: dict[int, str] = {}
@@ -502,45 +504,26 @@ def _log_of(group: Path, item: _SeedTraining) -> Path:
     return group / WORKERS_FOLDER / f"seed-{item.seed}.log"
 
 
-def _is_complete(group: Group, seed: int, changes: Mapping[str, Any]) -> bool:
-    """Return whether nothing is left to train. A damaged run counts as incomplete, so that its error is
-    reported."""
+def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the changes for the run of a seed: those of this call, and those of an earlier one that did not
+    reach it. None if nothing is left to train; a damaged run is left, so that its error is reported."""
+    run = group.run(seed)
     try:
-        record = _record_of(group, seed)
-    except DeepbotsError:
-        return False
-    if record is None:
-        return False
-    if "total_timesteps" in changes:
-        return record.is_complete(changes["total_timesteps"], may_stop_early=False)
-    missed = _missed_changes(group, record)
-    total = missed.get("total_timesteps", record.total_timesteps)
-    return record.is_complete(total, may_stop_early="stop_when_solved" not in missed)
-
-
-def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the changes for a run: those of this call, and those of an earlier one that did not reach it."""
-    try:
-        record = _record_of(group, seed)
+        record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
     except DeepbotsError:
         return changes
-    return changes if record is None else {**_missed_changes(group, record), **changes}
-
-
-def _missed_changes(group: Group, record: RunRecord) -> dict[str, Any]:
-    """Return the options of a group with which a run has not continued yet."""
-    total = group.record.total_timesteps
+    if record is None:
+        return changes
     missed: dict[str, Any] = {}
+    total = group.record.total_timesteps
     if total is not None and record.total_timesteps < total:
         missed["total_timesteps"] = total
     if record.stop_when_solved and not group.record.stop_when_solved:
         missed["stop_when_solved"] = False
-    return missed
-
-
-def _record_of(group: Group, seed: int) -> RunRecord | None:
-    run = group.run(seed)
-    return RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
+    continued = {**missed, **changes}
+    may_stop_early = "total_timesteps" not in changes and "stop_when_solved" not in missed
+    goal = continued.get("total_timesteps", record.total_timesteps)
+    return None if record.is_complete(goal, may_stop_early=may_stop_early) else continued
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
