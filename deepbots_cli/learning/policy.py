@@ -19,7 +19,6 @@ from deepbots_cli.learning.environments import random_numbers_kept
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
-from deepbots_cli.learning.shards import random_numbers_kept
 from deepbots_cli.program import Others, Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.worlds import has_copies
