@@ -35,13 +35,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from deepbots_cli.port import Engine
-    from deepbots_cli.program import Program
-    from deepbots_cli.program.members import Others
+    from deepbots_cli.program import Others, Program
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchEnvironment, BatchSupervisor
-    from deepbots_cli.runtime.forward_pass import Predictor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
+    from deepbots_cli.runtime.spaces import Predictor
 
 MAX_WORLDS = 4096
 """Worlds in a batch; each takes 0.1 to 1 MB of memory."""
@@ -308,7 +307,7 @@ def build_batch(
     if program.others is None:
         return _build_batch(program, count, engine, fixed, scripts=program.scripted_rivals)
     from deepbots_cli.codegen import batch_obstacles
-    from deepbots_cli.program.members import world_of
+    from deepbots_cli.program import world_of
 
     if reasons := batch_obstacles(program):
         raise BatchError(f"{program.name} does not fit a batch: {'; '.join(reasons)}")
@@ -385,7 +384,7 @@ def _policies_of(others: Others) -> dict[str, Predictor]:
         return {}
     from deepbots_cli.plugins import import_attribute
 
-    load = import_attribute("deepbots_cli.learning.agents.rivals:load_rival")
+    load = import_attribute("deepbots_cli.learning.policy:load_rival")
     return {name: load(others, name) for name in others.models}
 
 
@@ -423,7 +422,7 @@ def build(
     from deepbots_cli.program.identity import digest
 
     if program.others is not None:
-        from deepbots_cli.program.members import world_of
+        from deepbots_cli.program import world_of
         from deepbots_cli.runtime.agents import AgentEnvironment
 
         world = build(

@@ -6,23 +6,17 @@
     policy = bundle.start()
     commands = policy.step({"cart.pole_angle": [0.01], ...})
 
-model.py      bundle.json as records
-schema.py     the JSON Schema of these records
+model.py      bundle.json as records, and their JSON Schema
 onnx_file.py  the check that a graph consists of known operators alone
 bundle.py     loading a bundle with all checks; the policy as an object to call
 signature.py  signatures of bundles: who exported one, and that nothing in it was changed
 topics.py     the parts of ROS 2 messages that carry fields, with units and counts; default topics of a robot
-idl.py        the ROS 2 messages as types of Cyclone DDS
-ros.py        fields as messages of ROS and back
-about.py      the descriptions that the two ends of a link exchange, and their misfits
-link.py       the interface of a link between robot and policy
-discovery.py  the other programs in a domain of ROS 2
-dds.py        the link over ROS 2
-messages.py   the messages of ZeroMQ and WebSocket
+ros.py        fields as messages of ROS 2 and back, as types of Cyclone DDS
+link.py       the interface of a link, the descriptions of its ends, messages of ZeroMQ and WebSocket
+dds.py        the link over ROS 2, and the other programs in its domain
 zeromq.py     the link over ZeroMQ
 websocket.py  the link over WebSocket
-intake.py     checks of the messages of a robot
-server.py     the loop that acts: steps, limits of commands, the safe posture
+server.py     the loop that acts: checks of messages, steps, limits of commands, the safe posture
 log.py        the MCAP log of a server
 serving.py    a bundle, a link and a server together, until a signal
 """

@@ -1,13 +1,15 @@
 """The content of `bundle.json`: the fields of a policy, in SI units, in order.
 
-`python -m deepbots_robot.schema` writes the JSON Schema, `schemas/bundle-1.schema.json`, from these records.
+`python -m deepbots_robot.model` writes the JSON Schema, `schemas/bundle-1.schema.json`, from these records.
 """
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
@@ -466,3 +468,24 @@ def _wrong_range(field: Input | Output) -> Iterator[str]:
         low is not None and high is not None and low > high for low, high in zip(*field.range, strict=False)
     ):
         yield f"'{field.name}' has a range whose low end is above the high one"
+
+
+# The JSON Schema
+
+
+PATH = Path("schemas") / f"bundle-{FORMAT}.schema.json"
+_URL = "https://json-schema.org/draft/2020-12/schema"
+
+
+def json_schema() -> str:
+    """Return the schema of the records in `model.py`."""
+    about = {"$schema": _URL, "title": f"Bundle of an exported policy (bundle.json), format {FORMAT}"}
+    schema = msgspec.json.schema(BundleInfo)
+    for record in schema["$defs"].values():  # before 0.23, msgspec leaves docstrings indented
+        if "description" in record:
+            record["description"] = inspect.cleandoc(record["description"])
+    return json.dumps(about | schema, indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    PATH.write_text(json_schema(), encoding="utf-8")

@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_robot import model
-from deepbots_robot.about import About, pace
-from deepbots_robot.intake import Input
-from deepbots_robot.link import Array, Link
-from deepbots_robot.server import QUIET, Output, Server
+from deepbots_robot.link import About, Array, Link, pace
+from deepbots_robot.server import QUIET, Input, Output, Server
 from deepbots_robot.topics import Field, Topic, action_field, conflicts, first_mapping
 
 if TYPE_CHECKING:

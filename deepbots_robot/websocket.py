@@ -26,9 +26,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from deepbots_robot.about import About
-from deepbots_robot.link import Arrival
-from deepbots_robot.messages import MessageLink
+from deepbots_robot.link import About, Arrival, MessageLink
 from deepbots_robot.topics import Field
 
 # websockets writes a traceback for each connection that is not a WebSocket.

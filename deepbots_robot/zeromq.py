@@ -5,7 +5,7 @@ A ROUTER takes the messages of its connections in turn, so a flood in one of the
 message. It keeps the parts of a message until the last one arrives, and has no limit for their number. If the
 process grows, all connections are closed.
 
-`messages.py` describes the messages.
+`link.py` describes the messages.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ from typing import Any
 import numpy as np
 import zmq
 
-from deepbots_robot.about import About, Remark
-from deepbots_robot.link import Arrival
-from deepbots_robot.messages import MessageLink
+from deepbots_robot.link import About, Arrival, MessageLink, Remark
 from deepbots_robot.topics import Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"

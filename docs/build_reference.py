@@ -30,7 +30,6 @@ from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Fami
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.sb3.defaults import DEFAULTS, library_defaults, library_of
 from deepbots_cli.lint.pages import RulePage, every_page
-from deepbots_cli.scenario.agent import PythonTerm
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -41,11 +40,17 @@ from deepbots_cli.scenario.base import (
     section_fields,
     unit_of,
 )
-from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.quantities import Expression, Quantity
-from deepbots_cli.scenario.isaac_lab import TERMS_FILE
+from deepbots_cli.scenario.documentation import (
+    TERMS_FILE,
+    default_of,
+    example_of,
+    key_description,
+    section_description,
+)
+from deepbots_cli.scenario.fields import FieldType
+from deepbots_cli.scenario.quantities import Expression, Quantity
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import PythonTerm
 from deepbots_cli.scenario.training import ALGORITHMS
 
 DOCS = Path(__file__).parent

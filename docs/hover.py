@@ -14,10 +14,9 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import MappingNode
 from deepbots_cli.document.nodes import to_data, walk
 from deepbots_cli.document.parse import parse
-from deepbots_cli.scenario.base import Section, section_fields
+from deepbots_cli.scenario.base import Section, section_fields, shape_at
 from deepbots_cli.scenario.documentation import key_description
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.walk import shape_at
 
 _BLOCK = re.compile(
     r'(?<=<div class="highlight-yaml notranslate"><div class="highlight"><pre>).*?(?=</pre>)', re.DOTALL

@@ -4,18 +4,15 @@ others."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import INEQUALITIES, Invocation, Known, Operation, Reference, TypedNode
 from deepbots_cli.program.values import Expression
-
-if TYPE_CHECKING:
-    from deepbots_cli.analysis.analysis import Analysis
 
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """The functions with a memory that rise with their argument."""
@@ -38,14 +35,14 @@ class ConditionComparison(NamedTuple):
     node: Operation
 
 
-def comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
+def comparisons(analysis: RangeAnalysis, condition: Expression) -> Iterator[ConditionComparison]:
     """Yield the comparisons of which at least one must hold for the condition to hold; also those within
     `duration(...)`."""
     yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
 
 
 def _compared(
-    analysis: Analysis, value: Expression, node: TypedNode, met: set[str]
+    analysis: RangeAnalysis, value: Expression, node: TypedNode, met: set[str]
 ) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in INEQUALITIES:
@@ -72,14 +69,14 @@ def _compared(
                 yield from _compared(analysis, definition, definition.typed, met)
 
 
-def deciding_comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
+def deciding_comparisons(analysis: RangeAnalysis, condition: Expression) -> Iterator[ConditionComparison]:
     """Yield the comparisons of which each one alone makes the condition hold, as soon as it is true."""
     if condition.foreign is None:
         yield from _deciding(analysis, condition, condition.typed, set())
 
 
 def _deciding(
-    analysis: Analysis, value: Expression, node: TypedNode, met: set[str]
+    analysis: RangeAnalysis, value: Expression, node: TypedNode, met: set[str]
 ) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in INEQUALITIES:
@@ -94,7 +91,7 @@ def _deciding(
                 yield from _deciding(analysis, definition, definition.typed, met)
 
 
-def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
+def only_comparison(analysis: RangeAnalysis, condition: Expression) -> ConditionComparison | None:
     """Return the comparison that a condition is; None for a conjunction, a disjunction and others."""
     meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
     compared = list(comparisons(analysis, condition))
@@ -123,13 +120,13 @@ class Threshold(NamedTuple):
         return self.bound.low if self.above else self.bound.high
 
 
-def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
+def is_clock(analysis: RangeAnalysis, quantity: Scalar) -> bool:
     """Return whether a quantity is the time or the return, which advance by themselves."""
     meaning = analysis.resolve_aliases(quantity)
     return isinstance(meaning, Name) and meaning.name in _CLOCK_NAMES
 
 
-def has_choice(analysis: Analysis, condition: Expression) -> bool:
+def has_choice(analysis: RangeAnalysis, condition: Expression) -> bool:
     """Return whether one part of a condition may hold without the others."""
     return any(
         isinstance(part, Op) and part.op == "or"
@@ -208,7 +205,7 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
 
-def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
+def shadowed_endings(analysis: RangeAnalysis) -> Mapping[Expression, Expression]:
     """Return the endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm`
     after `abs(x) > 39 cm`.
 
@@ -255,7 +252,7 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
     return shadowed
 
 
-def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
+def _is_gradual(analysis: RangeAnalysis, quantity: Scalar) -> bool:
     parameters = {value.name for value in analysis.program.parameters}
     for node in analysis.walk_definitions(quantity):
         match node:

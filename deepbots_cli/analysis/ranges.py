@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Self
 
+from deepbots_cli.analysis.definitions import DefinitionAnalysis
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, function_named
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, ZERO, Interval, hull, single
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
-
-if TYPE_CHECKING:
-    from deepbots_cli.analysis.analysis import Analysis
 
 _MAX_CONDITIONS = 64
 """The number of conditions of a conjunction that are compared with each other."""
@@ -44,7 +44,7 @@ class Ranges:
 
     def __init__(
         self,
-        analysis: Analysis,
+        analysis: RangeAnalysis,
         assumed: Mapping[str, Interval] = _NO_RANGES,
         steps: tuple[float, float] | None = None,
         condition: tuple[int, Interval] | None = None,
@@ -228,7 +228,7 @@ class StartRanges(Ranges):
     Positions are unknown where the world settles, and for copies of a robot.
     """
 
-    def __init__(self, analysis: Analysis) -> None:
+    def __init__(self, analysis: RangeAnalysis) -> None:
         super().__init__(analysis, {"episode_return": ZERO, "previous_reward": ZERO}, (0.0, 0.0))
         program = analysis.program
         self._is_placed = not program.reset.settle and program.agent.copies is None
@@ -369,6 +369,30 @@ class StartRanges(Ranges):
                 return iv.clamp(args[3], args[1], args[2])
             case _:
                 return args[0]
+
+
+class RangeAnalysis(DefinitionAnalysis):
+    """The analysis of definitions, with the ranges of their values."""
+
+    def __init__(self, program: Program, *, exact: Self | None = None) -> None:
+        super().__init__(program, exact=exact)
+        self._ranges: dict[tuple[float, float], Ranges] = {}
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """The value ranges in any step of an episode."""
+        return Ranges(self._self)
+
+    @cached_property
+    def start(self) -> StartRanges:
+        """The value ranges right after a reset."""
+        return StartRanges(self._self)
+
+    def ranges_in(self, first: float, last: float) -> Ranges:
+        """Return the value ranges in these steps."""
+        if (first, last) not in self._ranges:
+            self._ranges[first, last] = Ranges(self._self, {}, (first, last))
+        return self._ranges[first, last]
 
 
 def is_level(pose: Mapping[str, Interval]) -> bool:

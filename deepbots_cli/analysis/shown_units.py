@@ -13,7 +13,7 @@ from functools import cached_property
 
 from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, text_at, walk
 from deepbots_cli.expressions.dimensions import Unit
-from deepbots_cli.expressions.written import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
+from deepbots_cli.expressions.text import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
 _DEFINITIONS = ("parameters", "signals", "augment")

@@ -44,7 +44,7 @@ def known_engine(name: str | None) -> str | None:
     if name is None:
         return None
     if name not in ENGINES:
-        from deepbots_cli.scenario.synonyms import word_for
+        from deepbots_cli.scenario.documentation import word_for
 
         suggestion = word_for(name, ENGINES) or nearest_word(name, ENGINES)
         hint = f"did you mean '{suggestion}'? The" if suggestion else "the"
@@ -160,7 +160,7 @@ def _whole(text: str) -> int | None:
     try:
         return int(text)
     except ValueError:
-        from deepbots_cli.scenario.fields.quantities import number_meant
+        from deepbots_cli.scenario.quantities import number_meant
 
         _, replacement = number_meant(text, whole=True) or ("", None)
     return int(replacement.text) if replacement else None
@@ -206,7 +206,7 @@ def names(texts: Sequence[str] | None) -> tuple[str, ...]:
 
 def fraction(text: str) -> float:
     """Parse a number from 0 to 1, written as `0.8` or `80%`."""
-    from deepbots_cli.scenario.fields.quantities import read_fraction
+    from deepbots_cli.scenario.quantities import read_fraction
 
     try:
         value = read_fraction(text)

@@ -15,13 +15,21 @@ from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.scenario import isaac_lab
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, Shape, noun_of, section_fields, unit_of
+from deepbots_cli.scenario import documentation
+from deepbots_cli.scenario.base import (
+    Kinds,
+    MappingOf,
+    Section,
+    Shape,
+    noun_of,
+    section_fields,
+    unit_of,
+    walk_sections,
+)
 from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
-from deepbots_cli.scenario.fields.base import with_article
+from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.keys import section_text
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.walk import walk_sections
 
 _MIN_MISSPELLED = 5
 """The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
@@ -98,8 +106,8 @@ def explain_word(word: str) -> Explained:
     if not matching and word not in _words():
         matching = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_topic_lines, matching), *blocks]
-    if not blocks and word in isaac_lab.terms():
-        blocks = [_isaac_lab_lines(word, isaac_lab.terms()[word])]
+    if not blocks and word in documentation.terms():
+        blocks = [_isaac_lab_lines(word, documentation.terms()[word])]
     unit = None if blocks else suggest_unit(plain)
     if unit is not None and unit.safe:  # a unit that is written out, such as `radian`
         blocks = list(_blocks(unit.text))
@@ -160,7 +168,7 @@ def _topic_lines(topic: Topic) -> list[str]:
     ]
 
 
-def _isaac_lab_lines(name: str, term: isaac_lab.Term) -> list[str]:
+def _isaac_lab_lines(name: str, term: documentation.Term) -> list[str]:
     """Return the lines of a scenario for a term of Isaac Lab, each below its section."""
     lines: list[str] = []
     for line in term.lines:
@@ -169,7 +177,7 @@ def _isaac_lab_lines(name: str, term: isaac_lab.Term) -> list[str]:
             lines.append(section)
         lines.append(f"      {line.text}" if line.section else f"    {line.text}")
     head = ["For the robot of the page below:", *lines] if lines else [term.reason]
-    return [f"{name}: a term of Isaac Lab", *head, f"Read more: {isaac_lab.PAGE}"]
+    return [f"{name}: a term of Isaac Lab", *head, f"Read more: {documentation.PAGE}"]
 
 
 def _example(text: str) -> list[str]:

@@ -29,7 +29,7 @@ from deepbots_cli.words import counted, number_text, rate_text
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.keeping import KeptModel
+    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame
@@ -182,12 +182,12 @@ def training_text(result: TrainingResult) -> str:
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
         rows["success rate"] = f"{rate_text(result.success_rate)} of these episodes"
-    at = result.confirmed_at
+    at = result.solved_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
         rows["solved"] = f"confirmed on new starts after {at.steps:,} steps, {took}"
-    if result.best_model is not None:
-        rows[f"{result.best_model.label} model"] = result.best_model.text
+    if result.best is not None:
+        rows[f"{result.best.label} model"] = result.best.text
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
@@ -215,8 +215,8 @@ def group_training_text(result: GroupTraining) -> str:
             "steps": training.steps,
             "episodes": training.episodes,
             "recent_return": training.mean_return,
-            "solved_after": training.confirmed_at.steps if training.confirmed_at else None,
-            "best_at": training.best_model.steps if training.best_model else None,
+            "solved_after": training.solved_at.steps if training.solved_at else None,
+            "best_at": training.best.steps if training.best else None,
             "cpu_s": round(training.cpu_seconds, 1),
         }
         for training in result.trained
@@ -238,7 +238,7 @@ def group_training_text(result: GroupTraining) -> str:
 def shown_model(run: str | Path, name: str) -> str:
     """Return the name of a model as it is shown: the best model of agents that compete is the newest one."""
     record = RunRecord.read(Path(run)) if name == "best" else None
-    best = None if record is None or record.result is None else record.result.best_model
+    best = None if record is None or record.result is None else record.result.best
     return name if best is None else best.label
 
 

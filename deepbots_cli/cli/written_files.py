@@ -251,8 +251,8 @@ def keep_exploits(
         note = f"`deepbots view {quote(str(file))}` shows the episode"
         try:
             from deepbots_cli.view.episodes import Showing
-            from deepbots_cli.view.players import closing_player
             from deepbots_cli.view.recordings import record
+            from deepbots_cli.view.replay import closing_player
 
             with closing_player(Showing(name, overrides, permissions), episode.driver) as player:
                 record(player, file, 0, [episode.number])

@@ -14,9 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.codegen.names import LOOP_VARIABLES, quoted, tuple_code, with_comment
-from deepbots_cli.expressions.code import Code, number_code
-from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.functions.table import rotation
+from deepbots_cli.expressions.functions import FUNCTIONS, Code, Family, number_code, rotation
 from deepbots_cli.expressions.scalar import (
     Const,
     Draw,
@@ -28,7 +26,7 @@ from deepbots_cli.expressions.scalar import (
     State,
     is_drawn,
 )
-from deepbots_cli.expressions.targets import SCALAR, operation_code
+from deepbots_cli.expressions.text import SCALAR, operation_code
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys

@@ -22,7 +22,7 @@ from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
-from deepbots_cli.expressions.targets import SCALAR, Target
+from deepbots_cli.expressions.text import SCALAR, Target
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 from deepbots_cli.words import sentence_list

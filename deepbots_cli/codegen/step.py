@@ -16,10 +16,9 @@ from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
 from deepbots_cli.codegen.robot import observes_each_timestep
 from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
-from deepbots_cli.expressions.code import Code, number_code
+from deepbots_cli.expressions.functions import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
-from deepbots_cli.program import generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, qualified_name
+from deepbots_cli.program import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, generated, qualified_name
 from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise

@@ -15,9 +15,8 @@ from typing import NamedTuple
 from deepbots_cli.codegen.names import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
-from deepbots_cli.expressions.targets import SCALAR, Target
-from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, qualified_name
+from deepbots_cli.expressions.text import SCALAR, Target
+from deepbots_cli.program import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, Program, generated, qualified_name
 from deepbots_cli.program.task import Script, action_names
 
 # Readers of the engine

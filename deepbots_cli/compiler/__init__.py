@@ -2,26 +2,21 @@
 
     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
-texts.py        texts of the scenario with their places, and findings at offsets of them
+texts.py        texts of the scenario with their places, findings at offsets of them, fixes of syntax errors
 values.py       the values of fields, read by their annotations; values that every episode draws anew
 namespace.py    one flat namespace, each name typed on first use; the names that an expression may use
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
-actuators.py    actuators of a robot: kinds, limits, responses
-controllers.py  poses, commands and messages of a robot
-sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
+controllers.py  poses, commands, actuators and messages of a robot
+sensing.py      its sensors: kinds, frames on links, rays, cameras, errors; ROS 2 topics
 policy.py       action, observation, goal, scripts, copies of a robot
 agents.py       several agents: a scenario for each of them
 multi_agent.py  their programs as one, and their tests
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
-learner.py      the learner that deepbots chooses for a scenario that names no algorithm
-levels.py       levels of the curriculum
+learner.py      the learner that deepbots chooses for a scenario that names none; the search of `tune`
+training.py     levels of the curriculum, and the mirror symmetry of a training
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
-symmetry.py     the mirror symmetry of a training
-search.py       the search of `tune`
-syntax.py       the fix of a syntax error, after which the scenario has the fewest errors
-topics.py       the ROS 2 topics of sensors and actuators
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
@@ -63,15 +58,13 @@ from deepbots_cli.compiler.episodes import (
 )
 from deepbots_cli.compiler.evaluation import compile_variants, scenario_tests, training
 from deepbots_cli.compiler.inputs import Inputs
-from deepbots_cli.compiler.learner import choose, with_learner
-from deepbots_cli.compiler.levels import levels
+from deepbots_cli.compiler.learner import choose, compile_search, with_learner
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
-from deepbots_cli.compiler.search import compile_search
-from deepbots_cli.compiler.symmetry import symmetry
-from deepbots_cli.compiler.syntax import verify_fix
-from deepbots_cli.compiler.topics import report_topics_of_no_agent, topics
+from deepbots_cli.compiler.sensing import report_topics_of_no_agent, topics
+from deepbots_cli.compiler.texts import verify_fix
+from deepbots_cli.compiler.training import levels, symmetry
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
@@ -90,11 +83,11 @@ from deepbots_cli.program.task import (
     Truncation,
 )
 from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.search import SearchSpace
 from deepbots_cli.scenario.training import Auto
 from deepbots_cli.scenario.validate import validate
-from deepbots_cli.scenario.walk import visit_values
 
 __all__ = ["CheckedScenario", "check"]
 

@@ -14,16 +14,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.multi_agent import DividedTests, combined_program
-from deepbots_cli.compiler.symmetry import words_pattern
+from deepbots_cli.compiler.training import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS, settings_in
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
-from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.program import RANDOM, SEPARATOR, ZERO, Others, Program
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate
 
 AGENTS = "agents"

@@ -47,15 +47,13 @@ from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
-from deepbots_cli.scenario.agent import ALL_AGENTS, Measured, PythonTerm
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.episode import Disturbance as DisturbanceSpec
-from deepbots_cli.scenario.episode import JointState
-from deepbots_cli.scenario.episode import Truncation as TruncationSpec
-from deepbots_cli.scenario.fields.names import choices_help
-from deepbots_cli.scenario.fields.quantities import Quantity
-from deepbots_cli.scenario.fields.training import read_until
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.quantities import Quantity, read_until
 from deepbots_cli.scenario.robots import Route as RouteSpec
+from deepbots_cli.scenario.task import ALL_AGENTS, JointState, Measured, PythonTerm
+from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
+from deepbots_cli.scenario.task import Truncation as TruncationSpec
 
 _PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 

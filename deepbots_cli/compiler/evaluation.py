@@ -56,13 +56,12 @@ from deepbots_cli.program.task import (
     Truncation,
 )
 from deepbots_cli.program.values import Expression
-from deepbots_cli.scenario.agent import DiscreteAction
-from deepbots_cli.scenario.evaluation import Expectation
-from deepbots_cli.scenario.evaluation import ScenarioTest as TestSpec
-from deepbots_cli.scenario.fields.names import REFERENCE_KINDS
-from deepbots_cli.scenario.fields.training import read_schedule, read_until
+from deepbots_cli.scenario.fields import REFERENCE_KINDS
 from deepbots_cli.scenario.keys import listed
+from deepbots_cli.scenario.quantities import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import DiscreteAction, Expectation
+from deepbots_cli.scenario.task import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import AdaptiveRate as AdaptiveRateSpec

@@ -17,7 +17,7 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.robots.gltf import GLTF_SUFFIXES, FaultyGltfError
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES, FaultyMeshError
 from deepbots_cli.robots.meshes import read_mesh
 
 ELSEWHERE = "elsewhere_"
@@ -177,7 +177,7 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
 def _read_bytes(file: Path) -> bytes:
     try:
         return read_mesh(file) if file.suffix.lower() in GLTF_SUFFIXES else file.read_bytes()
-    except FaultyGltfError as error:
+    except FaultyMeshError as error:
         raise UsageError(f"{file} cannot be read: {error}") from error
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error

@@ -20,10 +20,9 @@ from deepbots_cli.document.nodes import (
 )
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.agent import ALL_AGENTS, DiscreteAction
-from deepbots_cli.scenario.fields.base import with_article
-from deepbots_cli.scenario.fields.names import REFERENCE_KINDS
+from deepbots_cli.scenario.fields import REFERENCE_KINDS, with_article
 from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
+from deepbots_cli.scenario.task import ALL_AGENTS, DiscreteAction
 
 
 class NameEntry(NamedTuple):

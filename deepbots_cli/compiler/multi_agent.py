@@ -20,12 +20,12 @@ from deepbots_cli.document import Entry, MappingNode, Node, ScalarNode, Sequence
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.expressions.scalar import Const, Scalar, renamed
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import (
+from deepbots_cli.program import (
     RANDOM,
     ZERO,
     Member,
     MemberNames,
+    Program,
     endings_alone,
     members_of,
     qualified_name,
@@ -50,8 +50,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
-from deepbots_cli.scenario.agent import AgentOfSeveral
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.task import AgentOfSeveral
 
 Named = TypeVar("Named", Robot, RobotBody)
 

@@ -32,9 +32,9 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOR, ObjectBody, WorldModel
 from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
-from deepbots_cli.scenario.episode import MapLayout
-from deepbots_cli.scenario.episode import Placement as PlacementSpec
-from deepbots_cli.scenario.episode import Region as RegionSpec
+from deepbots_cli.scenario.task import MapLayout
+from deepbots_cli.scenario.task import Placement as PlacementSpec
+from deepbots_cli.scenario.task import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
 
 _MAX_AREA_RATIO = 16.0

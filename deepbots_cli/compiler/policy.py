@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.actuators import driven_parts
+from deepbots_cli.compiler.controllers import driven_parts
 from deepbots_cli.compiler.namespace import (
     AFTER_SIGNALS,
     GOAL_REACHED_MESSAGE,
@@ -59,8 +59,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.agent import ContinuousAction, DiscreteAction, Observed
-from deepbots_cli.scenario.agent import Goal as GoalSpec
+from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.task import Goal as GoalSpec
 
 _NOT_YET = 'remove it; see "Not yet" in docs/language.md for what is not supported'
 _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (

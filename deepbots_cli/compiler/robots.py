@@ -59,8 +59,7 @@ from deepbots_cli.robots.model import (
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.actuators import Actuator
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import choices_help
+from deepbots_cli.scenario.fields import Scalar, choices_help
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 from deepbots_cli.scenario.robots import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera

@@ -53,10 +53,9 @@ from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Color
 from deepbots_cli.scenario.base import Section, section_fields
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import COLORS, choices_help, color_options
-from deepbots_cli.scenario.fields.quantities import Column, Quantity, Range, dimension_of, measure_dimension
+from deepbots_cli.scenario.fields import COLORS, FieldType, choices_help, color_options
 from deepbots_cli.scenario.keys import replacement_for
+from deepbots_cli.scenario.quantities import Column, Quantity, Range, dimension_of, measure_dimension
 
 Default = TypeVar("Default")
 

@@ -55,7 +55,7 @@ from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape,
 from deepbots_cli.robots.packages import UnusableMesh
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields.names import COLORS
+from deepbots_cli.scenario.fields import COLORS
 
 MAX_TRIANGLES = 200_000
 # Sizes in m; beyond the inner two a mesh is probably in another unit.

@@ -8,14 +8,10 @@ intervals.py    interval arithmetic
 types.py        types (with the time from which a value is known), symbols and scopes; the typed tree
 syntax.py       tokens and the syntax tree
 parser.py       text to syntax tree, with hints for common mistakes
-code.py         pieces of Python, and how strongly they bind
-functions/      the table of functions and operators; intervals of scalar trees; functions of other packages
+functions.py    the table of functions and operators, and their Python; intervals of scalar trees
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
-help_texts.py   the help in its findings
 scalar.py       scalar trees: one tree per SI number, as in the compiled scenario
 lower.py        typed tree to scalar trees, with constants folded
-targets.py      scalar trees to Python text, for one world or a batch
-text.py         values and scalar trees as text for people
-written.py      the units that a text is written in
+text.py         values and scalar trees as text for people, and as Python; the units of a text
 """

@@ -31,19 +31,6 @@ from deepbots_cli.expressions.functions import (
     Function,
     Param,
 )
-from deepbots_cli.expressions.help_texts import (
-    CONTEXT_HELP,
-    CONTEXT_NAME_HELP,
-    FAMILY_HELP,
-    FOREIGN_FUNCTION_HELP,
-    FUNCTION_OF_KIND,
-    NAME_HELP,
-    keep_above_help,
-    known_names_help,
-    no_zero_help,
-    one_of,
-    usage,
-)
 from deepbots_cli.expressions.intervals import TRUTH, Interval, hull, single
 from deepbots_cli.expressions.types import (
     MAX_SIZE,
@@ -71,14 +58,25 @@ from deepbots_cli.expressions.types import (
     size,
 )
 from deepbots_cli.expressions.unification import (
+    CONTEXT_HELP,
+    CONTEXT_NAME_HELP,
+    FAMILY_HELP,
+    FOREIGN_FUNCTION_HELP,
+    FUNCTION_OF_KIND,
+    NAME_HELP,
     StopChecking,
     aligned,
     components_of,
     dimension_of,
+    keep_above_help,
+    known_names_help,
+    no_zero_help,
     none_after_finding,
+    one_of,
     report_at,
     require_dimension,
     require_kind,
+    usage,
     warn_of_degrees,
 )
 

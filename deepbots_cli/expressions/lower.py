@@ -12,9 +12,9 @@ from deepbots_cli.expressions.functions import (
     Family,
     Function,
     Reduction,
+    rotation,
     scalar_function,
 )
-from deepbots_cli.expressions.functions.table import rotation
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State
 from deepbots_cli.expressions.types import (
     Components,

@@ -22,13 +22,10 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli import api, rollout
-from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar
-from deepbots_cli.insight.export.actuators import output
-from deepbots_cli.insight.export.readings import Reading
-from deepbots_cli.insight.export.recording import Watch
+from deepbots_cli.insight.export.devices import Reading, Watch, output
 from deepbots_cli.insight.robot import robot_program, sent_readings
 from deepbots_cli.port import (
     ClearanceReader,
@@ -44,11 +41,12 @@ from deepbots_cli.port import (
     VelocityReader,
 )
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.identity import Deployment
 from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start
 from deepbots_cli.rollout.episode import Step
 from deepbots_cli.runtime import Supervisor
-from deepbots_robot.about import About, pace
+from deepbots_robot.link import About, pace
 from deepbots_robot.server import Server
 from deepbots_robot.serving import (
     Notes,

@@ -25,9 +25,7 @@ from deepbots_cli.codegen.robot import sampled_sensors
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State
-from deepbots_cli.insight.export.actuators import output
-from deepbots_cli.insight.export.readings import Reading, Readings
-from deepbots_cli.insight.export.recording import Watch, with_probes
+from deepbots_cli.insight.export.devices import Reading, Readings, Watch, output, with_probes
 from deepbots_cli.program import Program, generated, identity
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.topics import mapping
@@ -35,10 +33,9 @@ from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.words import number_text, rate_text
-from deepbots_robot.about import About, pace
-from deepbots_robot.intake import Input, Intake
-from deepbots_robot.link import Link
+from deepbots_robot.link import About, Link, pace
 from deepbots_robot.model import Output
+from deepbots_robot.server import Input, Intake
 from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outputs_of_entries
 from deepbots_robot.topics import ACTION
 

@@ -22,14 +22,15 @@ from deepbots_cli.document.nodes import MappingNode, ScalarNode, entries_at, nod
 from deepbots_cli.insight.inspection import Row, link_rows
 from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides
 from deepbots_cli.robots.model import Joint, Link
-from deepbots_cli.scenario.fields.base import with_article
+from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 
 _MAX_SUGGESTIONS = 4
 _PLAIN = re.compile(
     r"((?:urdf \* )?[-+]?)(\d+(?:_\d+)*(?:\.\d+(?:_\d+)*)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
 )
-"""A number with its unit, or a factor of the value in the robot file. Formulas and draws are not multiplied."""
+"""A number with its unit, or a factor of the value in the robot file. Formulas and draws are not
+multiplied."""
 _UNITS = {
     "m": ("length", 1.0),
     "cm": ("length", 0.01),
@@ -229,8 +230,8 @@ def _parts(checked: CheckedScenario, words: set[str], change: _Change | None) ->
 
 
 def _value_of_link(link: Link, key: str, written: str, words: set[str], change: _Change) -> str:
-    """Return the changed `mass` or `scale` of a link, along its longest side or, of a `larger` link, along all
-    sides. It is empty if the words name no size, or the link has no longest side."""
+    """Return the changed `mass` or `scale` of a link, along its longest side or, of a `larger` link, along
+    all sides. It is empty if the words name no size, or the link has no longest side."""
     if key == "mass":
         return f"{change.amount:.6g} kg" if change.unit else _multiplied(written or "urdf * 1", change.amount)
     ratio, axes = change.amount, {0, 1, 2}

@@ -11,7 +11,7 @@ from shlex import quote
 from typing import NamedTuple, TextIO
 
 from deepbots_cli.display import Display
-from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult

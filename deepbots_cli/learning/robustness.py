@@ -38,9 +38,8 @@ from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.parser import parse as parse_expression
 from deepbots_cli.expressions.syntax import Binary, Redrawn
 from deepbots_cli.expressions.types import walk
-from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.evaluation import evaluate
-from deepbots_cli.learning.executor import SERIAL, Executor, results
+from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.order import Measure, measure_of

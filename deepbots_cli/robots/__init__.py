@@ -9,9 +9,7 @@ elements.py    XML to elements with their position in the file; their numbers an
 reader.py      elements to a checked model, every finding with its place
 xacro.py       xacro to plain elements, with includes and limits; xacro_expressions.py computes its expressions
 packages.py    the places of mesh files and robot files, and what may be read
-meshes.py      the contents of mesh files
-collada.py     the triangles of a COLLADA file, and its faults
+meshes.py      the contents of mesh files; how many times their triangles cover each other
+mesh_formats.py the triangles of COLLADA and glTF files, and their faults
 units.py       millimeters, grams and g mm^2 in a robot file
-gltf.py        the triangles of a glTF file, and its faults
-coverage.py    how many times the triangles of a mesh cover each other
 """

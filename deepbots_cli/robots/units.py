@@ -52,7 +52,7 @@ _MIN_WRONG_INERTIA, _MAX_ROUND_INERTIA = 300.0, 1e5
 and what round numbers of published robots do not reach."""
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 200.0, 5000.0
 """The size of a visual over that of the collision shapes of its link, if one of them is in millimeters."""
-_INERTIA_UNITS = {1e3: "g*m^2", 1e6: "kg*mm^2", 1e9: "g*mm^2"}
+_INERTIA_UNITS = {1e3: "g*m^2", 1e4: "kg*cm^2", 1e6: "kg*mm^2", 1e7: "g*cm^2", 1e9: "g*mm^2"}
 _USUAL_INERTIA = 0.5
 """The inertia of a link over that of the box around it; the middle of published robots."""
 _MAX_NAMES = 5
@@ -83,7 +83,9 @@ def unit_faults(model: RobotModel, boxes: MeshBoxes) -> Iterator[UnitFault]:
     mismatched = [part for part in parts if _MIN_SIZE_RATIO < part.size_ratio < _MAX_SIZE_RATIO]
     size = max(box_sides(robot_bounds(without_meshes(model))))
     if mismatched:
-        yield _mismatch(mismatched)
+        for element in ("visual", "collision"):
+            if faulty := [part for part in mismatched if part.faulty_element == element]:
+                yield _mismatch(element, faulty)
     elif long:
         yield _lengths(long)
     elif size >= _MIN_LARGE_ROBOT_M and 0.0 < model.mass < _MIN_ROBOT_DENSITY * size**3:
@@ -146,6 +148,16 @@ class _Part:
         return max(sizes) / min(sizes) if len(sizes) == 2 and min(sizes) > 0.0 else 1.0
 
     @property
+    def faulty_element(self) -> str:
+        """The element with the wrong size, `visual` or `collision`: without it, the density of the link is
+        nearer to the usual one. The larger one where the link has no mass."""
+        elements = {"visual": self.visual, "collision": self.collision}
+        volumes = {name: math.prod(box_sides(box)) for name, box in elements.items() if box is not None}
+        if self.mass <= 0.0 or min(volumes.values()) <= 0.0:
+            return max(volumes, key=lambda name: volumes[name])
+        return max(volumes, key=lambda name: abs(math.log(self.mass / volumes[name] / _USUAL_DENSITY)))
+
+    @property
     def is_identity(self) -> bool:
         return self.inertial.matrix == frames.diagonal((1.0, 1.0, 1.0))
 
@@ -205,17 +217,22 @@ def _lengths(parts: Sequence[_Part]) -> UnitFault:
     )
 
 
-def _mismatch(parts: Sequence[_Part]) -> UnitFault:
-    visual, collision = (math.dist(*box) if box else 0.0 for box in (parts[0].visual, parts[0].collision))
-    larger, smaller = ("visual", "collision") if visual > collision else ("collision", "visual")
+def _mismatch(element: str, parts: Sequence[_Part]) -> UnitFault:
+    first = parts[0]
+    visual, collision = (math.dist(*box) if box else 0.0 for box in (first.visual, first.collision))
+    is_larger = (visual > collision) == (element == "visual")
+    other = "collision" if element == "visual" else "visual"
+    compared = f"{first.size_ratio:,.0f} times as {'large' if is_larger else 'small'} as the <{other}>"
     return _fault(
         "DB507",
-        (larger,),
+        (element,),
         parts,
-        1e3,
-        f"the <{larger}> of {_named(parts)} is {parts[0].size_ratio:.3g} times as large as the"
-        f" <{smaller}>: it is probably in millimeters, 1000 times too large",
-        f'write scale="0.001 0.001 0.001" at the mesh of the <{larger}>, or its lengths in meters',
+        1e3 if is_larger else 1e-3,
+        f"the <{element}> of {_named(parts)} is {compared}: it is probably "
+        + ("in millimeters, 1000 times too large" if is_larger else "1000 times too small"),
+        f'write scale="0.001 0.001 0.001" at the mesh of the <{element}>, or its lengths in meters'
+        if is_larger
+        else f'remove scale="0.001 0.001 0.001" at the mesh of the <{element}>, or write lengths in meters',
     )
 
 
@@ -272,14 +289,15 @@ def _placeholder(parts: Sequence[_Part]) -> UnitFault:
 
 def _inertias(wrong: Sequence[tuple[_Part, float]]) -> UnitFault:
     parts = [part for part, _ in wrong]
-    middle = math.exp(sum(math.log(ratio) for _, ratio in wrong) / len(wrong)) / _USUAL_INERTIA
-    factor = min(_INERTIA_UNITS, key=lambda unit: abs(math.log(middle / unit)))
+    ratio = math.exp(sum(math.log(ratio) for _, ratio in wrong) / len(wrong))
+    factor = min(_INERTIA_UNITS, key=lambda unit: abs(math.log(ratio / _USUAL_INERTIA / unit)))
+    rounded = float(f"{ratio:.0e}")
     return _fault(
         "DB306",
         ("inertial", "inertia"),
         parts,
         factor,
-        f"the inertia of {_named(parts)} is about {middle:.0e} times that of a box of this"
+        f"the inertia of {_named(parts)} is about {rounded:,.0f} times that of a box of this"
         f" mass and size: it is probably in {_INERTIA_UNITS[factor]}, {factor:,.0f} times too large",
         f"write inertias in kg*m^2: divide them by {factor:,.0f}",
     )

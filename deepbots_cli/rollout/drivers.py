@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver, Start
 from deepbots_cli.words import counted
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.forward_pass import Predictor
+    from deepbots_cli.runtime.spaces import Predictor
 
 # The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
 # option of each choice.

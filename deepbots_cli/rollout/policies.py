@@ -1,5 +1,5 @@
 """Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds
-(`runtime/forward_pass.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
+(`runtime/spaces.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
 for every policy.
 """
 
@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.rollout.batch_worlds import BatchEpisodes
 from deepbots_cli.rollout.episode import (
     Driver,
     Episode,
@@ -25,9 +24,9 @@ from deepbots_cli.rollout.episode import (
     play,
     steps,
 )
-from deepbots_cli.rollout.worlds import Array, has_copies
+from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.streams import derive_seed
 
 NumberedEpisode = tuple[int, Episode]

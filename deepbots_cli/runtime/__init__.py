@@ -1,21 +1,17 @@
 """The runtime of generated code.
 
-supervisor.py   base of the generated supervisors, a Gymnasium environment
-controllers.py  base of the generated robot controllers; the robots of a supervisor
-endings.py      the end of an episode, in one world and in a batch; Python terms of users; failures
+supervisor.py   base of the generated supervisors, a Gymnasium environment; ends of episodes; Python terms
 copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
 agents.py       several agents in one world or a batch: the seat of each, and the environment of one
-forward_pass.py the actions of a policy for several rows, whatever the number of worlds
 parallel.py     several agents as an environment of PettingZoo, and its window
-spaces.py       action and observation spaces, forms of actions, rewards for other goals
-observations.py the observations of policies, in an episode and from named values
+spaces.py       spaces, observations and actions of policies; rewards for other goals
 formulas.py     functions that generated code calls: pure ones, and ones with memory
 messages.py     channels of messages, and their formats
 streams.py      named random streams under one root seed, draws of an episode, values in place of draws
 placement.py    the poses of bodies at the beginning of an episode
 paths.py        shortest paths around solid objects; painted lines: places beside and along them, light
 overview.py     a camera that sees the whole scene
-actuation.py    actuators that are more than a motor of the engine, and pushes
+actuation.py    base of the generated robot controllers; actuators beyond a motor of the engine, and pushes
 sensing.py      sensors that are sampled once per tick, with their faults
 readers.py      the measurement of each kind of sensor
 batch.py        base of the generated supervisor of a batch; the batch as a vector environment
@@ -26,10 +22,8 @@ Nothing here reads YAML, or depends on an engine beyond the port.
 """
 
 from deepbots_cli.frames import quaternion
-from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
-from deepbots_cli.runtime.controllers import RobotController
+from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, RobotController, Thrust
 from deepbots_cli.runtime.copies import make_environment
-from deepbots_cli.runtime.endings import python_function
 from deepbots_cli.runtime.formulas import (
     Accumulate,
     Delta,
@@ -59,4 +53,4 @@ from deepbots_cli.runtime.formulas import (
 )
 from deepbots_cli.runtime.paths import Follower, Ways
 from deepbots_cli.runtime.placement import Arrangement
-from deepbots_cli.runtime.supervisor import Supervisor
+from deepbots_cli.runtime.supervisor import Supervisor, python_function

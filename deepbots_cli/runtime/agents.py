@@ -2,7 +2,7 @@
 for all of them.
 
 One generated supervisor steps the world. Its action and its observation are those of all agents in a row
-(`program/members.py`); a `Seat` has the part of one agent.
+(`program/__init__.py`); a `Seat` has the part of one agent.
 
 In a batch, one agent acts on the worlds and the others act by themselves.
 """
@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, Member, qualified_name
+from deepbots_cli.program import RANDOM, ZERO, Member, Program, qualified_name
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.batch import (
     BatchStep,
@@ -30,9 +29,11 @@ from deepbots_cli.runtime.batch import (
     advance_and_begin,
 )
 from deepbots_cli.runtime.copies import WorldRows
-from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.spaces import (
+    FORWARD_BATCH_SIZE,
     Column,
+    ForwardPass,
+    Predictor,
     action_space,
     apply_to_parts,
     canonical_action,
@@ -220,7 +221,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         supervisor: The supervisor of the world.
         scenario: The program of the agent.
         number: The number of the next episode, or of the world among others: policies that act for other
-            agents then act as in a batch, to the bit (`forward_pass.py`).
+            agents then act as in a batch, to the bit (`spaces.py`).
 
     Args:
         rebuild: Makes a copy of the environment in another process.

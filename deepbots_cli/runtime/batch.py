@@ -28,11 +28,16 @@ from deepbots_cli.program import generated
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
-from deepbots_cli.runtime.endings import EpisodeEnds, infinite_reward, without_option
 from deepbots_cli.runtime.messages import excerpt
-from deepbots_cli.runtime.observations import ObservedColumns
-from deepbots_cli.runtime.spaces import Column, apply_to_parts, compose_rows, fitting_rows, joined
-from deepbots_cli.runtime.supervisor import Supervisor
+from deepbots_cli.runtime.spaces import (
+    Column,
+    ObservedColumns,
+    apply_to_parts,
+    compose_rows,
+    fitting_rows,
+    joined,
+)
+from deepbots_cli.runtime.supervisor import EpisodeEnds, Supervisor, infinite_reward, without_option
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
 

@@ -20,8 +20,8 @@ from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Direction, NoiseModel, Sensor
 from deepbots_cli.program.task import Agent
+from deepbots_cli.runtime.actuation import RobotController
 from deepbots_cli.runtime.columns import BatchMemory, stacked, where_running
-from deepbots_cli.runtime.controllers import RobotController
 from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.readers import ON_COLUMNS, projected_gravity
 from deepbots_cli.runtime.sensing import ROWS_PER_BLOCK, Device, Lookup, Normals, Site

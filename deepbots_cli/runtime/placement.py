@@ -22,7 +22,7 @@ from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.port import ZERO_VECTOR, Engine
 from deepbots_cli.program import Program
-from deepbots_cli.program.draws import kind_key
+from deepbots_cli.program.resets import kind_key
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots import kinematics

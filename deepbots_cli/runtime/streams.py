@@ -23,7 +23,7 @@ from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.program import Program
-from deepbots_cli.program.draws import EpisodeDraw, key_of_member
+from deepbots_cli.program.resets import EpisodeDraw, key_of_member
 
 T = TypeVar("T")
 Drawn = dict[str, float | str]

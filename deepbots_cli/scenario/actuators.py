@@ -35,9 +35,16 @@ from deepbots_cli.scenario.base import (
     kind_of,
     kind_parameters,
 )
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import JointName, JointNames, LinkName, LinkNames, Pattern, PlainText
-from deepbots_cli.scenario.fields.quantities import (
+from deepbots_cli.scenario.fields import (
+    JointName,
+    JointNames,
+    LinkName,
+    LinkNames,
+    Pattern,
+    PlainText,
+    Scalar,
+)
+from deepbots_cli.scenario.quantities import (
     Length,
     Quantity,
     RandomizableDelay,

@@ -29,7 +29,6 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import shipped
-from deepbots_cli.scenario.agent import AgentOfSeveral
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -43,11 +42,20 @@ from deepbots_cli.scenario.base import (
     unit_of,
 )
 from deepbots_cli.scenario.documentation import default_of, example_of, key_description, section_description
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import COLORS, ColorValue, FilePath, Name, Pattern, Reference, Word
-from deepbots_cli.scenario.fields.quantities import Expression, Range
+from deepbots_cli.scenario.fields import (
+    COLORS,
+    ColorValue,
+    FieldType,
+    FilePath,
+    Name,
+    Pattern,
+    Reference,
+    Word,
+)
+from deepbots_cli.scenario.quantities import Expression, Range
 from deepbots_cli.scenario.robots import Robot
 from deepbots_cli.scenario.scenario import VERSION, Scenario
+from deepbots_cli.scenario.task import AgentOfSeveral
 
 Json = dict[str, Any]
 

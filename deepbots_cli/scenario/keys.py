@@ -32,13 +32,13 @@ from deepbots_cli.scenario.base import (
     fits,
     key_instead_of,
     section_fields,
+    shape_at,
+    walk_sections,
 )
 from deepbots_cli.scenario.documentation import example_of, key_description
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import Word
+from deepbots_cli.scenario.fields import FieldType, Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
-from deepbots_cli.scenario.walk import shape_at, walk_sections
 
 _MAX_EXAMPLE_CHARACTERS = 120
 _MAX_LINE_CHARACTERS = 120

@@ -7,8 +7,7 @@ from pydantic import Field
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import (
+from deepbots_cli.scenario.fields import (
     ArgumentValue,
     Color,
     FilePath,
@@ -17,9 +16,10 @@ from deepbots_cli.scenario.fields.names import (
     OnBoardName,
     Pattern,
     Reference,
+    Scalar,
     Word,
 )
-from deepbots_cli.scenario.fields.quantities import (
+from deepbots_cli.scenario.quantities import (
     Expression,
     Quantity,
     RandomizableCount,

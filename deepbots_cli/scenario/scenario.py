@@ -8,36 +8,39 @@ from typing import Annotated, Any, Self
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from deepbots_cli.document.nodes import MappingNode, NodePath, node_at
-from deepbots_cli.scenario.agent import (
-    Action,
-    Agent,
-    AgentOfSeveral,
-    Augmentation,
-    Ending,
-    Goal,
-    Observation,
-    Reward,
-    Role,
-    Script,
-)
-from deepbots_cli.scenario.base import FORMS, Many, Section, Size
-from deepbots_cli.scenario.episode import Disturbance, Reset, Termination, Truncation
-from deepbots_cli.scenario.evaluation import Evaluation, ScenarioTest, Tune
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import (
+from deepbots_cli.scenario.base import FORMS, Many, Section, Size, visit_values
+from deepbots_cli.scenario.fields import (
     FilePath,
     LocalName,
     PlainText,
     Reference,
+    Scalar,
     SharedName,
     Text,
     Word,
 )
-from deepbots_cli.scenario.fields.quantities import Expression, PositiveInt, Signal
-from deepbots_cli.scenario.fields.training import Solved
+from deepbots_cli.scenario.quantities import Expression, PositiveInt, Signal, Solved
 from deepbots_cli.scenario.robots import Messages, Robot
+from deepbots_cli.scenario.task import (
+    Action,
+    Agent,
+    AgentOfSeveral,
+    Augmentation,
+    Disturbance,
+    Ending,
+    Evaluation,
+    Goal,
+    Observation,
+    Reset,
+    Reward,
+    Role,
+    ScenarioTest,
+    Script,
+    Termination,
+    Truncation,
+    Tune,
+)
 from deepbots_cli.scenario.training import AnyTraining, Levels, Stage
-from deepbots_cli.scenario.walk import visit_values
 from deepbots_cli.scenario.world import AnyObject, World
 
 # Deployment

@@ -19,8 +19,8 @@ from pydantic_core import PydanticCustomError
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.expressions.syntax import Number
 from deepbots_cli.expressions.syntax import Range as RangeTree
-from deepbots_cli.scenario.fields.base import FieldType, JsonSchema, error, mismatch
-from deepbots_cli.scenario.fields.quantities import Parsed
+from deepbots_cli.scenario.fields import FieldType, JsonSchema, error, mismatch
+from deepbots_cli.scenario.quantities import Parsed
 
 MAX_CHOICES = 64
 _DIGITS = 4

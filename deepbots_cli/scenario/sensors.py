@@ -40,8 +40,7 @@ from deepbots_cli.scenario.base import (
     kind_of,
     kind_parameters,
 )
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import (
+from deepbots_cli.scenario.fields import (
     JointName,
     JointNames,
     LinkName,
@@ -49,8 +48,9 @@ from deepbots_cli.scenario.fields.names import (
     LocalName,
     PlainText,
     Reference,
+    Scalar,
 )
-from deepbots_cli.scenario.fields.quantities import (
+from deepbots_cli.scenario.quantities import (
     Column,
     Quantity,
     RandomizableDelay,

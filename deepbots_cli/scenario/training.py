@@ -16,10 +16,18 @@ from pydantic import AfterValidator, Field
 
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, Size, check_kind_model, kind_of
-from deepbots_cli.scenario.fields.base import Scalar, error
-from deepbots_cli.scenario.fields.names import Bool, LocalName, PlainText, Reference, Text
-from deepbots_cli.scenario.fields.quantities import Bounds, Fraction, Number, PositiveInt, Range, WholeNumber
-from deepbots_cli.scenario.fields.training import Schedule, Setting, Until
+from deepbots_cli.scenario.fields import Bool, LocalName, PlainText, Reference, Scalar, Text, error
+from deepbots_cli.scenario.quantities import (
+    Bounds,
+    Fraction,
+    Number,
+    PositiveInt,
+    Range,
+    Schedule,
+    Setting,
+    Until,
+    WholeNumber,
+)
 
 MAX_SHARDS = 256
 AUTO = "auto"

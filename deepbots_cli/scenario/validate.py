@@ -22,9 +22,9 @@ from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_
 from deepbots_cli.document.parse import resolve_plain_scalar
 from deepbots_cli.document.syntax_hints import missing_colon
 from deepbots_cli.document.value_hints import GIVE_A_VALUE
-from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, noun_of
-from deepbots_cli.scenario.fields.base import FieldType, error, mismatch
-from deepbots_cli.scenario.isaac_lab import advice
+from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, noun_of, set_paths, shape_at
+from deepbots_cli.scenario.documentation import advice
+from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.keys import (
     Suggestion,
     keys_of,
@@ -34,7 +34,6 @@ from deepbots_cli.scenario.keys import (
     suggestion_for,
 )
 from deepbots_cli.scenario.scenario import VERSION, Scenario
-from deepbots_cli.scenario.walk import set_paths, shape_at
 from deepbots_cli.words import counted
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.

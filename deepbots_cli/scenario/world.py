@@ -7,18 +7,18 @@ from pydantic import Field
 
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.scenario.base import KeyCount, Kinds, Many, Section, Size
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.names import (
+from deepbots_cli.scenario.fields import (
     Bool,
     Color,
     FilePath,
     LocalName,
     MeshFile,
     PlainText,
+    Scalar,
     SharedName,
     Word,
 )
-from deepbots_cli.scenario.fields.quantities import (
+from deepbots_cli.scenario.quantities import (
     Area,
     Expression,
     Point,

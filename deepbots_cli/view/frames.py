@@ -21,8 +21,7 @@ from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR, Engine, RayReader, cast_rays
-from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import AgentEnding
+from deepbots_cli.program import AgentEnding, Program, generated
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant

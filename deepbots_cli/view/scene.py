@@ -25,8 +25,8 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
-from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinematics import robot_bounds
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import (
     Box,
@@ -447,11 +447,6 @@ class WorldScene:
         return add_shape(self._scene, name, geometry.shape, geometry.color or _DEFAULT_COLOR, frame)
 
     # What a person chooses to see
-
-    @property
-    def shows_names(self) -> bool:
-        """Whether the names of links are visible."""
-        return any(label.visible for label in self._labels)
 
     def set_visible(self, part: str, visible: bool) -> None:
         """Show or hide one of `visible_parts`."""

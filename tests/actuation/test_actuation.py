@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
 from math import ceil, exp, inf, isclose, pi
 from pathlib import Path
 
@@ -139,44 +138,6 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
     )
     assert max(cart_speeds(arm, 100)) < 0.5 * 1.01
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
-
-
-def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: Make):
-    drawn = rail(
-        *ENDLESS,
-        strength="uniform(0.5 .. 1)",
-        delay="uniform(0 .. 40 ms)",
-        time_constant="uniform(10 .. 50 ms)",
-        max_torque="uniform(5 .. 10 N)",
-    )
-    drive = drawn.robot_cart.drive_motor
-    figures = []
-    for seed in (1, 2, 1):
-        first = cart_speeds(drawn, 8, seed=seed)
-        figures.append(
-            (*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first)
-        )
-    assert figures[0] == figures[2] != figures[1]
-    fresh = rail(
-        *ENDLESS,
-        strength="uniform(0.5 .. 1)",
-        delay="uniform(0 .. 40 ms)",
-        time_constant="uniform(10 .. 50 ms)",
-        max_torque="uniform(5 .. 10 N)",
-    )
-    assert cart_speeds(fresh, 8, seed=1) == figures[0][-1]
-
-
-def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
-    drawn = rail(
-        *ENDLESS, "robots.cart.apply.motor=drive * 6 N", type="torque_motor", strength="uniform(0.2 .. 1)"
-    )
-    torques = drawn.engine.joint_torques("cart", ("slider",))
-    for seed in range(5):
-        drawn.reset(seed=seed)
-        drawn.step(FORWARD)
-        (strength,) = drawn.robot_cart.drive_motor.strength
-        assert torques()[0] == pytest.approx(6 * strength)
 
 
 def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
@@ -448,31 +409,6 @@ def test_a_motor_holds_the_weight_of_a_link_at_its_center_of_mass(
     assert -50 * share == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
 
 
-def test_bodies_and_joints_are_drawn_once_per_episode_and_come_again_with_the_seed(
-    make: Make, tmp_path: Path
-) -> None:
-    pytest.importorskip("mujoco")
-    link = "{com: uniform(-10 0 0 .. 10 0 0 cm), inertia: uniform(0.5 .. 2)}"
-    beam = held_beam(make, tmp_path, "mujoco", link, "{armature: uniform(0 .. 0.1 kg*m^2)}")
-    draws, torques = [], []
-    for seed in (1, 2, 1):
-        draws.append(beam.reset(seed=seed)[1]["drawn"])
-        for _ in range(100):
-            (share,), *_ = beam.step(np.zeros(1, np.float32))
-        torques.append(-50 * share)
-        offset = draws[-1]["robots.arm.links.beam.com.x"]
-        assert torques[-1] == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
-    assert set(draws[0]) == {
-        "robots.arm.links.beam.com.x",
-        "robots.arm.links.beam.com.y",
-        "robots.arm.links.beam.com.z",
-        "robots.arm.links.beam.inertia",
-        "robots.arm.joints.hinge.armature",
-    }
-    assert draws[0] == draws[2] != draws[1]
-    assert torques[0] == torques[2] != torques[1]
-
-
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_strength_multiplies_the_stall_torque(make: Make, tmp_path: Path, engine: str) -> None:
     """A motor at half strength approaches its no-load speed half as fast."""
@@ -582,19 +518,6 @@ def test_a_gripper_goes_from_closed_to_open(make: Make):
 
 
 @pytest.mark.slow
-def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
-    used, fresh = make(ARM), make(ARM)
-    used.reset(seed=1)
-    act(used, (0.3, -0.7, 0.5), ticks=17)
-    states = []
-    for panda in (used, fresh):
-        panda.reset(seed=2)
-        act(panda, (-0.4, 0.2, 0.9), 0.3, ticks=15)
-        states.append(panda.engine.joint_states("panda", JOINTS)())
-    assert [state[:2] for state in states[0]] == [state[:2] for state in states[1]]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
 def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, route: str):
     panda = make(
@@ -669,27 +592,6 @@ def velocities(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple
     return per_tick
 
 
-@pytest.mark.parametrize("substeps", [1, 3, 8])
-@pytest.mark.parametrize("lasts", [0.04, 0.1, 0.033])
-def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, substeps: int, lasts: float):
-    once = pushed(
-        f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}",
-        f"world.substeps={substeps}",
-    )
-    speeds = velocities(once, 40)
-    assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in speeds[:5])
-    assert speeds[5][0] > 0
-    assert speeds[-1] == pytest.approx((0.02 * lasts / MASS, 0, 0), rel=1e-3, abs=1e-5)
-
-
-def test_a_torque_turns_the_body(pushed: Make):
-    once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, duration: 50 ms}}")
-    velocities(once, 10)
-    _, (_, _, rate) = once.engine.velocity("drone")()
-    inertia = 2.2e-5 + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
-    assert rate == pytest.approx(1e-5 * 0.05 / inertia, rel=2e-2)
-
-
 def test_pushes_repeat_after_their_interval_and_the_first_comes_after_one(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, duration: 20 ms}}")
     speeds = [speed[1] for speed in velocities(often, 100)]
@@ -701,36 +603,6 @@ def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, duration: 10 ms}}")
     speeds = [speed[1] for speed in velocities(often, 100)]
     assert [k for k in range(100) if speeds[k] > (speeds[k - 1] if k else 0.0) + 1e-6] == [0, 50]
-
-
-def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
-    gusts = (
-        "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms),"
-        " duration: uniform(10 .. 30 ms)}}"
-    )
-    used, fresh = pushed(gusts), pushed(gusts)
-    velocities(used, 33, seed=4)
-    first, again, another_seed = (
-        velocities(used, 60, seed=7),
-        velocities(fresh, 60, seed=7),
-        velocities(fresh, 60, seed=8),
-    )
-    assert first == again != another_seed
-    assert len({round(step[0] - before[0], 9) for before, step in pairwise(first)}) > 6
-
-
-def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
-    gust = (
-        "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms),"
-        " duration: 20 ms}"
-    )
-    alone = pushed(f"{{{gust}}}")
-    both = pushed(
-        f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"
-    )
-    assert np.allclose(
-        np.array(velocities(alone, 50))[:, :2], np.array(velocities(both, 50))[:, :2], atol=1e-9
-    )
 
 
 def test_nothing_pushes_while_the_world_settles(pushed: Make):
@@ -807,15 +679,6 @@ def test_uneven_thrust_tilts_towards_the_weaker_side(drone: Make):
     assert roll_rate == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_thrust_along_x_accelerates_forward_as_one_along_z_does_upward(drone: Make):
-    forward = drone(BALANCED.replace("spin:", "axis: x, spin:"), EXACT_HOVER)
-    fly(forward, 1)  # the rotors are above the center of mass, so the nose goes down
-    (forward_speed, side_speed, up_speed), _ = forward.engine.velocity("drone")()
-    assert forward_speed == pytest.approx(GRAVITY * DRONE_TICK, rel=2e-2)
-    assert side_speed == pytest.approx(0.0, abs=1e-3)
-    assert up_speed == pytest.approx(-GRAVITY * DRONE_TICK, rel=2e-2)
-
-
 def test_commands_beyond_the_range_are_brought_to_its_end(drone: Make):
     falling = drone(PERFECT, "parameters.hover=-10 N")
     fly(falling, 20)
@@ -839,28 +702,3 @@ def test_rotors_stand_still_from_a_reset_to_the_first_command(drone: Make):
         fly(late, 5)
         (_, _, speed), _ = late.engine.velocity("drone")()
         assert speed == pytest.approx(-GRAVITY * 5 * DRONE_TICK, rel=1e-3)
-
-
-def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: Make):
-    worn = drone(
-        "robots.drone.actuators.rotors.delay=0 ms",
-        "robots.drone.actuators.rotors.time_constant=0 ms",
-        EXACT_HOVER,
-    )
-    worn.reset(seed=3)
-    strengths = worn.robot_drone.drive_rotors.strength
-    assert len(set(strengths)) == 4
-    assert all(0.95 <= strength <= 1 for strength in strengths)
-    worn.step(np.zeros(4, np.float32))
-    (_, _, speed), _ = worn.engine.velocity("drone")()
-    assert speed == pytest.approx(GRAVITY * (sum(strengths) / 4 - 1) * DRONE_TICK, rel=2e-2)
-
-
-def test_episodes_with_drawn_rotors_are_the_same_after_any_past(drone: Make):
-    used, fresh = drone(), drone()
-    fly(used, 37, (0.4, -0.2, 0.1, 0.3), seed=5)
-    states = []
-    for environment in (used, fresh):
-        fly(environment, 20, (0.1, 0.2, -0.1, 0.0), seed=8)
-        states.append((environment.engine.pose("drone")(), environment.engine.velocity("drone")()))
-    assert states[0] == states[1]

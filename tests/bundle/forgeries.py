@@ -17,7 +17,6 @@ is then 1.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import random
 import resource
@@ -31,6 +30,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -46,6 +46,7 @@ from deepbots_robot.serving import ServeError, inputs_of, mapped, outputs_of
 from deepbots_robot.topics import Topic
 from tests.bundle.forged import Forged
 from tests.bundle.ways import ACTS, WAYS, Way
+from tests.fuzz.harness import in_fork
 
 BASES: Mapping[str, tuple[str, ...]] = {
     "balancer": ("balancer",),
@@ -61,7 +62,7 @@ QUICK = ("balancer", "cartpole", "panda_reach")
 ATTACKERS = ("changes", "damage", "digests", "digests", "signed")
 DAMAGED = ("bytes", "wire", "graph", "json", "parity")
 MAX_SECONDS, MAX_MEMORY = 2.0, 500e6
-_KILLED_AFTER = 60.0
+_KILLED_AFTER = 60
 """Seconds of wall time, for a load that hangs."""
 _MAX_SENTENCE = 1_500
 _STEPS = 40
@@ -307,26 +308,14 @@ def _clear_peak() -> None:
 
 def judged(outcome: Outcome, way: Way, seed: int, bases: Path) -> Outcome:
     """The outcome of a case, in a process of its own."""
-    fork = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "bundle"
-        reader, writer = fork.Pipe(duplex=False)
-        child = fork.Process(target=_in_child, args=(outcome, way, seed, bases, folder, writer))
-        child.start()
-        writer.close()
-        outcome.text = f"no end within {_KILLED_AFTER:g} s"
-        try:
-            if reader.poll(_KILLED_AFTER):
-                outcome = reader.recv()
-        except EOFError:
-            child.join()
-            outcome.text = f"the process ends by signal {-(child.exitcode or 0)}"
-        child.kill()
-        child.join()
-    return outcome
+        result, _, ended_by = in_fork(partial(_in_child, outcome, way, seed, bases, folder), _KILLED_AFTER)
+    outcome.text = f"the process ends by signal {ended_by}"
+    return outcome if result is None else result
 
 
-def _in_child(outcome: Outcome, way: Way, seed: int, bases: Path, folder: Path, writer: Any) -> None:
+def _in_child(outcome: Outcome, way: Way, seed: int, bases: Path, folder: Path) -> Outcome:
     """Examine a case."""
     outcome.text = "it cannot be forged"
     terminal = folder.with_name("terminal")
@@ -344,7 +333,7 @@ def _in_child(outcome: Outcome, way: Way, seed: int, bases: Path, folder: Path, 
     except BaseException as error:  # noqa: BLE001  whatever it is, it is what is looked for
         outcome.end = "failed"
         outcome.text = str(error) if isinstance(error, FailedError) else traceback.format_exc()
-    writer.send(outcome)
+    return outcome
 
 
 # All of them

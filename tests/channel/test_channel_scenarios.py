@@ -183,17 +183,6 @@ def test_a_signal_is_never_observed_whatever_it_is_made_of(cart: Make, tmp_path:
 # Episodes and robots
 
 
-def test_a_new_episode_starts_without_messages_of_the_last(cart: Make) -> None:
-    route = (
-        "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms)"
-        " each step, loss: 0.3}}"
-    )
-    environment = cart(f"messages={route}")
-    first = terms(environment)
-    terms(environment, [0.3] * 11, seed=5)
-    assert (terms(environment), terms(cart(f"messages={route}"))) == (first, first)
-
-
 def test_what_happens_on_one_channel_leaves_the_other_alone(cart: Make) -> None:
     """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the
     same, bit by bit."""
@@ -271,7 +260,6 @@ def test_a_message_on_a_foreign_channel_is_refused(cart: Make) -> None:
         environment.step(np.zeros(1))
 
 
-TICK = 0.02
 THREE = "agent.action_repeat=3"
 
 
@@ -476,14 +464,6 @@ def test_components_are_drawn_together(cart: Make) -> None:
     assert 0.0 not in differences
 
 
-def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(cart: Make) -> None:
-    environment = cart("reward={w: w}", more="parameters: {w: uniform(0 .. 1) every 100 ms}\n")
-    first = [row[3]["w"] for row in episode(environment, 33)]
-    second = [row[3]["w"] for row in episode(environment, 33)]
-    environment.reset()
-    assert (first, ticks_of_changes(first)) == (second, [6, 11, 16, 21, 26, 31])
-
-
 def test_a_new_draw_changes_no_other(cart: Make) -> None:
     alone = drawn_values(cart, "w: uniform(0 .. 1) every 100 ms")
     assert alone == drawn_values(
@@ -504,7 +484,6 @@ def test_a_robot_receives_such_a_value_by_message(cart: Make) -> None:
 
 
 COPIES = Path(__file__).parent / "copies.yaml"
-ASIDE = (0.0, 1.0, 0.0)
 CALM = "reset.joints={cart.hinge: 0.02 rad}"
 
 

@@ -512,7 +512,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
         [rows[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
-    assert re.search(r" \(deepbots_cli\.lint\.run:\d+\)", ran.out), "the innermost place in deepbots"
+    assert re.search(r" \(deepbots_cli\.lint\.context:\d+\)", ran.out), "the innermost place in deepbots"
     assert "Traceback" not in ran.out + ran.err
 
 

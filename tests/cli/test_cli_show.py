@@ -30,12 +30,12 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.insight.speed import EngineSpeeds, engine_speeds, measure
-from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
+from deepbots_cli.learning.runs.evaluations import draw_labels, drawn_effects
 from deepbots_cli.learning.runs.statistics import mean_interval, wilson
 from deepbots_cli.learning.sb3 import defaults
 from deepbots_cli.learning.scenario_tests import run_tests
+from deepbots_cli.program import ZERO
 from deepbots_cli.program.identity import digest
-from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, Showing

@@ -1,24 +1,44 @@
-"""Names of a scenario that mean something in Python or to the compiler keep the meaning of the scenario."""
+"""Names of a scenario that mean something in Python or to the compiler keep the meaning of the scenario.
+
+Memories of stateful functions that several methods of generated code update.
+
+Hostile texts and values in any place of a scenario: refused in words, or quoted in code that runs.
+"""
 
 from __future__ import annotations
 
 import ast
+import copy
+import io
+import json
+import random
+import re
 import subprocess
 import sys
+import tokenize
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.codegen.lines import WIDTH, wrap_line
-from deepbots_cli.codegen.names import Constants, docstring
+from deepbots_cli.codegen import generate_module
+from deepbots_cli.codegen.names import WIDTH, Constants, docstring, wrap_line
+from deepbots_cli.compiler import check
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document.load import loads
+from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every
-from tests.worlds import SCENARIOS
+from tests.worlds import CART, SCENARIOS, Make
 
 # Python's words, the words of generated code, and what the compiler would call its own variables.
 AWKWARD = [
@@ -171,21 +191,6 @@ def test_only_an_observation_of_clipped_numbers_is_float32_from_minus_one_to_one
     assert ("What the policy sees, float32 in [-1, 1]: " in compiled.code) == is_scaled
 
 
-@pytest.mark.slow
-def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
-    """Sets are in another order in every process unless hashing is fixed."""
-    drawn = SCENARIOS / "drawn.yaml"
-    program = f"from deepbots_cli import api; print(api.compile({str(drawn)!r}).code, end='')"
-    answer = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONHASHSEED": "77"},
-    )
-    assert answer.stdout == api.compile(drawn).code
-
-
 def test_a_constant_is_explained_by_its_parameter_if_no_other_number_is_in_it() -> None:
     parts = [
         NamedFloat(number, "size", part, "[1, 2, 3]") for part, number in zip("xyz", (1, 2, 3), strict=True)
@@ -294,3 +299,193 @@ def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -
     assert done.returncode == 0
     assert done.stdout == ""
     assert max(map(len, file.read_text().splitlines())) <= WIDTH
+
+
+# Memories of stateful functions that several methods of generated code update
+
+
+ALIVE = "reward: {alive: 1}\n"
+
+
+@pytest.mark.parametrize("function", ["running_max", "previous", "low_pass"])
+def test_a_sum_over_three_memories_drives_a_motor(make: Make, function: str) -> None:
+    tau = ", 0.1 s" if function == "low_pass" else ""
+    sum_of_three = f"sum({function}(vector(place, place, place){tau}))"
+    environment = make(CART.replace("drive * 0.02 m/s", f'"(0.3 m - {sum_of_three}) / s"') + ALIVE)
+    environment.reset(seed=0)
+    for _ in range(60):
+        observation, *_ = environment.step([0.0])
+    # The motor moves until three times the place is 0.3 m.
+    assert 2.4 * observation[0] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_sum_over_three_memories_is_sent_to_a_robot(make: Make) -> None:
+    aim = '    receive: {aim: "sum(running_max(vector(0 m, 0 m, time * 1 m/s)))"}\n    apply:'
+    environment = make(CART.replace("    apply:", aim).replace("drive * 0.02 m/s", "aim / s") + ALIVE)
+    environment.reset(seed=0)
+    for _ in range(50):
+        observation, *_ = environment.step([0.0])
+    # The speed is the time: 0.5 m after 1 s, less one timestep.
+    assert 2.4 * observation[0] == pytest.approx(0.5, abs=0.03)
+
+
+# Hostile texts and values in any place of a scenario: refused in words, or quoted in code that runs
+
+
+TESTS = Path(__file__).parents[1]
+SOURCES = [
+    "cartpole",
+    *(
+        str(TESTS / "data" / "scenarios" / f"{name}.yaml")
+        for name in ("drawn", "pair", "placed", "sensed", "drone")
+    ),
+    *(str(TESTS / "channel" / f"{name}.yaml") for name in ("radio", "team")),
+    str(TESTS / "placement" / "few.yaml"),
+    str(TESTS / "world" / "hills.yaml"),
+]
+MARK = "intruder"
+TEXTS = (
+    f'"""\n{MARK}()\n"""',
+    f"x\n{MARK} = 1",
+    f'"; {MARK}(); "',
+    f"'; {MARK}(); '",
+    f"\\'; {MARK}() #",
+    f"__import__('{MARK}')",
+    f"x): {MARK}(",
+    f"{{{MARK}}}",
+    f"a\r{MARK}()",
+    f"a\u2028{MARK}()\x0c",
+    "\\",
+    "",
+)
+OTHERS: tuple[Any, ...] = (
+    None,
+    True,
+    -1,
+    0,
+    10**30,
+    1e308,
+    1e-320,
+    -1e300,
+    [],
+    ["x"],
+    {},
+    "1e-320 s",
+    "1e300 m",
+    "-1 .. -2",
+    "0 .. 1e-320",
+)
+NUMBERS = ("0", "-1", "1e-320", "1e300", "1e-9", "1000")
+
+Place = tuple[Any, ...]
+
+
+@pytest.fixture(scope="module", params=every(6, SOURCES, lambda source: Path(source).stem))
+def opened(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+    """A scenario as data, and the folder that its files lie in."""
+    checked = api.load(request.param)
+    folder = tmp_path_factory.mktemp("copies")
+    checked.inputs.write(folder)
+    return yaml.load((folder / RESOLVED_NAME).read_text(), Words), folder
+
+
+class Words(yaml.SafeLoader):
+    """YAML 1.1 takes `5e-3` for a text, which JSON would then quote."""
+
+
+Words.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"-?\d+(\.\d*)?e-?\d+"), list("-0123456789")
+)
+
+
+def places(data: Any, path: Place = ()) -> Iterator[Place]:
+    """Where the scalars and keys of a document stand."""
+    if isinstance(data, dict | list):
+        for key, item in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from places(item, (*path, key))
+    else:
+        yield path
+
+
+def replaced(data: Any, path: Place, value: Any, *, key: bool = False) -> str:
+    """The document as text, with another value at a path, or another key."""
+    data = copy.deepcopy(data)
+    inner = data
+    for step in path[:-1]:
+        inner = inner[step]
+    if key and isinstance(inner, dict):
+        inner[value] = inner.pop(path[-1])
+    else:
+        inner[path[-1]] = value
+    return json.dumps(data)
+
+
+def at(data: Any, path: Place) -> Any:
+    """The value at a path."""
+    for step in path:
+        data = data[step]
+    return data
+
+
+def with_other_number(value: Any, rng: random.Random) -> Any:
+    """The value with another number and the same unit."""
+    number = rng.choice(NUMBERS)
+    return re.sub(r"-?\d+(\.\d+)?", number, value, count=1) if isinstance(value, str) else float(number)
+
+
+def compiled(text: str, folder: Path) -> api.Compiled | None:
+    """The scenario of a text, or None where it is refused in words."""
+    try:
+        return api.compile(check(loads(text, "hostile.yaml", folder)))
+    except DeepbotsError:
+        return None
+
+
+def words(code: str) -> set[str]:
+    """Everything in the code that is neither quoted nor a comment."""
+    return {
+        token.string
+        for token in tokenize.generate_tokens(io.StringIO(code).readline)
+        if token.type in (tokenize.NAME, tokenize.OP)
+    }
+
+
+def some(data: Any, seed: int, count: int = 40) -> list[Place]:
+    everywhere = sorted(places(data), key=str)
+    return random.Random(seed).sample(everywhere, min(count, len(everywhere)))
+
+
+def test_text_in_any_place_is_quoted_or_refused(opened: tuple[Any, Path]) -> None:
+    data, folder = opened
+    assert compiled(json.dumps(data), folder) is not None
+    rng = random.Random(1)
+    for path in some(data, 1):
+        hostile = compiled(replaced(data, path, rng.choice(TEXTS), key=rng.random() < 0.3), folder)
+        if hostile is not None:
+            compile(hostile.code, "printed", "exec")
+            assert MARK not in words(hostile.code), path
+
+
+def test_unusual_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: tuple[Any, Path]) -> None:
+    data, folder = opened
+    rng = random.Random(2)
+    running = 0
+    for path in some(data, 2, count=24):
+        value = with_other_number(at(data, path), rng) if rng.random() < 0.7 else rng.choice(OTHERS)
+        hostile = compiled(replaced(data, path, value), folder)
+        if hostile is not None:
+            with suppress(DeepbotsError), closing(api.build(hostile.program)) as world:
+                world.reset(seed=0)
+                world.step(world.action_space.sample())
+                running += 1
+    assert running > 3
+
+
+@pytest.mark.parametrize(
+    "name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"]
+)
+def test_a_name_that_is_not_an_identifier_is_never_printed(name: str) -> None:
+    """The compiler lets none through; should it do so by mistake, nothing is printed."""
+    program = api.compile("cartpole").program
+    with pytest.raises(ValueError, match="name"):
+        generate_module(program.with_agent(reward=(replace(program.agent.reward[0], name=name),)))

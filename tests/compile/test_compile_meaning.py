@@ -8,13 +8,20 @@ The files that a scenario was made from, and the scenario made again from their 
 
 The names of a scenario, as editors offer them: complete, by kind, and each leading to where it is
 defined.
+
+Cases of the evaluation: the scenario once more, under other settings.
+
+The changes that a scenario may make to a robot, an object or the world, and their bounds.
+
+Findings about a curriculum of levels: at their place, with what to write instead.
+
+What users of other tools write is refused with what to write here instead.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,14 +30,24 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.codegen import generate_module
+from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import copy_names
 from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.compiler.namespace import MAX_CHAIN
+from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import ScenarioError
+from deepbots_cli.document.load import load
+from deepbots_cli.engine_kinds import ENGINES
+from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, walk
 from deepbots_cli.program import identity
 from deepbots_cli.program.identity import digest, interface, to_json
+from deepbots_cli.scenario.actuators import ACTUATORS
+from deepbots_cli.scenario.documentation import synonyms, word_for
+from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.scenario.world import OBJECTS, TILES
+from tests.compile.conftest import shipped_text
+from tests.few import every
 from tests.named import constant
 
 
@@ -447,15 +464,6 @@ def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop
     )
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")],
-)
-def test_so_does_one_about_a_part_of_the_value(workshop, cartpole, old, new):
-    (finding,) = workshop.lint(cartpole((old, new)))
-    assert (finding.severity, len(finding.notes)) == ("error", 1)
-
-
 @pytest.mark.parametrize("joints", ["[*wheel]", "[wheel_front_left, *wheel]", "\n          - *wheel"])
 def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
     text = cartpole(
@@ -508,16 +516,6 @@ def test_a_unit_that_another_use_needs_is_not_corrected(workshop, cartpole) -> N
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
-def unpack(compiled: api.Compiled, folder: Path) -> Path:
-    """The scenario and its inputs as a run keeps them."""
-    for name, content in compiled.inputs.items():
-        copy = folder / "inputs" / name
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(content)
-    (folder / "resolved.yaml").write_text(compiled.resolved, encoding="utf-8")
-    return folder / "resolved.yaml"
-
-
 @pytest.fixture
 def meshed(workshop, cartpole):
     """A project whose robot is drawn with a mesh that lies in a folder beside that of the robot."""
@@ -533,37 +531,6 @@ def meshed(workshop, cartpole):
     (folder / "scenarios").mkdir()
     workshop.file = folder / "scenarios" / "scenario.yaml"
     return workshop.write(cartpole(("urdf: cartpole", "urdf: ../robots/mine.urdf")))
-
-
-def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
-    inputs = api.compile(meshed).inputs
-    assert (list(inputs), inputs["meshes/part.obj"]) == (
-        ["scenarios/scenario.yaml", "robots/mine.urdf", "meshes/part.obj"],
-        MESH,
-    )
-
-
-def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
-    compiled = api.compile(meshed)
-    resolved = unpack(compiled, tmp_path_factory.mktemp("elsewhere"))
-    shutil.rmtree(meshed.parents[1])
-    again = api.compile(resolved)
-    assert again.digest == compiled.digest
-    assert identity.to_json(again.program) == identity.to_json(
-        compiled.program
-    )  # where the mesh lies does not count
-
-
-def test_so_does_one_with_a_file_that_only_an_evaluation_case_names(meshed, tmp_path_factory):
-    folder = meshed.parents[1]
-    shutil.copy(folder / "robots" / "mine.urdf", folder / "robots" / "other.urdf")
-    case = "evaluation:\n  cases:\n    other: {set: {robots.cart.urdf: ../robots/other.urdf}}\n"
-    meshed.write_text(meshed.read_text(encoding="utf-8") + case, encoding="utf-8")
-    compiled = api.compile(meshed)
-    assert "robots/other.urdf" in compiled.inputs
-    resolved = unpack(compiled, tmp_path_factory.mktemp("elsewhere"))
-    shutil.rmtree(folder)
-    assert api.compile(resolved).digest == compiled.digest
 
 
 def test_another_mesh_is_another_scenario(meshed):
@@ -643,19 +610,6 @@ def test_the_summary_stays_text_in_the_code(text: str) -> None:
 
 def digest_of(workshop, text: str) -> str:
     return workshop.compile(text).digest
-
-
-def test_the_digest_depends_on_what_a_file_means_only(workshop, cartpole) -> None:
-    plain = digest_of(workshop, cartpole())
-    assert plain == digest_of(workshop, cartpole())
-    assert plain == digest_of(workshop, cartpole(("substeps: 4", "substeps:   4   # of 8 ms")))
-    assert plain == digest_of(workshop, cartpole(("  timestep:", '  "timestep":')))
-    assert plain == digest_of(workshop, cartpole(("15 deg", "0.015e3 deg")))
-    assert plain == digest_of(workshop, cartpole(("timestep: 32 ms", "timestep: 0.032 s")))
-    assert plain == digest_of(workshop, cartpole(("{max_steps: 200}", "\n  max_steps: 200")))
-    assert plain == digest_of(
-        workshop, cartpole(("track:       0.39 m", "track:       0.39")).replace("> track", "> track * 1 m")
-    )
 
 
 @pytest.mark.parametrize(
@@ -788,3 +742,830 @@ def test_a_scenario_that_cannot_be_read_has_no_names(tmp_path):
     broken.write_text("deepbots: 1\nname: {")
     assert names_at(api.load(broken), "joint") == []
     assert definition(api.load(broken), "joint") is None
+
+
+# Cases of the evaluation: the scenario once more, under other settings
+
+
+SOLVED = "solved: mean_return"
+
+
+def with_cases(cases: str) -> tuple[str, str]:
+    return SOLVED, f"evaluation: {{episodes: 30, cases: {{{cases}}}}}\n{SOLVED}"
+
+
+def test_a_case_has_as_many_episodes_as_the_evaluation_unless_it_says_otherwise(workshop, cartpole) -> None:
+    (case,) = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program.cases
+    assert case.episodes == 30
+
+
+def test_the_scenario_itself_does_not_change_by_its_cases(workshop, cartpole) -> None:
+    plain = workshop.compile(cartpole((SOLVED, f"evaluation: {{episodes: 30}}\n{SOLVED}")))
+    cased = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}")))
+    assert to_json(replace(cased.program, cases=())) == to_json(plain.program)
+    assert cased.digest != plain.digest
+
+
+def test_a_parameter_that_only_a_case_uses_is_used(workshop, cartpole) -> None:
+    spare = ("parameters:", "parameters:\n  spare: 10 deg")
+    assert workshop.codes(cartpole(spare)) == ["DB205"]
+    assert workshop.codes(cartpole(spare, with_cases("steep: {set: {fall_angle: spare}}"))) == []
+
+
+def test_an_error_of_the_scenario_itself_is_not_repeated_for_each_case(workshop, cartpole) -> None:
+    assert workshop.codes(
+        cartpole(("fall_angle:  15 deg", "fall_angle: 15 kg"), with_cases("a: {set: {track: 1 m}}, b: {}"))
+    ) == ["DB503"]
+
+
+def test_a_mistake_in_several_cases_is_shown_at_each_setting(workshop, cartpole) -> None:
+    findings = workshop.lint(
+        cartpole(
+            with_cases("a: {set: {truck: 1 m}}, b: {set: {track: 1 mm^}}, c: {set: {world.timestep: -1 s}}")
+        )
+    )
+    assert [finding.code for finding in findings] == ["DB201", "DB401", "DB105"]
+    assert [finding.span.text for finding in findings] == ["truck", "^", "-1 s"]
+
+
+@pytest.mark.parametrize(
+    "path", ["train.algorithm", "observation.x", "action", "evaluation.episodes", "name", "solved"]
+)
+def test_what_a_policy_is_made_for_stays(workshop, cartpole, path: str) -> None:
+    assert workshop.codes(cartpole(with_cases(f"odd: {{set: {{{path}: 1}}}}"))) == ["DB407"]
+
+
+def test_a_case_that_changes_a_message_is_a_finding(workshop, cartpole) -> None:
+    text = cartpole(
+        with_cases("odd: {set: {size: 2 m}}"),
+        ("parameters:", "parameters:\n  size: 1 m"),
+        ("-0.4 .. 0.4 m", "-1 * size .. size"),
+    )
+    assert workshop.codes(text) == ["DB613"]
+
+
+def test_there_may_be_many_cases_but_not_any_number(workshop, cartpole) -> None:
+    assert workshop.codes(cartpole(with_cases(", ".join(f"case_{i}: {{}}" for i in range(65))))) == ["DB005"]
+
+
+def test_a_missing_case_is_refused_with_the_cases_that_exist(workshop, cartpole) -> None:
+    program = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program
+    assert program.case("steep") is program.cases[0]
+    with pytest.raises(UsageError, match="no case 'flat'; there are: steep"):
+        program.case("flat")
+
+
+def test_a_case_that_adds_a_robot_and_a_message_is_a_finding(workshop, rail) -> None:
+    robot = "{urdf: cartpole_rail, base: fixed, pose: {y: 1 m}}"
+    ends = "{off: abs(cart.place) > 9 m, wild: cart.spin > 99 rad/s}"
+    cases = f"evaluation: {{cases: {{two: {{set: {{robots.other: {robot}, termination.failure: {ends}}}}}}}}}"
+    spin = ("    actuators:", "      spin: {type: joint_velocity, joint: hinge}\n    actuators:")
+    text = rail(("    emit: [place, rate, lean, turn]\n", ""), spin, ("reset:", f"{cases}\nreset:"))
+    (finding,) = workshop.lint(text)
+    assert finding.code == "DB613"
+    assert (finding.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")
+
+
+def test_a_test_of_a_case_may_be_longer_than_the_scenario_and_end_in_its_own_way(workshop, cartpole) -> None:
+    cases = "long: {set: {truncation.max_steps: 400, termination.success: {won: step >= 300}}}"
+    script = "scripts: {hold: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}}"
+    test = "{driver: hold, case: long, expect: {success_rate: 100 %, ends_by: won, eventually: step >= 250}}"
+    text = cartpole(with_cases(cases), ("tests:", f"{script}\ntests:\n  one: {test}"))
+    assert workshop.codes(text) == []
+    one, *_ = api.load(workshop.file, tests=True).tests
+    assert (one.name, one.case, one.steps) == ("one", "long", 400)
+
+
+CRATES = (
+    "robots:",
+    """objects:
+  crate: {count: 2, fixed: true, one_of: {cube: {shape: box, size: 5 5 5 cm}, plank: {shape: box, size: 2 20 5 cm}}}
+robots:""",
+)
+SCATTERED = ("place: {", "place: {crate: {region: {x: -0.4 .. 0.4 m, y: 0.2 .. 0.4 m}}, ")
+
+
+def test_a_case_may_exchange_the_kinds_of_a_group(workshop, cartpole) -> None:
+    others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 cm, height: 8 cm}}}}"
+    program = workshop.compile(cartpole(CRATES, SCATTERED, with_cases(others))).program
+    kinds = [
+        [variant.name for variant in world.objects[0].variants]
+        for world in (program.world, program.case("round").program.world)
+    ]
+    assert kinds == [["cube", "plank"], ["can"]]
+
+
+def test_a_mistake_within_the_value_of_a_setting_is_shown_in_its_place(workshop, cartpole) -> None:
+    others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 kg, height: 8 cm}}}}"
+    findings = workshop.lint(cartpole(CRATES, SCATTERED, with_cases(others)))
+    assert [(finding.code, finding.span.text) for finding in findings] == [("DB503", "3 kg")]
+
+
+# Scenarios that ask for more than any machine can give are refused while they are read
+
+
+def test_hundreds_of_bodies_are_refused_instead_of_built_for_minutes(workshop, rail) -> None:
+    things = "".join(f"  o{index}: {{shape: sphere, radius: 1 cm, mass: 1 kg}}\n" for index in range(600))
+    (finding,) = [
+        finding
+        for finding in workshop.lint(rail(("action:", f"objects:\n{things}action:")))
+        if finding.severity == "error"
+    ]
+    assert (finding.code, finding.span.text) == ("DB005", "objects")
+
+
+@pytest.mark.parametrize("settle", ["1e9 s", "1e300 s", "1 h"])
+def test_a_reset_that_settles_for_ever_is_refused(workshop, rail, settle: str) -> None:
+    assert "DB105" in workshop.codes(f"{rail(('reset:', f'reset:{chr(10)}  settle: {settle}'))}")
+
+
+def test_substeps_have_one_bound_in_the_language_and_in_what_comes_back_from_a_run(workshop, rail) -> None:
+    assert workshop.codes(rail(("substeps: 4", "substeps: 10_001"))) == ["DB105"]
+    assert "DB105" not in workshop.codes(rail(("substeps: 4", "substeps: 10_000")))
+
+
+@pytest.mark.slow
+def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> None:
+    terms = "".join(f"  r{index}: {index}\n" for index in range(3000))
+    with_terms = rail(("reward: {alive: 1}", f"reward:\n{terms}"))
+    env = api.make(workshop.write(with_terms), engine="exact")
+    env.reset(seed=0)
+    assert env.step(env.action_space.sample())[1] == sum(range(3000))
+    env.close()
+
+
+def findings_at_the_limit(workshop, text: str) -> list[Finding]:
+    findings = workshop.lint(text)
+    assert MAX_FINDINGS <= len(findings) <= MAX_FINDINGS + 1
+    return findings
+
+
+def test_findings_are_cut_at_the_limit(
+    workshop,
+) -> None:
+    findings = findings_at_the_limit(workshop, "<<: *a\n" * 40_000)
+    assert {finding.code for finding in findings} == {"DB001", "DB005", "DB101"}
+    assert [finding.headline for finding in findings if finding.code == "DB005"] == ["more than 500 findings"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("action:", "".join(f"trainn{index}: {index}\n" for index in range(3000)) + "action:"),
+        ("reward: {alive: 1}", "reward:\n" + "".join(f"  r{index}: alvie{index}\n" for index in range(3000))),
+    ],
+    ids=["unknown keys", "unknown names"],
+)
+def test_thousands_of_mistakes_are_cut_at_the_limit_with_a_finding_that_says_so(
+    workshop, rail, old: str, new: str
+) -> None:
+    findings = findings_at_the_limit(workshop, rail((old, new)))
+    assert "more than 500 findings" in {finding.headline for finding in findings}
+
+
+def test_thousands_of_warnings_are_cut_at_the_limit_with_the_number_of_the_others(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
+    findings = findings_at_the_limit(workshop, rail(("world:", f"signals:\n{unused}world:")))
+    assert {finding.severity for finding in findings} == {"warning"}
+    assert [note for finding in findings for note in finding.notes if "not shown" in note] == [
+        "2,499 more findings are not shown"
+    ]
+
+
+def test_errors_come_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(1000))
+    findings = findings_at_the_limit(
+        workshop, rail(("world:", f"signals:\n{unused}world:")) + "# deepbots: ignore\n" * 1000 + "odd: 1\n"
+    )
+    assert [finding.headline for finding in findings if finding.severity == "error"] == [
+        "unknown key `odd` at the top level"
+    ]
+
+
+def test_hundreds_of_endings_are_refused_before_rewards_are_compared_with_each(workshop, rail) -> None:
+    endings = "".join(f"    f{index}: time > {index + 1} s\n" for index in range(300))
+    terms = "".join(f"  r{index}: 1 when f{index}\n" for index in range(300))
+    text = rail(("  failure:\n", f"  failure:\n{endings}"), ("reward: {alive: 1}", f"reward:\n{terms}"))
+    assert [(finding.code, finding.headline) for finding in workshop.lint(text)] == [
+        ("DB005", "more than 200 endings")
+    ]
+
+
+def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
+    unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
+    cases = "".join(f"    c{index}: {{set: {{cart_speed: {index} m/s}}}}\n" for index in range(1, 40))
+    text = rail(("world:", f"signals:\n{unused}evaluation:\n  cases:\n{cases}world:"))
+    (finding,) = [finding for finding in workshop.lint(text) if finding.severity == "error"]
+    assert (finding.code, finding.span.text) == ("DB005", "cases")
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "condition"),
+    [
+        ("cart.place > 5 cm", "{0} and {0}", "{0}"),
+        ("cart.place > 5 cm", "duration({0}) > 1 s or not {0}", "{0}"),
+        ("cart.place / m", "{0} * {0}", "{0} > 1"),
+        ("cart.place / m", "{0} if {0} > 0.5 else 1 - {0}", "{0} > 1"),
+    ],
+)
+def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
+    workshop, rail, first: str, step: str, condition: str
+) -> None:
+    chain = "".join(f"  s{index}: {step.format(f's{index - 1}')}\n" for index in range(1, 60))
+    signals = f"signals:\n  unused: cart.place\n  s0: {first}\n{chain}"
+    ends = f"termination:\n  success: {{done: {condition.format('s59')}}}\n"
+    text = rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))
+    findings = api.lint(workshop.write(text), preview=True)
+    assert "DB205" in {
+        finding.code for finding in findings
+    }  # which it comes to, instead of following 2^59 paths
+
+
+CART = "    sensors:"
+
+
+def model(compiled):
+    return compiled.program.world.robots[0].model
+
+
+def with_cart(lines: str) -> tuple[str, str]:
+    return CART, f"    {lines}\n{CART}"
+
+
+def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) -> None:
+    change = "joints: {pole_hinge: {range: -60 .. 45 deg, max_torque: 2 N*m, max_velocity: urdf / 4}}"
+    limit = model(workshop.compile(cartpole(with_cart(change)))).joint("pole_hinge").limit
+    assert limit.lower == pytest.approx(math.radians(-60))
+    assert limit.upper == pytest.approx(math.radians(45))
+    assert (limit.effort, limit.velocity) == (2.0, 25.0)
+
+
+def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
+    text = cartpole(with_cart("joints: {pole_hinge: {range: -30 .. 30 deg}}"), ("-20 .. 20 deg", "auto"))
+    lean = next(
+        entry for entry in workshop.compile(text).program.agent.numbers if entry.name == "cart.pole_angle"
+    )
+    assert (lean.low, lean.high) == pytest.approx((-math.pi / 6, math.pi / 6))
+
+
+def test_a_raised_limit_silences_the_warning_about_the_motor(workshop, cartpole) -> None:
+    stronger = ("10 N*m", "15 N*m")
+    assert workshop.codes(cartpole(stronger)) == ["DB304"]
+    assert workshop.codes(cartpole(stronger, with_cart('joints: {"wheel_*": {max_torque: 15 N*m}}'))) == []
+
+
+def test_a_pattern_changes_all_that_it_matches_from_the_figure_of_each(workshop, cartpole) -> None:
+    plain = model(workshop.compile(cartpole()))
+    heavier = model(workshop.compile(cartpole(with_cart('links: {"*": {mass: urdf * 2}}'))))
+    for old, new in zip(plain.links, heavier.links, strict=True):
+        assert (new.inertial.mass, new.inertial.ixx) == (
+            2 * old.inertial.mass,
+            pytest.approx(2 * old.inertial.ixx),
+        )
+
+
+def test_a_group_may_stand_for_the_joints_that_change(workshop, cartpole) -> None:
+    change = "groups: {front: [wheel_front_*]}\n    joints: {front: {damping: 0.1 N*m*s/rad}}"
+    joints = model(workshop.compile(cartpole(with_cart(change)))).joints
+    assert [joint.name for joint in joints if joint.damping] == ["wheel_front_left", "wheel_front_right"]
+
+
+def test_a_stretch_may_be_one_factor_for_all_axes(workshop, cartpole) -> None:
+    pole = model(
+        workshop.compile(
+            cartpole(with_cart("links: {pole: {scale: size}}"), ("parameters:", "parameters:\n  size: 2"))
+        )
+    )
+    assert pole.link("pole").inertial.mass == pytest.approx(8 * 0.2)
+
+
+def test_a_drawn_figure_is_drawn_for_each_link_that_a_pattern_means(workshop, cartpole) -> None:
+    varied = workshop.compile(
+        cartpole(with_cart('links: {"wheel_*": {mass: urdf * uniform(0.8 .. 1.2)}}'))
+    ).program
+    assert [(v.what, v.of) for v in varied.reset.variations] == [
+        ("mass", ("cart", f"wheel_{end}_{side}")) for end in ("front", "rear") for side in ("left", "right")
+    ]
+    assert len({str(v.scalars) for v in varied.reset.variations}) == 4
+    assert varied.world.robots[0].model.link("wheel_rear_left").inertial.mass == pytest.approx(0.1005)
+
+
+def test_a_later_figure_of_the_same_link_replaces_a_draw(workshop, cartpole) -> None:
+    varied = workshop.compile(
+        cartpole(with_cart('links: {"*": {friction: uniform(0.5 .. 1)}, pole: {friction: 0.3}}'))
+    ).program
+    assert ("cart", "pole") not in [v.of for v in varied.reset.variations]
+    assert varied.world.robots[0].model.link("pole").friction.lateral == 0.3
+
+
+def test_a_color_of_a_link_is_seen_on_all_of_it(workshop, cartpole) -> None:
+    cart = model(workshop.compile(cartpole(with_cart("links: {wheel_rear_left: {color: red}}"))))
+    assert {visual.color for visual in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
+
+
+WRONG = {
+    "links: {pole: {mass: 0}}": "DB105",
+    "links: {pole: {mass: 1 m}}": "DB503",
+    "links: {pole: {mass: -1 kg}}": "DB105",
+    "links: {poel: {mass: 1 kg}}": "DB201",
+    'links: {"pol_*": {mass: 1 kg}}': "DB206",
+    "links: {pole: {scale: 1 1 0}}": "DB105",
+    "links: {wheel_front_left: {scale: 1 1 2}}": "DB105",
+    "links: {pole: {friction: uniform(-0.5 .. 1)}}": "DB105",
+    "links: {pole: {friction: -0.5}}": "DB105",
+    "joints: {pole_hing: {damping: 1 N*m*s/rad}}": "DB302",
+    "joints: {tip_mount: {damping: 1 N*m*s/rad}}": "DB303",
+    "joints: {pole_hinge: {damping: 1 N*s/m}}": "DB503",
+    "joints: {pole_hinge: {range: 1 .. 1 rad}}": "DB105",
+    "joints: {pole_hinge: {range: -1 .. 1 m}}": "DB503",
+    "joints: {pole_hinge: {range: -1 .. 1}}": "DB502",
+    'joints: {"wheel_*": {range: -1 .. 1 rad}}': "DB203",
+}
+
+
+@pytest.mark.parametrize("change", WRONG)
+def test_a_change_that_cannot_be_made_is_one_finding(workshop, cartpole, change: str) -> None:
+    assert workshop.codes(cartpole(with_cart(change))) == [WRONG[change]]
+
+
+# Every figure keeps the bounds of its field, also one with a unit, a parameter or a vector.
+BEYOND = {
+    "timestep: 32 ms": "timestep: 0 s",
+    "timestep:  32 ms": "timestep: 2 min",
+    "size: 1 1 m": "size: 1 0 m",
+    "wall_height: 0.1 m": "wall_height: -10 cm",
+    "friction: 1.0": "friction: track / m - 1",
+    "max_torque: 10 N*m": "max_torque: -10 N*m",
+    "{max_steps: 200}": "{max_steps: 200 / 3}",
+    "{max_steps:  200}": "{max_time: -1 s}",
+    "reset:": "reset:\n  settle: -1 s",
+    "mean_return >= 195": "success_rate >= 150 %",
+}
+
+
+@pytest.mark.parametrize("old", BEYOND)
+def test_a_figure_out_of_bounds_is_one_finding(workshop, cartpole, old: str) -> None:
+    assert workshop.codes(cartpole((old.replace("  ", " "), BEYOND[old]))) == ["DB105"]
+
+
+@pytest.mark.parametrize("figure", ["32 ms / 0", "1e300 s * 1e300", "sqrt(-1) * 1 s", "log(0) * 1 s"])
+def test_a_figure_that_cannot_be_computed_is_an_error(workshop, cartpole, figure: str) -> None:
+    findings = workshop.lint(cartpole(("timestep: 32 ms", f"timestep: {figure}")))
+    assert [finding.code for finding in findings if finding.severity == "error"] == ["DB105"]
+
+
+@pytest.mark.parametrize("figure", ["1 / 0", "1e300 * 1e300"])
+def test_a_parameter_that_cannot_be_computed_is_an_error(workshop, cartpole, figure: str) -> None:
+    findings = workshop.lint(cartpole(("track:       0.39 m", f"track: {figure} * 1 m")))
+    assert [finding.code for finding in findings if finding.severity == "error"] == ["DB105"]
+
+
+def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartpole) -> None:
+    objects = (
+        "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius:"
+        " 5 cm, mass: 0.3 kg}\nrobots:\n"
+    )
+    a, b = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
+    assert (a.mass, b.mass) == (pytest.approx(1.0), 0.3)
+
+
+def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
+    objects = (
+        "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, color: red}\nrobots:\n"
+    )
+    (spot,) = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
+    assert not spot.solid
+
+
+def test_settling_takes_whole_timesteps(workshop, cartpole) -> None:
+    assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 50 ms"))) == ["DB308"]
+    assert workshop.codes(cartpole(("reset:", "reset:\n  settle: 0.32 s"))) == []
+
+
+def test_a_longer_pole_is_a_few_lines_upon_the_shipped_scenario() -> None:
+    plain, long = api.compile("cartpole"), api.compile("cartpole_long")
+    pole = long.program.world.robots[0].model.link("pole")
+    old = plain.program.world.robots[0].model.link("pole")
+    assert pole.inertial is not None
+    assert old.inertial is not None
+    assert pole.inertial.mass == pytest.approx(1.5 * old.inertial.mass)
+    assert pole.inertial.ixx == pytest.approx(1.5**3 * old.inertial.ixx, rel=2e-3)
+    assert long.program.world.robots[0].model.joint("tip_mount").origin.xyz == (0.0, 0.0, 1.5)
+    assert long.digest != plain.digest
+
+
+def test_a_center_of_mass_is_moved_and_an_inertia_scaled(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("body").inertial
+    change = "links: {body: {com: 1 0 -2 cm, inertia: 1.5}}"
+    after = model(workshop.compile(cartpole(with_cart(change)))).link("body").inertial
+    x, y, z = before.origin.xyz
+    assert (after.origin.xyz, after.izz) == (
+        pytest.approx((x + 0.01, y, z - 0.02)),
+        pytest.approx(1.5 * before.izz),
+    )
+    assert after.mass == before.mass
+
+
+def test_of_two_patterns_the_later_one_moves_the_center_and_scales_the_inertia(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("wheel_front_left").inertial
+    change = "links: {wheel_*: {com: 1 0 0 cm, inertia: 2}, wheel_front_left: {com: 0 2 0 cm, inertia: 3}}"
+    after = model(workshop.compile(cartpole(with_cart(change)))).link("wheel_front_left").inertial
+    assert after.origin.xyz == pytest.approx((before.origin.xyz[0], before.origin.xyz[1] + 0.02, 0.0))
+    assert after.ixx == pytest.approx(3 * before.ixx)
+
+
+def test_drawn_properties_leave_the_model_as_it_is(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("body").inertial
+    change = "links: {body: {com: uniform(0 0 0 .. 4 4 4 cm), inertia: uniform(1 .. 3)}}"
+    compiled = workshop.compile(cartpole(with_cart(change)))
+    assert model(compiled).link("body").inertial == before
+    assert [(entry.what, tuple(entry.of)) for entry in compiled.program.reset.variations] == [
+        ("center_of_mass", ("cart", "body")),
+        ("inertia", ("cart", "body")),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ("links: {body: {com: uniform(0 .. 1 cm)}}", "DB404"),
+        ("links: {body: {inertia: 0}}", "DB105"),
+        ("links: {body: {inertia: normal(1 +- 0.1)}}", "DB105"),
+        ("joints: {pole_hinge: {armature: 0.1 kg}}", "DB503"),
+        ("joints: {pole_hinge: {armature: -1 kg*m^2}}", "DB105"),
+    ],
+)
+def test_an_impossible_property_is_a_finding(workshop, cartpole, change: str, code: str) -> None:
+    assert [finding.code for finding in workshop.lint(cartpole(with_cart(change)))] == [code]
+
+
+@pytest.mark.parametrize("key", ["com: 0 0 1 cm", "inertia: 2"])
+def test_a_link_without_mass_has_no_center_and_no_inertia_to_change(key: str) -> None:
+    """The hand of the Panda has a frame without mass; a pattern passes over it."""
+    bare = next(link.name for link in model(api.compile("panda_reach")).links if link.inertial is None)
+    refused = f"robots.panda.links={{{bare}: {{{key}}}}}"
+    assert [finding.code for finding in api.lint("panda_reach", overrides=[refused])] == ["DB105"]
+    assert api.lint("panda_reach", overrides=[f"robots.panda.links={{'*': {{{key}}}}}"]) == []
+
+
+MOTOR = (
+    "robots.dog.actuators={legs: {type: %s, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, %s}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("stall_torque: 40 N*m", "`stall_torque` needs `no_load_speed`"),
+        ("no_load_speed: 20 rad/s", "`no_load_speed` needs `stall_torque`"),
+    ],
+)
+def test_a_torque_curve_needs_both_ends(keys: str, message: str) -> None:
+    findings = api.lint("quadruped", overrides=[MOTOR % ("position_motor", keys)])
+    assert [(finding.code, finding.headline) for finding in findings] == [("DB102", message)]
+
+
+def test_a_servo_without_stiffness_has_no_torque_curve(workshop, cartpole) -> None:
+    motor = "{type: position_motor, joint: pole_hinge, stall_torque: 1 N*m, no_load_speed: 5 rad/s}"
+    findings = api.lint(
+        workshop.write(cartpole()),
+        overrides=[f"robots.cart.actuators.arm={motor}", "robots.cart.apply.arm=0 rad"],
+    )
+    assert [(finding.code, finding.headline) for finding in findings] == [
+        ("DB102", "`stall_torque` needs `stiffness`")
+    ]
+
+
+SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
+
+
+@pytest.mark.parametrize(
+    ("override", "code", "place", "headline", "help"),
+    [
+        ("set={lvl: 0 .. 5}", "DB201", "lvl", "there is no parameter `lvl`", "level"),
+        (
+            "set={truncation.max_steps: 10 .. 20}",
+            "DB201",
+            "truncation.max_steps",
+            "there is no parameter `truncation.max_steps`",
+            "level",
+        ),
+        ("set={mark: 1 .. 2 cm}", "DB407", "mark", "computed from other parameters", "those"),
+        ("levels=4", "DB105", "0 .. 5", "4 levels do not divide the range", "levels: 6"),
+        ("set={level: 0 .. 10}", "DB105", "0 .. 10", "the scenario draws 0 to 5", "wider range"),
+        ("set={level: 0 .. 5 cm}", "DB503", "5 cm", "must be a plain number", ""),
+        ("levels=1", "DB105", "1", "below the smallest", ""),
+        ("levels=101", "DB105", "101", "above the largest", ""),
+        ("down=termination", "DB407", "termination", "after `arrived`", "remove `arrived`"),
+        ("down=[arrived, fallen]", "DB407", "[arrived, fallen]", "after `arrived`", "remove `arrived`"),
+        ("up=arived", "DB201", "arived", "there is no ending `arived`", "arrived"),
+        ("start=6", "DB105", "6", "`start` is 6", "0 to 5"),
+        ("start=3 .. 1", "DB105", "3 .. 1", "`start` is 3 .. 1", "0 .. 2"),
+        ("at_top=top", "DB104", "top", "unknown word `top`", "stay"),
+        ("set={level: 3}", "DB103", "3", "expected a range", ".."),
+        ("per_world=level", "DB407", "level", "`level` has a value in each level", "remove `level`"),
+        ("per_world=mark", "DB407", "mark", "computed from other parameters", "those"),
+        ("per_world=lvl", "DB201", "lvl", "there is no parameter `lvl`", "level"),
+    ],
+)
+def test_a_mistake_is_found_where_it_is(
+    override: str, code: str, place: str, headline: str, help: str
+) -> None:
+    findings = check(load(SCENARIO, overrides=[f"curriculum.{override}"])).findings.errors
+    assert [(finding.code, finding.span.text) for finding in findings] == [(code, place)]
+    assert headline in findings[0].headline
+    assert help in (findings[0].help or "")
+
+
+def test_a_scenario_without_success_cannot_go_up_by_it() -> None:
+    findings = check(load(SCENARIO, overrides=["termination={failure: {far: x > 1 m}}"])).findings.errors
+    assert [finding.headline for finding in findings if finding.code == "DB407"] == [
+        "no episode of the scenario ends by `success`"
+    ]
+
+
+def test_a_parameter_that_changes_within_an_episode_has_no_levels() -> None:
+    findings = check(load(SCENARIO, overrides=["parameters.level=integer(0 .. 5) every 1 s"])).findings
+    assert [finding.headline for finding in findings.errors] == ["`level` changes within an episode"]
+
+
+def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
+    (finding,) = check(load(SCENARIO, overrides=["curriculum.set={fall_angle: 5 .. 15 deg}"])).findings
+    assert (finding.code, finding.severity, finding.span.text) == ("DB205", "warning", "fall_angle")
+    assert finding.help == "draw it from all levels, for example `fall_angle: uniform(5 .. 15 deg)`"
+
+
+@pytest.mark.parametrize(
+    ("parameter", "headline", "help"),
+    [
+        ("uniform(0 .. 3)", "`kind` is not drawn from single values", "integer(0 .. 5)"),
+        ("integer(0 .. 3) every 1 s", "`kind` changes within an episode", "remove `every`"),
+        ("integer(0 .. 4)", "`kind` has 5 values, but the training has only 4", "train.environments: 5"),
+        ("integer(0 .. 1_000_000_000)", "1000000001 values", "environments"),
+    ],
+)
+def test_worlds_divide_single_values(parameter: str, headline: str, help: str) -> None:
+    overrides = [f"parameters.kind={parameter}", "curriculum.per_world=kind"]
+    findings = check(load(SCENARIO, overrides=overrides)).findings.errors
+    assert [(finding.code, finding.span.text) for finding in findings] == [("DB407", "kind")]
+    assert headline in findings[0].headline
+    assert help in (findings[0].help or "")
+
+
+def test_a_parameter_with_one_value_is_not_divided() -> None:
+    (finding,) = check(load(SCENARIO, overrides=["curriculum.per_world=fall_angle"])).findings
+    assert (finding.code, finding.severity, finding.span.text) == ("DB205", "warning", "fall_angle")
+    by_set = ["parameters.kind=integer(0 .. 3)", "curriculum.per_world=kind", "kind=2"]
+    levels = api.compile(SCENARIO, overrides=by_set).program.levels
+    assert levels is not None
+    assert levels.per_world is None
+
+
+def test_one_value_by_set_replaces_the_levels() -> None:
+    program = api.compile(SCENARIO, overrides=["level=3"]).program
+    assert program.levels is None
+    assert program.parameters == ()
+
+
+def test_levels_count_for_the_training_alone() -> None:
+    plain = api.compile(SCENARIO).program
+    changed = api.compile(SCENARIO, overrides=["curriculum.up=truncation", "curriculum.down=failure"]).program
+    assert identity.digest(plain) != identity.digest(changed)
+    assert identity.task_digest(plain) == identity.task_digest(changed)
+
+
+@pytest.fixture
+def head(workshop) -> str:
+    (workshop.file.parent / "cartpole.yaml").write_text(shipped_text("cartpole"), encoding="utf-8")
+    return "deepbots: 1\nextends: cartpole.yaml\nname: Habits\n"
+
+
+UNITS = {
+    "world: {timestep: 32}": "`32 ms`",
+    "world: {timestep: 0.032}": "`0.032 s`",
+    "truncation: {max_time: 20}": "`20 s`",
+    "reset: {settle: 2}": "`2 s`",
+    "messages: {to_robot: {latency: 20}}": "`20 ms`",
+    "robots: {cart: {sensors: {pole_angle: {period: 64}}}}": "`64 ms`",
+    "robots: {cart: {sensors: {pole_angle: {noise: 1}}}}": "`1 deg` or `1 rad`",
+    "robots: {cart: {actuators: {wheels: {max_torque: 3}}}}": "`3 N*m`",
+    "robots: {cart: {actuators: {wheels: {delay: 16}}}}": "`16 ms`",
+    "reset: {joints: {cart.pole_hinge: 15}}": "`15 deg`",
+    "observation: {cart.pole_angle: -20 .. 20}": "`-20 .. 20 deg`",
+    "observation: {speed: -0.8 .. 0.8}": "`-0.8 .. 0.8 m/s`",
+    "termination: {failure: {fast: speed > 2}}": "`2 m/s`",
+    "world: {gravity: 0 0 -9.81}": "`0 0 -9.81 m/s^2`",
+}
+
+
+@pytest.mark.parametrize("line", UNITS)
+def test_a_number_without_its_unit_is_shown_with_the_probable_one(workshop, head, line):
+    findings = [finding for finding in workshop.lint(f"{head}{line}\n") if finding.code == "DB502"]
+    assert [finding.help for finding in findings] == [f"write its unit: {UNITS[line]}"]
+
+
+@pytest.mark.parametrize("word", ["random", "uniform", "anny"])
+def test_a_word_for_a_random_yaw_is_corrected_to_any(workshop, head, word):
+    (finding,) = workshop.lint(f"{head}reset: {{place: {{cart: {{z: 0.04 m, yaw: {word}}}}}}}\n")
+    assert finding.help.startswith("write the word `any`, or a value")
+
+
+@pytest.mark.parametrize(
+    "word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"]
+)
+def test_a_word_for_inverse_kinematics_is_corrected_to_cartesian(workshop, head, word):
+    text = (
+        f"{head}robots: {{cart: {{actuators: {{hand: {{type: {word}, link: pole, joints: pole_hinge}}}}}}}}\n"
+    )
+    (finding,) = (finding for finding in workshop.lint(text) if finding.code == "DB104")
+    assert finding.help.startswith("did you mean `cartesian`?")
+    assert [edit.text for edit in finding.fix.edits] == ["cartesian"]
+    assert not finding.fix.safe
+
+
+def test_synonyms_name_words_of_the_language_and_are_not_words_themselves():
+    words = {*ACTUATORS, *SENSORS, *OBJECTS, *TILES, *ENGINES, "any"}
+    assert words.issuperset(synonyms().words)
+    for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS), tuple(TILES)):
+        assert not [kind for kind in kinds if word_for(kind, kinds)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "world: {ground: {COLOR: red}}",
+        "world: {arena: {size: 1 1 m, COLOR: red}}",
+        "world: {walls: {fence: {points: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOR: red}}}",
+        "world: {lines: {stripe: {points: [0 0 m, 0.3 0 m], width: 2 cm, COLOR: red}}}",
+        "robots: {cart: {links: {pole: {COLOR: red}}}}",
+        "objects: {ball: {shape: sphere, radius: 5 cm, COLOR: red, pose: {x: 0.3 m, z: 5 cm}}}",
+    ],
+)
+def test_a_british_colour_is_corrected(workshop, head, line):
+    (finding,) = (
+        finding
+        for finding in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour"))
+        if finding.code == "DB101"
+    )
+    assert (finding.help, [edit.text for edit in finding.fix.edits]) == ("write `color: red`", ["color"])
+    assert finding.fix.safe is True
+    assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOR", "color"))
+
+
+@pytest.mark.parametrize(
+    ("color", "headline", "help"),
+    [
+        ("yelow", "unknown color `yelow`", "did you mean `yellow`?"),
+        ("choice()", "a choice without a color", "write its colors, as in `choice(red | green)`"),
+        ("choice(red | )", "a choice without a color", "write its colors, as in `choice(red | green)`"),
+    ],
+)
+def test_a_wrong_color_is_named_and_its_help_is_a_sentence(workshop, head, color, headline, help):
+    (finding,) = (
+        f for f in workshop.lint(f"{head}world: {{ground: {{color: {color}}}}}\n") if f.code == "DB104"
+    )
+    assert (finding.headline, finding.help) == (headline, help)
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("kuka_iiwa/model.urdf", "kuka_iiwa/model.urdf"),
+        ("racecar/racecar.urdf", "racecar/racecar.urdf"),
+        ("r2d2", "r2d2.urdf"),
+        ("pybullet_data/r2d2.urdf", "r2d2.urdf"),
+    ],
+)
+def test_a_robot_of_pybullet_data_has_a_finding_with_its_reference(workshop, head, written, meant):
+    pytest.importorskip("pybullet_data")
+    finding = next(
+        finding
+        for finding in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if finding.code == "DB204"
+    )
+    assert finding.help == f"did you mean `package://pybullet_data/{meant}`?"
+
+
+@pytest.mark.parametrize(
+    "written", ["../pybullet/r2d2.urdf", "pybullet_data/../../r2d2.urdf", "no/such.urdf", "x" * 5000]
+)
+def test_a_file_that_pybullet_data_does_not_have_is_not_suggested(workshop, head, written):
+    finding = next(
+        finding
+        for finding in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if finding.code == "DB204"
+    )
+    assert "package://" not in (finding.help or "")
+
+
+# Wherever a share of something is asked for, `80 %` means `0.8`
+
+
+SUCCESS = "termination: {success: {there: position(cart).x > 0.3 m}}\n"
+LAYOUTS = (
+    "reset: {layouts: {left: {cart: {x: -0.1 m, z: 0.04 m}}, right: {cart: {x: 0.1 m, z: 0.04 m}}}, layout: "
+)
+PLACES = {
+    "solved": SUCCESS + "solved: success_rate >= SHARE over 30 episodes",
+    "until": SUCCESS
+    + "curriculum: [{name: one, until: success_rate >= SHARE over 30 episodes}, {name: two}]",
+    "the ground's restitution": "world: {ground: {restitution: SHARE}}",
+    "a link's restitution": "robots: {cart: {links: {body: {restitution: SHARE}}}}",
+    "an object's restitution": "objects: {ball: {shape: sphere, radius: 5 cm, pose: {x: 1 m}, restitution:"
+    " SHARE}}",
+    "a drawn share": "objects: {ball: {shape: sphere, radius: 5 cm, pose: {x: 1 m}, restitution: uniform(0"
+    " .. SHARE)}}",
+    "the reflectance of a line": "world: {lines: {stripe: {points: [0 0 m, 1 0 m], width: 2 cm, reflectance:"
+    " SHARE}}}",
+    "the lumps of a terrain": "world: {terrain: {type: pit, height: 0.5 m, noise: SHARE}}",
+    "the loss of messages": "messages: {to_robot: {loss: SHARE}}",
+    "the shares of layouts": LAYOUTS + "{left: SHARE, right: 1 - SHARE}}",
+    "a parameter": "parameters: {fall_angle: SHARE * 15 deg}",
+    "a condition": "termination: {failure: {lost: cart.pole_angle / rad > SHARE}}",
+    "gamma": "train: {gamma: SHARE}",
+    "gae_lambda": "train: {gae_lambda: SHARE}",
+    "tau": "train: {algorithm: DQN, total_timesteps: 1000, tau: SHARE}",
+    "exploration_fraction": "train: {algorithm: DQN, total_timesteps: 1000, exploration_fraction: SHARE}",
+    "exploration_initial_eps": "train: {algorithm: DQN, total_timesteps: 1000, exploration_initial_eps:"
+    " SHARE}",
+    "exploration_final_eps": "train: {algorithm: DQN, total_timesteps: 1000, exploration_final_eps: SHARE}",
+}
+
+
+@pytest.mark.parametrize("place", every(3, PLACES))
+def test_a_share_may_be_written_in_percent(workshop, head, place):
+    text = f"{head}{PLACES[place]}\n"
+    plain, percent, half_of_it = (
+        to_json(workshop.compile(text.replace("SHARE", share)).program) for share in ("0.8", "80 %", "0.7")
+    )
+    assert percent == plain
+    assert percent != half_of_it
+
+
+@pytest.mark.parametrize(
+    ("line", "help"),
+    [
+        ("curriculum: [{name: one, until: success_rate >= 80 over 30 episodes}, {name: two}]", "80 %"),
+        ("train: {gamma: 99}", "99 %"),
+        ("solved: success_rate >= 80 over 100 episodes", "80 %"),
+    ],
+)
+def test_a_share_in_hundredths_has_a_finding_with_the_percent_sign(workshop, head, line, help):
+    finding = next(iter(workshop.lint(f"{head}{SUCCESS}{line}\n")))
+    assert finding.code == "DB105"
+    assert f"`{help}`" in finding.help
+
+
+@pytest.mark.parametrize(
+    "line", ["train: {gamma: 120 %}", "train: {gamma: -5 %}", "train: {gamma: lots}", "train: {gamma: 1 % 2}"]
+)
+def test_a_percentage_out_of_bounds_or_none_is_refused(workshop, head, line):
+    assert set(workshop.codes(f"{head}{line}\n")) <= {"DB103", "DB105"}
+    assert workshop.codes(f"{head}{line}\n")
+
+
+OF_ISAAC_LAB = {
+    "reward: {smooth: {func: mdp.action_rate_l2, weight: -0.01}}": "`jerk: -0.01 * sum(delta(stride, 0)^2)`",
+    "reward: {smooth: -0.01 * action_rate_l2}": "`deepbots explain action_rate_l2` shows its line",
+    "observation: {policy: {x: -1 .. 1 m, speed: -1 .. 1 m/s}, critic: {tip_speed: -1 .. 1 m/s}}": (
+        "list the entries of the policy directly under `observation`"
+    ),
+    "disturbances: {push: {body: cart, velocity: uniform(-1 -1 0 .. 1 1 0 m/s)}}": (
+        "mass * change of velocity / duration"
+    ),
+    "robots: {cart: {sensors: {pole_angle: {noise: uniform(-0.1 .. 0.1 rad)}}}}": "write `noise: 0.058 rad`",
+    "train: {algorithm: PPO, total_timesteps: 1000, num_steps_per_env: 24}": "write `n_steps: 24`",
+    "train: {network: {actor_hidden_dims: [64, 64]}}": "write `hidden: [64, 64]`",
+    "robots: {cart: {links: {'.*le': {color: red}}}}": "did you mean `*le`?",
+    "world: {terrain: {type: tiles, tiles: {up: {type: pyramid_stairs_inv, height: 2 .. 4 cm}}}}": (
+        "write `type: stairs, inverted: true`"
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("line", "headline", "help"),
+    [
+        (
+            "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000, num_mini_batches: 4}",
+            "the algorithm `rsl_rl.PPO` is gone",
+            "write `algorithm: PPO, learning_rate: {kl: 0.01}`",
+        ),
+        (
+            "robots: {cart: {sensors: {gap: {type: radar, link: pole, range: 0 .. 2 m}}}}",
+            "the type `radar` is gone",
+            'write the value under `augment`: `gap: {value: "ground_distance(cart, ball)", noise: 5 cm}`',
+        ),
+    ],
+)
+def test_a_word_that_is_gone_is_one_finding_with_what_to_write_instead(workshop, head, line, headline, help):
+    (error,) = (finding for finding in workshop.lint(f"{head}{line}\n") if finding.severity == "error")
+    assert (error.code, error.headline) == ("DB104", headline)
+    assert help in error.help
+
+
+@pytest.mark.parametrize("line", OF_ISAAC_LAB)
+def test_what_is_written_as_in_isaac_lab_is_one_finding_with_the_line_of_a_scenario(workshop, head, line):
+    findings = workshop.lint(f"{head}{line}\n")
+    (error,) = (finding for finding in findings if finding.severity == "error" and finding.code != "DB612")
+    assert OF_ISAAC_LAB[line] in error.help

@@ -58,10 +58,9 @@ from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Symbol
 from deepbots_cli.lint import static_findings as run_rules
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.base import Section, section_fields
+from deepbots_cli.scenario.base import Section, section_fields, shape_at, walk_sections
 from deepbots_cli.scenario.documentation import example_of, examples
 from deepbots_cli.scenario.training import ALGORITHMS, Training
-from deepbots_cli.scenario.walk import shape_at, walk_sections
 from tests.few import every
 from tests.worlds import SCENARIOS
 

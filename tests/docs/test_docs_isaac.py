@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.scenario.isaac_lab import TERMS_FILE
+from deepbots_cli.scenario.documentation import TERMS_FILE
 
 PAGE = Path(__file__).parents[2] / "docs" / "isaac-lab.md"
 TEXT = PAGE.read_text(encoding="utf-8")

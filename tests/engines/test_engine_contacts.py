@@ -8,16 +8,13 @@
 
 from __future__ import annotations
 
-import random
 from dataclasses import replace
-from itertools import product
-from math import asin, atan2, cos, hypot, inf, pi, radians, sin, sqrt, tan
+from math import asin, atan2, hypot, inf, pi, radians, sqrt, tan
 
 import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines import create, create_batch
 from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import CAMERA_RANGE_M, Engine, View
@@ -121,23 +118,6 @@ def test_links_of_a_robot_have_contacts_of_their_own(engine_name, worlds, build)
     assert body()
 
 
-@pytest.mark.parametrize(("angle", "friction"), [(0.3, 0.6), (0.5, 0.2)])
-def test_friction_is_part_of_the_force_on_a_crate_on_a_slope(engine_name, worlds, angle, friction, build):
-    """It holds the crate at rest, or else is the normal force times its coefficient."""
-    engine = build(engine_name, worlds.slope(angle, friction))
-    read = engine.contact_force_vector(("crate", None))
-    normal = engine.contact_force(("crate", None))
-    forces = []
-    for _ in range(30):
-        engine.step(4)
-        forces.append(read())
-        assert forces[-1][2] == pytest.approx(normal(), rel=1e-6)
-    for x, y, z in forces[10:]:
-        assert x == pytest.approx(-min(tan(angle), friction) * z, rel=0.02, abs=0.05)
-        assert y == pytest.approx(0.0, abs=0.3)
-    assert max(z for *_, z in forces) > 9.81 * cos(angle) - 0.1
-
-
 def test_watching_contacts_changes_nothing(engine_name, worlds, build):
     watched, unwatched = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     for name in ("robot", "ball"):
@@ -183,18 +163,6 @@ def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(engine_name, build):
         1 - 0.05 - 0.1 * sqrt(2), abs=5e-4
     )
     assert engine.clearance(("ball", None), ("inside", None))() == 0.0
-
-
-def test_the_gap_of_a_moving_link_follows_it(engine_name, worlds, build):
-    engine = build(engine_name, worlds.arena())
-    gap = engine.clearance(("robot", "wheel_0"), ("front wall", None))
-    pose = engine.pose("robot", "wheel_0")
-    engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([5.0] * 4)
-    engine.place("ball", (0, 0.4, 0.05), (0, 0, 0, 1))
-    for _ in range(30):
-        engine.step(4)
-        assert gap() == pytest.approx(0.5 - 0.04 - pose()[0][0], abs=1e-4)
-    assert pose()[0][0] > 0.1
 
 
 def test_a_gap_to_nothing_is_infinite(engine_name, build):
@@ -320,36 +288,6 @@ def test_links_that_a_joint_joins_never_touch():
     }
 
 
-def test_a_batch_collides_as_single_worlds_do():
-    pytest.importorskip("mujoco")
-    batch = create_batch("mujoco", pincers(), 2)
-    single = create("mujoco", pincers())
-    left, right, whole = ("robot", "left_tip"), ("robot", "right_tip"), ("robot", None)
-    readers = [
-        (
-            engine.contact(left, [right]),
-            engine.contact(left),
-            engine.contact(whole, ground=False),
-            engine.contact_force(left),
-            engine.contact_force(whole),
-            *(engine.contact_force_vector(part) for part in (left, whole)),
-        )
-        for engine in (batch, single)
-    ]
-    for engine in (single, *batch.members):
-        engine.reset()
-        engine.torque_motor("robot", ["left_hinge", "right_hinge"], [10.0, 10.0])([-2.0, 2.0])
-    batch.begin_episodes()
-    touched = 0
-    for _ in range(60):
-        batch.step(4)
-        single.step(4)
-        for together, alone in zip(*readers, strict=True):
-            np.testing.assert_allclose(np.asarray(together())[..., 1], alone(), rtol=1e-9, atol=1e-9)
-        touched += readers[1][0]()
-    assert touched > 20
-
-
 def test_overlapping_links_are_reported(engine_name, build):
     engine = build(engine_name, pincers())
     assert not engine.overlaps()
@@ -401,69 +339,11 @@ def world(*objects: ObjectBody, robots: int = 1, fixed: bool = True) -> WorldMod
     return WorldModel(0.02, 1, gravity, robots=crew, objects=objects)
 
 
-@pytest.mark.parametrize(("link", "height"), [(None, 1.0), ("head", 1.5)])
-def test_rays_meet_the_ground_where_geometry_says(engine_name, link, height, build):
-    engine = build(engine_name, world())
-    pitches = [radians(angle) for angle in (5, 20, 45, 89)]
-    read = engine.rays(("scout", link), [towards(2.0, pitch) for pitch in pitches], 30.0)
-    assert read() == pytest.approx([height / sin(pitch) for pitch in pitches], abs=1e-6)
-    assert engine.rays(("scout", link), [towards(0.0, -0.3)], 30.0)() == [30.0]
-    assert engine.rays(("scout", link), [towards(0.0, pi / 2)], 0.4)() == [0.4]
-
-
-@pytest.mark.parametrize("link", [None, "head"])
-def test_rays_turn_and_move_with_their_link(engine_name, link, build):
-    engine = build(
-        engine_name, world(ObjectBody("wall", Box((0.2, 40, 40)), Pose((5.1, 0, 1)), fixed=True), fixed=False)
-    )
-    engine.place("scout", (1.0, 0.5, 2.0), quaternion(0.0, 0.0, 0.3))
-    turned = 0.3
-    if link:
-        engine.set_joint("scout", "neck", 0.4, 0.0)
-        turned = 0.7
-    read = engine.rays(
-        ("scout", link), [towards(angle, 0.0, (0.1, 0.05, 0.0)) for angle in (-0.2, 0.0, 0.5)], 30.0
-    )
-    x = 1.0 + 0.1 * cos(turned) - 0.05 * sin(turned)
-    assert read() == pytest.approx([(5.0 - x) / cos(turned + angle) for angle in (-0.2, 0.0, 0.5)], abs=1e-6)
-
-
 ROUND = {
     "sphere": (Sphere(0.5), Pose((3, 0, 1))),
     "cylinder": (Cylinder(0.5, 8.0), Pose((3, 0, 1))),
     "capsule": (Capsule(0.5, 8.0), Pose((3, 0, 1))),
 }
-
-
-@pytest.mark.parametrize("kind", ROUND)
-@pytest.mark.parametrize("reach", [3.0, 100.0])
-def test_rays_meet_round_bodies_where_geometry_says(engine_name, kind, reach, build):
-    shape, place = ROUND[kind]
-    engine = build(engine_name, world(ObjectBody("thing", shape, place, fixed=True)))
-    yaws = [asin(0.5 / 3) * share for share in (-1.01, -0.99, -0.6, 0.0, 0.3, 0.999)]
-    read = engine.rays(("scout", None), [towards(yaw) for yaw in yaws], reach)
-    expected = [
-        3 * cos(yaw) - sqrt(max(0.25 - (3 * sin(yaw)) ** 2, 0.0)) if abs(3 * sin(yaw)) < 0.5 else reach
-        for yaw in yaws
-    ]
-    assert read() == pytest.approx(expected, abs=1e-6)
-
-
-def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(engine_name, build):
-    lying = (0.0, pi / 2, 0.0)
-    engine = build(
-        engine_name,
-        world(
-            ObjectBody("capsule", Capsule(0.5, 1.0), Pose((3, 0, 1), lying), fixed=True),
-            ObjectBody("cylinder", Cylinder(0.5, 1.0), Pose((-3, 0, 1), lying), fixed=True),
-        ),
-    )
-    yaws = (0.0, 0.1, 0.14)
-    read = engine.rays(
-        ("scout", None), [towards(yaw) for yaw in yaws] + [towards(pi - yaw) for yaw in yaws], 10.0
-    )
-    ball = [2.5 * cos(yaw) - sqrt(0.25 - (2.5 * sin(yaw)) ** 2) for yaw in yaws]
-    assert read() == pytest.approx([*ball, *(2.5 / cos(yaw) for yaw in yaws)], abs=1e-6)
 
 
 def test_a_body_that_stays_where_it_is_has_no_velocity(engine_name, build):
@@ -475,48 +355,11 @@ def test_a_body_that_stays_where_it_is_has_no_velocity(engine_name, build):
         assert engine.velocity(body)() == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def test_slanting_rays_meet_the_end_of_a_cylinder_near_its_rim(engine_name, build):
-    engine = build(engine_name, world(ObjectBody("drum", Cylinder(0.4, 0.4), Pose((0, 0, -0.2)), fixed=True)))
-    rays = []
-    for yaw in range(40):
-        direction = frames.rotate(quaternion(0.0, pi / 2 - 0.3, yaw), (1.0, 0.0, 0.0))
-        start = frames.subtract((0.399, 0.0, -1.0), direction)  # in the frame of the scout, at z = 1
-        rays.append(towards(yaw, pi / 2 - 0.3, start))
-    assert engine.rays(("scout", None), rays, 10.0)() == pytest.approx([1.0] * 40, abs=1e-6)
-
-
 @pytest.mark.parametrize("kind", ROUND)
 def test_a_ray_that_begins_within_a_round_body_has_no_negative_length(engine_name, kind, build):
     engine = build(engine_name, world(ObjectBody("thing", ROUND[kind][0], Pose((0, 0, 1)), fixed=True)))
     starts = [towards(yaw, 0.0, (-0.48, 0.0, 0.0)) for yaw in (0.0, pi / 2, pi)]
     assert min(engine.rays(("scout", None), starts, 10.0)()) >= 0.0
-
-
-def test_a_ray_into_a_turned_box_is_met_at_its_face(engine_name, build):
-    sides = []
-    for axis, sign in product(range(3), (-1, 1)):
-        size, at = [9.0] * 3, [0.0] * 3
-        size[axis] = 0.5
-        at[axis] = sign * 4.25
-        sides.append(ObjectBody(f"side_{axis}_{sign}", Box(tuple(size)), Pose(tuple(at)), fixed=True))
-    engine = build(
-        engine_name,
-        WorldModel(0.02, 1, (0, 0, 0), None, robots=(RobotBody("scout", scout()),), objects=tuple(sides)),
-    )
-    read = engine.rays(("scout", None), [towards(0.0)], 20.0)
-    rng = random.Random(1)
-    for _ in range(300):
-        at = tuple(rng.uniform(-0.5, 0.5) for _ in range(3))
-        turned = quaternion(rng.uniform(-3, 3), rng.uniform(-1.5, 1.5), rng.uniform(-3, 3))
-        engine.place("scout", at, turned)
-        direction = frames.rotate(turned, (1.0, 0.0, 0.0))
-        met = min(
-            (4.0 - s * x) / (s * d)
-            for x, d in zip(at, direction, strict=True)
-            for s in (-1, 1)
-            if s * d > 1e-9
-        )
-        assert read()[0] == pytest.approx(met, abs=1e-6)
 
 
 def test_robots_see_each_other_but_not_themselves(engine_name, build):
@@ -545,41 +388,6 @@ def test_rays_do_not_see_marks_and_change_no_collisions(engine_name, worlds, bui
             read()
     assert seeing.pose("robot")()[0] == pytest.approx(blind.pose("robot")()[0], abs=1e-6)
     assert seeing.pose("robot")()[0][0] > 0.1
-
-
-def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(engine_name, build):
-    engine = build(
-        engine_name,
-        world(
-            ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1)), 1.0),
-            ObjectBody("far", Sphere(0.1), mass=1.0, pooled=True),
-        ),
-    )
-    read = engine.rays(("scout", None), [towards(0.0), towards(pi / 2)], 10.0)
-    assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
-    engine.place("ball", (3, 0, 1), frames.IDENTITY_ROTATION, (1.0, 0, 0))
-    engine.place("far", (0, 5, 1), frames.IDENTITY_ROTATION)
-    assert read() == pytest.approx([2.9, 4.9], abs=1e-6)
-    for _ in range(50):
-        engine.step(1)
-        assert read()[0] == pytest.approx(engine.pose("ball")()[0][0] - 0.1, abs=1e-6)
-    engine.reset()
-    assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
-
-
-def test_rays_see_a_robot_that_drives_where_it_is(engine_name, worlds, build):
-    """Links of robots are seen where they are, not where they were an engine step ago."""
-    arena = worlds.arena(timestep=0.04, substeps=2)
-    watcher = RobotBody("scout", scout(), True, Pose((-2, 0, 0.04)))
-    engine = build(engine_name, WorldModel(0.04, 2, robots=(*arena.robots, watcher)))
-    read = engine.rays(("scout", None), [towards(0.0, 0.0, (0.0, 0.05, 0.0))], 5.0)
-    pose = engine.pose("robot", "wheel_2")
-    engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([10.0] * 4)
-    for _ in range(30):
-        engine.step(2)
-        (x, _, z), _ = pose()
-        assert read()[0] == pytest.approx(x + 2.0 - sqrt(0.04**2 - (z - 0.04) ** 2), abs=1e-3)
-    assert x > 0.2
 
 
 RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
@@ -767,24 +575,3 @@ def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name
     engine = build(engine_name, seen_world(plank, wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     assert "wall" in {look().body_names[number] for number in np.unique(look().bodies)}
-
-
-@pytest.mark.parametrize(("own", "ground"), [(1.0, 1.0), (0.8, 0.5)])
-@pytest.mark.parametrize("kind", ["rolling_friction", "spinning_friction"])
-def test_the_torque_against_rolling_and_spinning_counts_with_the_friction_of_the_other_body(
-    engine_name, kind, own, ground, build
-):
-    radius, length, duration = 0.1, 0.002, 0.5
-    sphere = ObjectBody("ball", Sphere(radius), Pose((0, 0, radius)), 1.0, friction=own, **{kind: length})
-    engine = build(engine_name, WorldModel(0.02, 5, ground=Ground(ground), objects=(sphere,)))
-    rolls = kind == "rolling_friction"
-    velocity, turn = ((1.0, 0, 0), (0, 1.0 / radius, 0)) if rolls else ((0, 0, 0), (0, 0, 10.0))
-    engine.place("ball", (0, 0, radius), (0, 0, 0, 1), velocity, turn)
-    for _ in range(round(duration / 0.02)):
-        engine.step(5)
-    (x, _, _), (_, _, spin) = engine.velocity("ball")()
-    torque = length * ground * 9.81  # of 1 kg, N m
-    slower = 1.0 - x if rolls else 10.0 - spin
-    # A rolling ball has 7/5 m r^2 about its point of contact, a spinning one 2/5 m r^2.
-    expected = torque / (1.4 * radius) if rolls else torque / (0.4 * radius**2)
-    assert slower == pytest.approx(expected * duration, rel=0.02)

@@ -6,12 +6,8 @@
 
 from __future__ import annotations
 
-import pickle
 import random
-import runpy
 import struct
-import subprocess
-import sys
 from contextlib import closing
 from itertools import product
 from math import isclose, pi
@@ -25,10 +21,9 @@ from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_ROTATION, quaternion
 from deepbots_cli.port import ZERO_VECTOR, Engine
-from deepbots_cli.program.world import ObjectBody, Pit, RobotBody, Terrain, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots import reader
-from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
-from tests.few import few
+from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TURNED = quaternion(0.4, -0.3, 1.1)
 
@@ -172,21 +167,6 @@ def test_closing_twice_is_fine_and_use_after_it_is_an_error(engine_name, worlds,
             use()
 
 
-def test_a_body_goes_exactly_where_it_is_placed(engine_name, worlds, build):
-    engine = build(engine_name, worlds.ball())
-    engine.place("ball", (0.1, 0.2, 0.3), TURNED)
-    assert engine.pose("ball")() == ((0.1, 0.2, 0.3), pytest.approx(TURNED, abs=1e-15))
-    assert engine.velocity("ball")() == ((0, 0, 0), (0, 0, 0))
-
-
-def test_placing_means_the_origin_of_the_link_and_not_its_center_of_mass(engine_name, worlds, build):
-    engine = build(engine_name, worlds.crooked())
-    engine.place("robot", (0.1, 0.2, 0.3), TURNED)
-    position, orientation = engine.pose("robot")()
-    assert position == pytest.approx((0.1, 0.2, 0.3), abs=1e-12)
-    assert orientation == pytest.approx(TURNED, abs=1e-12)
-
-
 @pytest.mark.parametrize("world_name", ["rail", "crooked"])
 def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_name, world_name, worlds, build):
     engine = build(engine_name, getattr(worlds, world_name)())
@@ -201,35 +181,6 @@ def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_nam
         )
 
 
-def test_a_joint_goes_exactly_where_it_is_set_and_its_links_with_it(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail())
-    engine.set_joint("robot", "slide", 0.25, -0.5)
-    engine.set_joint("robot", "hinge", pi / 2, 2.0)
-    slide, hinge = engine.joint_states("robot", ["slide", "hinge"])()
-    assert (*slide[:2], *hinge[:2]) == (0.25, -0.5, pi / 2, 2.0)
-    assert engine.pose("robot", "tip")()[0] == pytest.approx((1.25, 0, 1), abs=1e-6)
-    linear, angular = engine.velocity("robot", "tip")()
-    assert linear == pytest.approx((-0.5, 0, -2.0), abs=1e-6)
-    assert angular == pytest.approx((0, 2.0, 0), abs=1e-12)
-
-
-def test_poses_and_velocities_agree_while_moving(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail(timestep=0.002, substeps=2))
-    engine.set_joint("robot", "slide", 0.0, 0.4)
-    engine.set_joint("robot", "hinge", 0.3, 1.5)
-    for link in ("cart", "pole", "tip"):
-        pose = engine.pose("robot", link)
-        velocity = engine.velocity("robot", link)
-        engine.step(2)
-        before = pose()[0]
-        speed_before = velocity()[0]
-        engine.step(2)
-        mean = [(a + b) / 2 for a, b in zip(speed_before, velocity()[0], strict=True)]
-        assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(
-            mean, abs=0.02
-        )
-
-
 @pytest.mark.parametrize("substeps", [1, 2, 4, 8])
 def test_a_torque_acts_alike_over_any_number_of_substeps(engine_name, substeps, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=substeps))
@@ -240,19 +191,6 @@ def test_a_torque_acts_alike_over_any_number_of_substeps(engine_name, substeps, 
     # acts across it.
     assert isclose(engine.joint_states("robot", ["slide"])()[0][1], 2.0 / 1.1 * 0.01, rel_tol=0.01)
     assert isclose(engine.joint_torques("robot", ["slide"])()[0], 2.0, rel_tol=1e-9)
-
-
-def test_a_velocity_motor_exerts_its_limit_until_the_joint_reaches_the_target(engine_name, worlds, build):
-    """With one command; the cart needs 110 engine steps of 1 ms for 0.2 m/s."""
-    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
-    engine.set_joint("robot", "hinge", pi / 2, 0.0)
-    engine.velocity_motor("robot", ["slide"], [2.0])([0.2])
-    speed = engine.joint_states("robot", ["slide"])
-    for milliseconds in (50, 100):
-        engine.step(50)
-        assert isclose(speed()[0][1], 2.0 / 1.1 * milliseconds / 1000, rel_tol=0.03)
-    engine.step(50)
-    assert speed()[0][1] == pytest.approx(0.2, abs=0.004)
 
 
 def test_a_strong_velocity_motor_reaches_its_target_within_a_tick(engine_name, worlds, build):
@@ -394,41 +332,8 @@ def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(engine_na
     assert (len(set(heights)), heights) == (10, sorted(heights, reverse=True))
 
 
-EPISODE = Path(__file__).with_name("arena_episode.py")
-trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
 STAND = [0.0, 0.9, -1.8] * 4
-
-
-PASTS = [
-    pytest.param((0, 1, 2, 5, 21, 89), id="few"),
-    pytest.param((0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233), id="all", marks=pytest.mark.slow),
-]
-"""The lengths of what came before a reset."""
-
-
-def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> bytes:
-    arguments = pickle.dumps((engine, world, seed, ticks))
-    return subprocess.run(
-        [sys.executable, str(EPISODE)], input=arguments, capture_output=True, check=True
-    ).stdout
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-@pytest.mark.parametrize("carts", few([1, 3], ["3"]))
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(
-    engine_name, carts, pasts, worlds, build
-):
-    world = worlds.arena(carts=carts)
-    fresh = in_fresh_process(engine_name, world, seed=5, ticks=100)
-    engine = build(engine_name, world)
-    assert trajectory(engine, world, seed=5, ticks=100) == fresh
-    for ticks in pasts:
-        engine.reset()
-        trajectory(engine, world, seed=ticks, ticks=ticks)
-        engine.reset()
-        assert trajectory(engine, world, seed=5, ticks=100) == fresh
 
 
 @pytest.fixture(scope="session")
@@ -486,19 +391,6 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, pasts, build):
-    fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
-    engine = build(engine_name, yard(dog))
-    for ticks in pasts:
-        engine.reset()
-        walk(engine, 1000 + ticks, ticks)
-        for seed, expected in fresh.items():
-            engine.reset()
-            assert walk(engine, seed, 50) == expected, (ticks, seed)
-
-
 def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engine_name, dog, build):
     """Masses, frictions, springs, contacts and their readings are all part of a snapshot."""
     engine = build(engine_name, yard(dog))
@@ -540,44 +432,6 @@ def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engin
 def roller() -> RobotModel:
     path = Path(__file__).parents[2] / "robots" / "urdf" / "roller.urdf"
     return reader.read(path, path.name, Findings()).model
-
-
-def roll(engine: Engine, seed: int, ticks: int) -> bytes:
-    """A ball that rocks about in a pit by the weight inside it, and bumps into a rock."""
-    rng = random.Random(seed)
-    engine.place("roller", (rng.uniform(-0.2, 0.2), 0.0, rng.uniform(0.3, 0.5)), (0, 0, 0, 1))
-    drive = engine.velocity_motor("roller", JOINTS, [12.0] * len(JOINTS))
-    readers = [engine.pose("roller"), engine.velocity("roller"), engine.pose("rock")]
-    contact = engine.contact(("roller", None), [("ground", None)])
-    force = engine.contact_force(("ground", None))
-    figures: list[float] = []
-    for tick in range(ticks):
-        if tick % 16 == 0:
-            drive([rng.choice((-8.72, 8.72)) for _ in JOINTS])
-        engine.step(8)
-        for part in (*(part for read in readers for part in read()), (contact(), force())):
-            figures += part
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-JOINTS = ["pitch", "yaw"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pasts", PASTS)
-def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, pasts, build):
-    rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
-    world = WorldModel(
-        0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15))
-    )
-    fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
-    engine = build(engine_name, world)
-    for ticks in pasts:
-        engine.reset()
-        roll(engine, 1000 + ticks, ticks)
-        for seed, expected in fresh.items():
-            engine.reset()
-            assert roll(engine, seed, 60) == expected, (ticks, seed)
 
 
 def test_a_dog_stands_on_springs_and_their_torques_carry_it(engine_name, dog, build):

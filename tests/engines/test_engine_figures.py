@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import random
-import struct
 import subprocess
 import sys
 from dataclasses import fields, replace
@@ -20,7 +18,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines import ENGINES, create, names
 from deepbots_cli.errors import EngineError, UsageError
-from deepbots_cli.frames import IDENTITY_FRAME, quaternion
+from deepbots_cli.frames import IDENTITY_FRAME
 from deepbots_cli.installation import install_hint
 from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, Variant, WorldModel, WorldParameter
@@ -39,22 +37,11 @@ from deepbots_cli.robots.model import (
 )
 from deepbots_cli.scenario.world import World
 
-TURNED = quaternion(0.4, -0.3, 1.1)
 CART = ("robot", "cart")
 
 
 def weightless(world: WorldModel) -> WorldModel:
     return replace(world, gravity=(0.0, 0.0, 0.0))
-
-
-def test_a_body_that_is_placed_with_a_velocity_moves_so_at_its_origin(engine_name, worlds, build):
-    engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
-    engine.place("robot", (0.1, 0.2, 0.3), TURNED, (0.5, -1.0, 2.0), (0.3, 0.2, -0.7))
-    linear, angular = engine.velocity("robot")()
-    assert linear == pytest.approx((0.5, -1.0, 2.0), abs=1e-9)
-    assert angular == pytest.approx((0.3, 0.2, -0.7), abs=1e-9)
-    engine.step(1)
-    assert engine.pose("robot")()[0] == pytest.approx((0.1005, 0.199, 0.302), abs=1e-5)
 
 
 def test_what_is_called_before_engine_steps_is_called_in_each_and_in_order(engine_name, worlds, build):
@@ -364,20 +351,6 @@ def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build
         assert engine.velocity("ball")()[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_damping_of_a_joint_takes_speed_exponentially_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=10)))
-    read = engine.joint_states("robot", ["slide"])
-    for damping in (0.0, 2.0, 0.0):
-        engine.reset()
-        if damping:
-            engine.set_parameter("joint_damping", ("robot", "slide"), damping)
-        engine.set_joint("robot", "slide", 0.0, 1.0)
-        engine.set_joint("robot", "hinge", pi / 2, 0.0)
-        for _ in range(20):
-            engine.step(10)
-        assert read()[0][1] == pytest.approx(exp(-damping / 1.1 * 0.2), rel=0.01)
-
-
 def test_friction_of_a_joint_slows_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=4)))
     for friction in (0.0, 2.2, 0.0):
@@ -447,38 +420,6 @@ def test_restitution_of_one_body_leaves_others_at_rest(engine_name, build):
     for _ in range(100):
         engine.step(5)
     assert engine.pose("crate")()[0] == pytest.approx((0, 0, 0.1), abs=2e-3)
-
-
-@pytest.mark.parametrize("frame", ["world", "link"])
-def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, frame, worlds, build):
-    """Force and torque at the origin, moved to the center of mass; I w' = t - c x f."""
-    engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
-    engine.place("robot", (0.1, 0.2, 0.3), TURNED)
-    inertial = worlds.crooked().robots[0].model.links[0].inertial
-    force, torque = (0.7, -0.2, 0.4), (0.002, 0.001, -0.003)
-    engine.pusher(("robot", None), frame)(force, torque)
-    engine.step(1)
-    _, angular = engine.velocity("robot")()
-    turn = np.array([frames.rotate(TURNED, axis) for axis in np.eye(3)]).T
-    inside = turn.T if frame == "world" else np.eye(3)
-    local_force, local_torque = inside @ force, inside @ torque
-    tilted = np.array([frames.rotate(quaternion(*inertial.origin.rpy), axis) for axis in np.eye(3)]).T
-    own = np.array(
-        [
-            [inertial.ixx, inertial.ixy, inertial.ixz],
-            [inertial.ixy, inertial.iyy, inertial.iyz],
-            [inertial.ixz, inertial.iyz, inertial.izz],
-        ]
-    )
-    center = np.array(inertial.origin.xyz)
-    spin = (
-        turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(center, local_force)) * 0.001
-    )
-    assert angular == pytest.approx(spin, rel=1e-3, abs=1e-9)
-    speed = turn @ local_force / 0.7 * 0.001 + np.cross(spin, turn @ -center)
-    assert engine.velocity("robot")()[0] == pytest.approx(speed, rel=1e-3, abs=1e-9)
-    engine.step(1)
-    assert engine.velocity("robot")()[1] == pytest.approx(angular, rel=1e-2, abs=1e-7)
 
 
 @pytest.mark.parametrize("frame", ["world", "link"])
@@ -601,7 +542,6 @@ IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 ROUND = Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1))
 SQUARE = Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1))
 PILLAR = Variant("pillar", Box((0.1, 0.1, 0.4)), color=(0, 0, 1, 1), fixed=True)
-WHEELS = [f"wheel_{i}" for i in range(4)]
 
 
 def pooled(count: int, *variants: Variant, **figures: object) -> tuple[ObjectBody, ...]:
@@ -701,51 +641,6 @@ def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(engine_name, build)
         linear, angular = engine.velocity("thing#1")()
         assert linear[0] == pytest.approx(0.03 / (mass or 0.3), rel=1e-6)
         assert angular[2] == pytest.approx(1e-4 / (0.4 * (mass or 0.3) * 0.05**2), rel=1e-6)
-
-
-def brawl(engine, seed: int, ticks: int) -> bytes:
-    """A cart among things that an episode chose, weighed and placed at random, all pushed about."""
-    rng = random.Random(seed)
-    present = rng.sample([f"thing#{i}" for i in range(1, 6)], rng.randint(0, 5))
-    for name in present:
-        form = rng.choice(("round", "square", "pillar"))
-        engine.choose(name, form)
-        if rng.random() < 0.5 and form != "pillar":
-            engine.set_parameter("mass", (name, ""), rng.uniform(0.05, 1.0))
-            engine.set_parameter("lateral_friction", (name, ""), rng.uniform(0.2, 1.0))
-        engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), IDENTITY_ROTATION)
-    readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [
-        engine.velocity("robot")
-    ]
-    drive = engine.velocity_motor("robot", WHEELS, [10.0] * 4)
-    touched = engine.contact(("robot", None), ground=False)
-    gap = engine.clearance(("robot", None), ("thing#1", None))
-    figures: list[float] = []
-    for tick in range(ticks):
-        if tick % 8 == 0:
-            left, right = rng.choice((-20.0, 20.0)), rng.choice((-20.0, 20.0))
-            drive([left, right, left, right])
-        engine.step(4)
-        figures += [touched(), gap()]
-        for read in readers:
-            for part in read():
-                figures += part
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-@pytest.mark.slow
-def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(
-    engine_name, worlds, build
-):
-    world = arena(worlds, pooled(5, ROUND, SQUARE, PILLAR))
-    fresh = {seed: brawl(build(engine_name, world), seed, 60) for seed in (3, 4, 5)}
-    engine = build(engine_name, world)
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144):
-        engine.reset()
-        brawl(engine, 1000 + ticks, ticks)
-        for seed, expected in fresh.items():
-            engine.reset()
-            assert brawl(engine, seed, 60) == expected, (ticks, seed)
 
 
 # How engines are found

@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import random
-import struct
 from dataclasses import replace
 from math import acos, cos, dist, hypot, pi, sin
 
@@ -299,52 +298,6 @@ def test_a_start_of_the_leader_is_one_of_its_followers_too(engine_name, build):
     assert [state[0] for state in read()] == [0.0, 0.1, -0.1]
 
 
-def stroke(engine, target: float, ticks: int) -> bytes:
-    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
-    read = engine.joint_states("robot", ["lead", "first", "second"])
-    engine.set_joint("robot", "lead", 0.1, 0.0)
-    figures: list[float] = []
-    for _ in range(ticks):
-        aim([target])
-        engine.step(4)
-        figures += [value for state in read() for value in state[:2]]
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-def test_a_reset_world_with_followers_equals_a_fresh_one(engine_name, build):
-    engine = build(engine_name, world(pair(-2.0, 0.1)))
-    fresh = stroke(engine, 0.3, 40)
-    for ticks in (0, 1, 7, 33):
-        engine.reset()
-        stroke(engine, -0.4, ticks)
-        engine.reset()
-        assert stroke(engine, 0.3, 40) == fresh
-    assert stroke(build(engine_name, world(pair(-2.0, 0.1))), 0.3, 40) == fresh
-
-
-def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):
-    engine = build(engine_name, world(pair(-2.0, 0.1)))
-    if "snapshot" not in engine.capabilities:
-        pytest.skip("it has no snapshots")
-    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
-    read = engine.joint_states("robot", ["lead", "first", "second"])
-
-    def follow() -> list[object]:
-        states: list[object] = []
-        for _ in range(10):
-            aim([0.3])
-            engine.step(4)
-            states.append(read())
-        return states
-
-    follow()
-    snapshot = engine.snapshot()
-    expected = follow()
-    engine.reset()
-    engine.restore(snapshot)
-    assert follow() == expected
-
-
 def test_frames_of_links_without_an_engine_follow_too():
     where = link_frames(pair(-2.0, 0.1), {"lead": 0.2})
     assert [where[link][0][2] for link in "abc"] == pytest.approx([0.2, -0.3, 0.3])
@@ -503,47 +456,6 @@ def dumbbell(*, fixed: bool = False) -> WorldModel:
     hinge = Joint("hinge", "continuous", "hull", "weight", axis=(1, 0, 0))
     model = RobotModel("dumbbell", links, (hinge,), root="hull")
     return WorldModel(0.02, 4, (0, 0, 0), None, robots=(RobotBody("robot", model, fixed),))
-
-
-@pytest.mark.parametrize("speed", [(0, 0, 0), (3, -2, 1)])
-def test_a_turning_body_has_its_inertia_times_its_angular_velocity_wherever_it_flies(
-    engine_name, speed, build
-):
-    engine = build(engine_name, dumbbell())
-    read = engine.angular_momentum("robot")
-    turned = frames.quaternion(0.4, -0.3, 1.1)
-    spin = (0.5, 0.8, -1.2)  # in the frame of the hull
-    engine.place("robot", (5, -7, 3), turned, speed, frames.rotate(turned, spin))
-    reduced = HULL * WEIGHT / (HULL + WEIGHT) * APART**2
-    inertia = np.array([0.1 + MOMENT + reduced, 0.2 + MOMENT, 0.3 + MOMENT + reduced])
-    expected = frames.rotate(turned, tuple(inertia * spin))
-    assert read() == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("fixed", [False, True])
-def test_a_joint_that_turns_adds_the_momentum_of_what_it_carries(engine_name, fixed, build):
-    engine = build(engine_name, dumbbell(fixed=fixed))
-    read = engine.angular_momentum("robot")
-    assert read() == (0.0, 0.0, 0.0)
-    engine.set_joint("robot", "hinge", 0.0, 2.0)
-    reduced = HULL * WEIGHT / (HULL + WEIGHT) * APART**2
-    assert read() == pytest.approx(((MOMENT + reduced) * 2.0, 0.0, 0.0), rel=1e-9, abs=1e-12)
-
-
-def test_nothing_outside_changes_it_and_a_drawn_mass_does(engine_name, build):
-    engine = build(engine_name, dumbbell())
-    read = engine.angular_momentum("robot")
-    engine.place("robot", (0, 0, 1), (0, 0, 0, 1), (0, 0, 0), (0.3, 0.2, 0.5))
-    before = read()
-    engine.torque_motor("robot", ["hinge"], [1.0])([0.2])
-    for _ in range(10):
-        engine.step(4)
-    assert read() == pytest.approx(before, abs=0.01)
-    engine.reset()
-    engine.set_parameter("mass", ("robot", "weight"), 2 * WEIGHT)
-    engine.place("robot", (0, 0, 1), (0, 0, 0, 1), (0, 0, 0), (1.0, 0, 0))
-    reduced = HULL * 2 * WEIGHT / (HULL + 2 * WEIGHT) * APART**2
-    assert read()[0] == pytest.approx(0.1 + 2 * MOMENT + reduced, rel=1e-9)
 
 
 def test_momenta_of_a_batch_are_those_of_single_worlds():

@@ -134,23 +134,6 @@ def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate)
     )
 
 
-def test_pybullet_follows_the_exact_cart_pole_for_a_second(worlds, build):
-    """Within 3 mm and 10 mrad at steps of 1 ms, through a swing from upright past level: the error of a
-    first-order rule."""
-    states = []
-    for name in ("exact", "pybullet"):
-        engine = build(name, worlds.rail(timestep=0.02, substeps=20))
-        engine.set_joint("robot", "hinge", 0.2, 0.0)
-        push = engine.torque_motor("robot", ["slide"], [10.0])
-        for tick in range(50):
-            push([4.0 if tick % 10 < 5 else -4.0])
-            engine.step(20)
-        states.append([state[0] for state in engine.joint_states("robot", ["slide", "hinge"])()])
-    (x, angle), (other_x, other_angle) = states
-    assert abs(angle) > pi / 2
-    assert (other_x, other_angle) == (pytest.approx(x, abs=0.003), pytest.approx(angle, abs=0.01))
-
-
 def test_what_the_equations_do_not_cover_is_refused_by_name(worlds, build):
     rail = worlds.rail()
     (robot,) = rail.robots
@@ -519,25 +502,6 @@ def marbles(count: int) -> WorldModel:
         ObjectBody(f"marble{k}", Sphere(0.05), Pose((x, y, 0.15)), 0.1) for k, (x, y) in enumerate(spots)
     ]
     return WorldModel(0.02, 4, ground=Ground(), objects=(tray, *objects))
-
-
-def test_forces_are_those_of_single_worlds():
-    batch = create_batch("mujoco", marbles(5), 2)
-    single = create("mujoco", marbles(5))
-    of_batch, of_single = (
-        [engine.contact_force((name, None)) for name in ("tray", "marble2", "ground")]
-        for engine in (batch, single)
-    )
-    for engine in (single, *batch.members):
-        engine.reset()
-    for engine in (single, batch.members[1]):
-        engine.place("marble2", (0.0, 0.0, 0.4), (0, 0, 0, 1))
-    batch.begin_episodes()
-    for _ in range(30):
-        batch.step(4)
-        single.step(4)
-        np.testing.assert_array_equal([read()[1] for read in of_batch], [read() for read in of_single])
-    assert of_batch[1]()[0] != of_batch[1]()[1]
 
 
 def test_force_vectors_are_those_of_single_worlds():

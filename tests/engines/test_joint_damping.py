@@ -2,20 +2,25 @@
 
 A joint with the inertia I (kg m^2) and the damping d (N m s/rad) that turns freely at v comes to rest after
 v I / d, with steps of any length.
+
+Contacts that slide in MuJoCo: the compiled callback and the functions in Python, and MuJoCo's layout.
 """
 
 from __future__ import annotations
 
-from contextlib import closing
+import sys
 from dataclasses import replace
-from itertools import pairwise
-from math import exp, pi
+from math import exp
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from deepbots_cli import api
-from deepbots_cli.engines import create, create_batch
+from deepbots_cli.engines import mujoco as engine_package
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.errors import EngineError
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Mimic, Pose, RobotModel
 
@@ -55,65 +60,6 @@ def rest_angle(damping: float) -> float:
     return 2.0 * INERTIA / damping
 
 
-@pytest.mark.parametrize("substeps", [1, 5])
-@pytest.mark.parametrize("share", [0.01, 0.1, 1.0, 2.0, 10.0, 100.0, 1000.0])
-def test_a_damped_joint_comes_to_rest_where_its_damping_says(engine_name, share, substeps, build):
-    damping = share * INERTIA / (TIMESTEP / substeps)
-    engine = build(engine_name, arm(damping, substeps))
-    read = engine.joint_states("robot", ["joint"])
-    engine.set_joint("robot", "joint", 0.0, 2.0)
-    speeds = [2.0]
-    for _ in range(max(5, round(8 / share / substeps))):
-        engine.step(substeps)
-        speeds.append(read()[0][1])
-    assert all(0.0 <= after <= before + 1e-9 for before, after in pairwise(speeds))
-    assert read()[0][0] == pytest.approx(rest_angle(damping), rel=0.01)
-
-
-@pytest.mark.parametrize("share", [0.01, 0.03, 0.1])
-def test_the_speed_of_a_damped_joint_falls_exponentially(engine_name, share, build):
-    damping = share * INERTIA / (TIMESTEP / 5)
-    engine = build(engine_name, arm(damping))
-    read = engine.joint_states("robot", ["joint"])
-    engine.set_joint("robot", "joint", 0.0, 2.0)
-    for tick in range(1, 50):
-        engine.step(5)
-        assert read()[0][1] == pytest.approx(2.0 * exp(-5 * share * tick), abs=0.02 * 2.0)
-
-
-@pytest.mark.parametrize("substeps", [5, 20])
-@pytest.mark.parametrize(
-    ("file", "joints"), [("kuka_iiwa/model.urdf", "lbr_iiwa_joint_*"), ("xarm/xarm6_robot.urdf", "joint*")]
-)
-def test_a_real_arm_whose_motors_exert_nothing_only_falls(tmp_path, file, joints, substeps):
-    pytest.importorskip("pybullet_data")
-    text = f"""
-deepbots: 1
-name: Falls
-world: {{timestep: 20 ms, substeps: {substeps}, engine: pybullet}}
-robots:
-  arm:
-    urdf: package://pybullet_data/{file}
-    base: fixed
-    groups: {{arm: ["{joints}"]}}
-    sensors: {{angles: {{type: joint_position, joints: arm}}}}
-    actuators: {{motors: {{type: torque_motor, joints: arm}}}}
-    apply: {{motors: u * 0 N*m}}
-action: {{u: -1 .. 1}}
-observation: {{arm.angles: -3 .. 3 rad}}
-reward: {{fastest: max(abs(joint_velocity(arm.arm))) / (rad/s)}}
-reset: {{joints: {{arm.arm: 0.15 rad}}}}
-truncation: {{max_steps: 100}}
-"""
-    (tmp_path / "falls.yaml").write_text(text)
-    with closing(api.make(str(tmp_path / "falls.yaml"))) as environment:
-        environment.reset(seed=0)
-        speeds = [environment.step(np.zeros(1, np.float32))[1] for _ in range(100)]
-    # A point on a rod of 0.5 m that falls from above to below has sqrt(4 g / 0.5) = 8.9 rad/s. The light
-    # wrist is faster for a step when another joint meets its stop.
-    assert max(speeds) < 15.0
-
-
 @pytest.mark.parametrize("inertia", [1e-12, 1e-14])
 def test_a_damped_joint_of_a_frame_that_weighs_almost_nothing_comes_to_rest(engine_name, inertia, build):
     tip = Link("tip", Inertial(1e6 * inertia, ixx=inertia, iyy=inertia, izz=inertia))
@@ -143,29 +89,6 @@ def test_a_joint_beyond_one_that_damping_locks_moves_as_one_body(engine_name, bu
     together = INERTIA + 0.005 + MASS * (0.4 + AHEAD) ** 2
     assert angle == pytest.approx(2.0 * together / 3.0, rel=0.01)
     assert abs(wrist) < 0.002
-
-
-@pytest.mark.parametrize("substeps", [1, 5])
-def test_a_motor_turns_a_damped_joint_at_its_torque_over_the_damping(engine_name, substeps, build):
-    damping = 10.0  # x = 32 with one substep
-    engine = build(engine_name, arm(damping, substeps))
-    drive = engine.torque_motor("robot", ["joint"], [20.0])
-    read_torque = engine.joint_torques("robot", ["joint"])
-    for _ in range(20):
-        drive([5.0])
-        engine.step(substeps)
-    assert engine.joint_states("robot", ["joint"])()[0][1] == pytest.approx(5.0 / damping, rel=0.01)
-    assert read_torque() == pytest.approx([5.0], rel=0.01)
-
-
-@pytest.mark.parametrize("tilt", [0.0, pi / 2, pi])
-def test_a_damped_arm_sinks_at_its_weight_over_the_damping(engine_name, tilt, build):
-    damping = 10.0
-    engine = build(engine_name, arm(damping, 1, (0, 1, 0), Pose(rpy=(tilt, 0, 0))))
-    for _ in range(3):
-        engine.step(1)
-    sinking = {0.0: 1.0, pi / 2: 0.0, pi: -1.0}[tilt] * MASS * 9.81 * AHEAD / damping
-    assert engine.joint_states("robot", ["joint"])()[0][1] == pytest.approx(sinking, rel=0.01, abs=1e-6)
 
 
 def test_an_episode_sets_a_damping_that_the_next_one_does_not_have(engine_name, build):
@@ -226,19 +149,6 @@ def test_a_spring_motor_moves_a_joint_whose_own_damping_a_step_cannot_follow(eng
     assert angles[-1] == pytest.approx(0.5, rel=0.001)
 
 
-@pytest.mark.parametrize("substeps", [1, 4, 16])
-def test_a_motor_holds_a_joint_at_its_limit_that_began_far_beyond_it(engine_name, substeps, build):
-    engine = build(engine_name, arm(0.0, substeps, limit=Limit(-1.0, 0.5)))
-    drive = engine.torque_motor("robot", ["joint"], [50.0])
-    engine.set_joint("robot", "joint", 1.0, 0.0)
-    for _ in range(25):
-        drive([5.0])
-        engine.step(substeps)
-    # MuJoCo's limits give way by the load, and return in 20 ms, which is one substep here.
-    tolerance = 0.005 if engine_name == "pybullet" or substeps > 1 else 0.08
-    assert engine.joint_states("robot", ["joint"])()[0][0] == pytest.approx(0.5, rel=tolerance)
-
-
 def test_the_follower_of_a_joint_that_began_far_beyond_its_limit_does_not_jolt_it(build):
     pytest.importorskip("pybullet")
     joints = (
@@ -272,22 +182,6 @@ def test_a_damped_hinge_of_a_free_body_takes_the_turn_of_both_its_halves(engine_
     assert engine.velocity("robot")()[1][2] == pytest.approx(2.0 * 0.03 / 0.04, rel=0.01)
 
 
-@pytest.mark.parametrize(("motor", "target"), [("velocity_motor", 2.0), ("torque_motor", 50.0)])
-def test_the_torque_of_a_motor_does_not_exceed_its_limit_where_the_joint_meets_its_stop(
-    engine_name, motor, target, build
-):
-    engine = build(engine_name, arm(0.0, limit=Limit(-1.0, 0.5)))
-    drive = getattr(engine, motor)("robot", ["joint"], [50.0])
-    read = engine.joint_torques("robot", ["joint"])
-    torques = []
-    for _ in range(100):
-        drive([target])
-        engine.step(1)
-        torques.append(abs(read()[0]))
-    assert torques[-1] == pytest.approx(50.0, rel=1e-3)
-    assert max(torques) <= 50.0 + 1e-9
-
-
 def test_a_servo_rests_at_a_limit_that_its_target_lies_beyond(engine_name, build):
     engine = build(engine_name, arm(0.0, limit=Limit(-1.0, 0.5)))
     drive = engine.position_motor("robot", ["joint"], [50.0], None, None)
@@ -298,21 +192,134 @@ def test_a_servo_rests_at_a_limit_that_its_target_lies_beyond(engine_name, build
     assert engine.joint_torques("robot", ["joint"])() == pytest.approx([0.0], abs=0.01)
 
 
-def test_torques_at_a_stop_are_the_same_in_a_batch():
-    pytest.importorskip("mujoco")
-    world = arm(0.0, limit=Limit(-1.0, 0.5))
-    batch, single = create_batch("mujoco", world, 2), create("mujoco", world)
-    for motor, limit, target in (("velocity_motor", 50.0, 2.0), ("position_motor", 40.0, 3.0)):
-        more = (None, None) if motor == "position_motor" else ()
-        drives = [getattr(engine, motor)("robot", ["joint"], [limit], *more) for engine in (batch, single)]
-        readers = [engine.joint_torques("robot", ["joint"]) for engine in (batch, single)]
-        for engine in (*batch.members, single):
-            engine.reset()
-        batch.begin_episodes()
-        for _ in range(100):
-            for engine, drive in zip((batch, single), drives, strict=True):
-                drive([target])
-                engine.step(1)
-            together, alone = (read() for read in readers)
-            np.testing.assert_array_equal(np.array(together)[:, 1], alone)
-    single.close()
+# Contacts that slide in MuJoCo: the compiled callback and the functions in Python, and MuJoCo's layout
+
+
+sliding_callback = pytest.importorskip("deepbots_cli.engines.mujoco.sliding_callback")
+
+BODY = """<body pos="{x} {y} {z}"><freejoint/><geom {shape} mass="{mass}"/></body>"""
+SHAPES = 'type="box" size=".1 .07 .05"', 'type="sphere" size=".05"', 'type="capsule" size=".03 .06"'
+
+
+@st.composite
+def worlds(draw) -> tuple[object, np.ndarray]:
+    """A model with some bodies on a floor, and their velocities."""
+    count = draw(st.integers(1, 4))
+    bodies = [
+        BODY.format(
+            x=0.5 * index,
+            y=draw(st.sampled_from((0.0, 0.02))),
+            z=draw(st.sampled_from((0.049, 0.06))),
+            shape=draw(st.sampled_from(SHAPES)),
+            mass=draw(st.sampled_from((0.01, 1.0))),
+        )
+        for index in range(count)
+    ]
+    jacobian = draw(st.sampled_from(("dense", "sparse")))
+    friction = draw(st.sampled_from((0.05, 0.4, 1.2)))
+    dimension = draw(st.sampled_from((1, 3, 4, 6)))
+    spec = mj.MjSpec.from_string(
+        f"""<mujoco><option timestep="0.004" jacobian="{jacobian}"/>
+        <default><geom friction="{friction} 0.01 0.001" condim="{dimension}"/></default>
+        <worldbody><geom type="plane" size="9 9 1"/>{"".join(bodies)}</worldbody></mujoco>"""
+    )
+    sliding.prepare(spec)
+    speeds = draw(st.lists(st.floats(-4.0, 4.0), min_size=6 * count, max_size=6 * count))
+    return spec.compile(), np.array(speeds)
+
+
+def play(model, speeds) -> np.ndarray:
+    data = mj.MjData(model)
+    data.qvel[:] = speeds
+    states = []
+    for _ in range(40):
+        sliding.advance(model, data)
+        states.append(np.concatenate([data.qpos, data.qvel]))
+    return np.array(states)
+
+
+@pytest.fixture
+def in_python(monkeypatch):
+    """Steps are taken in Python, until `install` is called."""
+    callback = mj.get_mjcb_control()
+    mj.set_mjcb_control(None)
+    monkeypatch.setattr(sliding, "_python_steps", np.inf)
+    monkeypatch.setattr(sliding, "_callback", None)
+    yield
+    mj.set_mjcb_control(callback)
+
+
+@pytest.fixture
+def crate():
+    spec = mj.MjSpec.from_string(
+        f"""<mujoco><worldbody><geom type="plane" size="9 9 1"/>
+        {BODY.format(x=0, y=0, z=0.05, shape=SHAPES[0], mass=1)}</worldbody></mujoco>"""
+    )
+    sliding.prepare(spec)
+    return spec.compile()
+
+
+SPEEDS = np.array([2.0, 0.3, 0.0, 0.0, 0.0, 1.0])
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(worlds())
+def test_the_callback_gives_the_same_bits_as_python(in_python, world):
+    mj.set_mjcb_control(None)
+    expected = play(*world)
+    sliding.install()
+    assert np.array_equal(play(*world), expected)
+
+
+def test_worlds_go_on_in_python_where_numba_cannot_be_imported(in_python, crate, monkeypatch):
+    expected = play(crate, SPEEDS)
+    monkeypatch.setattr(sliding, "_python_steps", 10)
+    monkeypatch.delattr(engine_package, "sliding_callback")
+    monkeypatch.setitem(sys.modules, "deepbots_cli.engines.mujoco.sliding_callback", None)
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    with pytest.raises(EngineError, match="batches in MuJoCo need Numba"):
+        sliding.install()
+
+
+@pytest.mark.slow
+def test_the_callback_is_compiled_where_no_folder_can_be_written(in_python, crate, monkeypatch):
+    def refuse(*args, **options):
+        raise PermissionError("a read-only file system")
+
+    expected = play(crate, SPEEDS)
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    sliding.install()
+    assert np.array_equal(play(crate, SPEEDS), expected)
+
+
+def test_contacts_are_corrected_beside_a_control_callback_of_another_program(in_python, crate, monkeypatch):
+    expected = play(crate, SPEEDS)
+    sliding.install()
+    calls = []
+    mj.set_mjcb_control(lambda model, data: calls.append(data.time))
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    monkeypatch.setattr(sliding, "_python_steps", 10)
+    assert np.array_equal(play(crate, SPEEDS), expected)
+    assert len(calls) == 80
+
+
+def test_the_layout_of_mujocos_data_is_that_of_its_description():
+    """The callback reads these fields at these places: another version of MuJoCo may move them."""
+    model = mj.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.003" noslip_iterations="3" jacobian="sparse"/><size nuserdata="1"/>
+        <worldbody><geom type="plane" size="9 9 1"/>
+        <body pos="0 0 0.04"><freejoint/><geom size="0.05"/></body></worldbody></mujoco>"""
+    )
+    data = mj.MjData(model)
+    mj.mj_step1(model, data)
+    fields = sliding_callback.layout("mjData").from_address(data._address)
+    for name in ("efc_aref", "efc_pos", "efc_vel", "efc_KBIP", "efc_R", "efc_J", "efc_AR", "qacc_warmstart"):
+        assert getattr(fields, name) == getattr(data, name).ctypes.data, name
+    assert (fields.ncon, fields.nefc) == (data.ncon, data.nefc)
+    contact = sliding_callback.layout("mjContact").from_address(fields.contact)
+    assert (contact.dim, contact.efc_address) == (data.contact[0].dim, data.contact[0].efc_address)
+    assert contact.friction[0] == data.contact[0].friction[0]
+    of_model = sliding_callback.layout("mjModel", last="opt").from_address(model._address)
+    assert (of_model.nv, of_model.nuserdata) == (model.nv, model.nuserdata)
+    options = of_model.opt
+    assert (options.timestep, options.noslip_iterations, options.jacobian) == (0.003, 3, model.opt.jacobian)

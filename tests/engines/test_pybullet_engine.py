@@ -103,24 +103,6 @@ def test_a_fixed_object_that_is_placed_is_met_where_it_was_placed(worlds, build)
     assert engine.pose("ball")()[0][0] == pytest.approx(0.7, abs=2e-3)
 
 
-def test_the_velocity_of_a_link_is_that_of_its_origin_and_not_of_its_center_of_mass(worlds, build):
-    engine = build("pybullet", worlds.rotor())
-    engine.set_joint("robot", "hinge", 0.6, 3.0)
-    for _ in range(5):
-        linear, angular = engine.velocity("robot", "arm")()
-        assert (linear, angular) == (pytest.approx((0, 0, 0), abs=1e-6), pytest.approx((0, 0, 3.0)))
-        assert engine.pose("robot", "arm")()[0] == pytest.approx((0.2, 0, 0), abs=1e-6)
-        engine.step(4)
-
-
-def test_the_velocity_of_a_crooked_body_is_that_of_its_origin(worlds, build):
-    engine = build("pybullet", worlds.crooked())
-    engine.place("robot", (0, 0, 2), (0, 0, 0, 1))
-    for _ in range(3):
-        engine.step(4)
-    assert engine.velocity("robot")()[0] == pytest.approx((0, 0, -9.81 * 0.06))
-
-
 def test_friction_of_a_joint_holds_what_is_weaker(worlds, build):
     engine = build("pybullet", worlds.rail(friction=5.0))
     engine.set_joint("robot", "hinge", pi, 0.0)

@@ -23,7 +23,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, State
-from deepbots_cli.expressions.targets import to_python
+from deepbots_cli.expressions.text import to_python
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject, Symbol, TypedNode, ValueType
 from deepbots_cli.runtime import formulas
 

@@ -32,7 +32,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, Family, sca
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values, lower, stream_name
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, State, walk
-from deepbots_cli.expressions.targets import to_python
+from deepbots_cli.expressions.text import to_python
 from deepbots_cli.expressions.types import Context, RowComponents
 from deepbots_cli.runtime import formulas
 
@@ -332,84 +332,6 @@ def test_states_of_one_text_have_slots_of_their_own(bench):
     (outer,) = lower(bench.clean("hold(x, x > previous(x))"), "signals.best")
     assert isinstance(outer, State)
     assert (outer.slot, outer.args[1].args[1].slot) == ("signals.best#0", "signals.best#1")
-
-
-def quaternion(roll, pitch, yaw):
-    """From turns about the world's x, then y, then z."""
-    sr, cr, sp, cp, sy, cy = (f(half / 2) for half in (roll, pitch, yaw) for f in (math.sin, math.cos))
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-
-
-def pose(q, xyz=(0.0, 0.0, 0.0), body="cart_body"):
-    turned = {f"orientation_{body}_{axis}": value for axis, value in zip("xyzw", q, strict=True)}
-    return turned | {f"position_{body}_{axis}": value for axis, value in zip("xyz", xyz, strict=True)}
-
-
-turns = st.floats(-3.1, 3.1)
-
-
-@given(turns, st.floats(-1.5, 1.5), turns)
-def test_roll_pitch_and_yaw_are_those_that_made_the_quaternion(roll, pitch, yaw):
-    q = quaternion(roll, pitch, yaw)
-    assert compute(FUNCTIONS["roll"].tree("b"), q) == pytest.approx(roll, abs=1e-9)
-    assert compute(FUNCTIONS["pitch"].tree("b"), q) == pytest.approx(pitch, abs=1e-9)
-    assert compute(FUNCTIONS["yaw"].tree("b"), q) == pytest.approx(yaw, abs=1e-9)
-    assert compute(FUNCTIONS["tilt"].tree("b"), q) == pytest.approx(
-        math.acos(max(-1, min(1, math.cos(roll) * math.cos(pitch)))), abs=1e-7
-    )
-
-
-def compute(scalar, q):
-    """A tree over the orientation of body `b` alone, computed directly."""
-    match scalar:
-        case Const(value=value):
-            return value
-        case EngineRead(component=axis):
-            return q["xyzw".index(axis)]
-        case Op(op=name, args=args):
-            return scalar_function(name)(*(compute(arg, q) for arg in args))
-    raise AssertionError(scalar)
-
-
-def test_a_body_sees_a_vector_of_the_world_in_its_own_axes(bench):
-    left = quaternion(0, 0, math.pi / 2)
-    moving = {"velocity_cart_body_x": 0.0, "velocity_cart_body_y": 2.0, "velocity_cart_body_z": -1.0}
-    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(left), **moving) == pytest.approx(
-        [2.0, 0.0, -1.0]
-    )
-    nose_down = quaternion(0, math.pi / 2, 0)
-    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(nose_down), **moving) == pytest.approx(
-        [1.0, 2.0, 0.0]
-    )
-
-
-@pytest.mark.parametrize(
-    ("yaw", "ball", "degrees"),
-    [
-        (0, (1, 0), 0),
-        (0, (0, 1), 90),
-        (0, (0, -1), -90),
-        (0, (-1, 0), 180),
-        (90, (0, 1), 0),
-        (90, (1, 0), -90),
-        (170, (-1, -1), 55),
-    ],
-)
-def test_a_bearing_is_positive_to_the_left(bench, yaw, ball, degrees):
-    poses = pose(quaternion(0, 0, math.radians(yaw)), (1.0, 1.0, 0.0)) | pose(
-        (0, 0, 0, 1), (1 + ball[0], 1 + ball[1], 5.0), "ball"
-    )
-    assert bench.values("bearing(cart, ball) / deg", **poses) == pytest.approx([degrees])
-
-
-def test_distances_are_in_space_or_in_the_plane(bench):
-    poses = pose((0, 0, 0, 1), (1.0, 2.0, 0.0)) | pose((0, 0, 0, 1), (4.0, 6.0, 12.0), "ball")
-    assert bench.values("vector(distance(cart, ball), ground_distance(cart, ball))", **poses) == [13.0, 5.0]
 
 
 @given(st.floats(-100, 100))

@@ -40,7 +40,7 @@ from deepbots_cli.expressions.dimensions import (
 )
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import constant_values, lower
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.parser import MAX_NESTING, parse
 from deepbots_cli.expressions.syntax import (
     MAX_LENGTH,
@@ -55,10 +55,9 @@ from deepbots_cli.expressions.syntax import (
     Unary,
     Vector,
 )
-from deepbots_cli.expressions.targets import to_python
+from deepbots_cli.expressions.text import units_in
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect_value
-from deepbots_cli.expressions.written import units_in
 from tests.golden.cases import mistakes
 
 
@@ -758,71 +757,3 @@ def test_a_printed_tree_is_read_as_the_same_tree(written):
 
 
 # Any text whatever gives findings or a value: no exception, no long wait
-
-
-NAMES = "x speed gas flag home stride cart cart.tip cart.legs cart.pole_angle ball broken radio nonsense"
-OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if else where"
-SIGNS = "+ - * / ^ ( ) ( ) , .. +- | . < <= == != > ** && = [ ] ? : %"
-WORDS = [*FUNCTIONS, *UNITS, *NAMES.split(), *OTHERS.split(), *SIGNS.split()]
-soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(
-    st.sampled_from(WORDS), max_size=25
-).map("".join)
-
-
-def take(bench, text):
-    """Everything the language does with a text, to the end."""
-    bench.text = text
-    bench.findings = []
-    tree = parse(text, bench.report)
-    if tree is None:
-        assert len(bench.findings) == 1
-        return
-    scope = bench.scope.__class__(Context.PARAMETER)
-    check_range(tree, scope, bench.report)
-    drawn = check_drawn(tree, scope, bench.report)
-    if drawn is None:
-        return
-    expect_value(drawn.value, bench.report, "the field", boolean=drawn.value.type.boolean)
-    constant_values(drawn.value)
-    for scalar in lower(drawn.value, "item"):
-        compile(to_python(scalar, lambda read: "v"), "item", "eval")
-
-
-@settings(deadline=2000)
-@given(st.text(max_size=60))
-def test_any_text_is_answered(bench_of, text):
-    take(bench_of(), text)
-
-
-@settings(deadline=2000)
-@given(soup)
-def test_any_soup_of_known_words_is_answered(bench_of, text):
-    take(bench_of(), text)
-
-
-@settings(deadline=2000)
-@given(
-    st.sampled_from(
-        [
-            "abs(",
-            "(",
-            "-",
-            "clamp(1 - ",
-            "x if flag else ",
-            "delta(",
-            "2^",
-            "wrap(",
-            "not ",
-            "norm(home * ",
-            "1 - (1 - ",
-        ]
-    ),
-    st.integers(1, 70),
-)
-def test_any_depth_is_answered_and_what_passes_is_python(bench_of, opening, count):
-    text = (
-        opening * count
-        + "x"
-        + (", 0 .. 1)" if opening.startswith("clamp") else ")") * (count * opening.count("("))
-    )
-    take(bench_of(), text)

@@ -17,9 +17,9 @@ import time
 import traceback
 from pathlib import Path
 
+from tests.fuzz.harness import allow, peak_memory, watch
 from tests.fuzz.mutations import case
-from tests.fuzz.watch import allow, watch
-from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere, peak_memory
+from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere
 
 BLOCK = 5_000
 SAMPLED = 10

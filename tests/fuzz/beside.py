@@ -22,10 +22,9 @@ from typing import Any
 from deepbots_cli.cli import main as command_line
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import files
-from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from tests.fuzz.mutations import CORPUS, PIECES, READS, ROOT, Case, case, damaged
+from tests.fuzz.mutations import CORPUS, PIECES, READS, Case, case, damaged
 from tests.fuzz.workbench import FailedError, Workbench, check_rules
 from tests.lsp.client import Client, edited
 
@@ -33,49 +32,6 @@ SESSION = 100
 """Files after which there is a session."""
 STEPS = 40
 ASKED = ("hover", "completion", "definition", "codeAction", "documentSymbol", "formatting")
-
-
-def check_layout(text: str) -> bool:
-    """Whether `fmt` has anything to do; what it makes of a text means the same, and cannot be made better.
-
-    Raises:
-        FailedError: It does not.
-    """
-    before, readable = _meaning(text)
-    done = canonical_text(text) if readable else None
-    if done is None:
-        return False
-    if _meaning(done) != (before, True):
-        raise FailedError("fmt changes what the file says")
-    if canonical_text(done) != done:
-        raise FailedError("fmt of what fmt has made changes it again")
-    return done != text
-
-
-def unkempt(text: str, chance: random.Random) -> str:
-    """The text with white space and comments where nobody needs them; most are still read as before."""
-    lines = text.split("\n")
-    for _ in range(chance.randint(1, 12)):
-        at = chance.randrange(len(lines))
-        gaps = [index for index, sign in enumerate(lines[at]) if sign in " ,:{}[]"]
-        where = chance.choice(gaps) if gaps else 0
-        match chance.randrange(5):
-            case 0:
-                lines.insert(at, chance.choice(("", "", " ", "# a word", "      # a word", "#")))
-            case 1:
-                lines[at] += chance.choice((" ", "   ", "\t", " # a word", "\r"))
-            case 2:
-                indented = next(
-                    (index for index in range(at, len(lines)) if not lines[index].startswith(" ")), len(lines)
-                )
-                lines[at:indented] = [f"   {line}" for line in lines[at:indented]]
-            case _:
-                lines[at] = (
-                    lines[at][:where]
-                    + chance.choice((" ", "  ", "        ", "\n  ", "\t"))
-                    + lines[at][where:]
-                )
-    return "\n".join(lines)
 
 
 def _meaning(text: str) -> tuple[object, bool]:
@@ -196,10 +152,6 @@ def _check_places(text: str, places: list[dict[str, Any]]) -> None:
 def check(bench: Workbench, number: int) -> None:
     """Everything that must hold of the file of a number but what lint says of it."""
     mutated = case(number)
-    if mutated.file.suffix == ".yaml":
-        with contextlib.suppress(UnicodeDecodeError):
-            check_layout(mutated.data.decode("utf-8"))
-        check_layout(unkempt((ROOT / mutated.file).read_text(encoding="utf-8"), random.Random(number)))
     with bench.laid_out(mutated):
         check_verbs(mutated)
 

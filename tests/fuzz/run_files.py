@@ -1,7 +1,7 @@
 """Damaged files of a run: a number becomes a change of one file, and a process of its own does what a user
 would do with the run.
 
-    echo '{"run": "/tmp/runs/ppo", "file": "run.json", "number": 7}' | python -m tests.fuzz.run_files
+    echo '{"run": "/tmp/runs/ppo", "file": "run.json", "number": 7}' | python -m tests.fuzz.run_files --serve
 
 The process answers each line with what is wrong, or with nothing. One that is taken down by a file has not
 answered its line.
@@ -17,18 +17,15 @@ import random
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import zipfile
-from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from tests.fuzz.harness import answers, peak_memory, serve
 from tests.fuzz.mutations import damaged
-from tests.fuzz.workbench import peak_memory
 
 ROOT = Path(__file__).parents[2]
 MOST_MEMORY = 1 << 30
@@ -213,20 +210,20 @@ def main() -> None:
     os.environ["DEEPBOTS_DEBUG"] = "1"
     signal.signal(signal.SIGALRM, _late)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for line in sys.stdin:
-        request = json.loads(line)
-        signal.alarm(MOST_SECONDS)
-        try:
-            reason = problem(Path(request["run"]), request["file"], request["number"])
-        except TimeoutError:  # a scenario may have episodes of any length
-            reason = "" if request["file"] == "resolved.yaml" else f"it takes longer than {MOST_SECONDS} s"
-        except Exception as error:  # an error of deepbots  # noqa: BLE001
-            reason = f"{type(error).__name__}: {error}"[:600]
-        finally:
-            signal.alarm(0)
-        if not reason and peak_memory() > MOST_MEMORY:
-            reason = f"it takes {peak_memory() >> 20} MiB"
-        print(json.dumps(reason), file=sys.__stdout__, flush=True)
+    serve(_answer)
+
+
+def _answer(request: dict[str, Any]) -> str:
+    signal.alarm(MOST_SECONDS)
+    try:
+        reason = problem(Path(request["run"]), request["file"], request["number"])
+    except TimeoutError:  # a scenario may have episodes of any length
+        reason = "" if request["file"] == "resolved.yaml" else f"it takes longer than {MOST_SECONDS} s"
+    except Exception as error:  # an error of deepbots  # noqa: BLE001
+        reason = f"{type(error).__name__}: {error}"[:600]
+    finally:
+        signal.alarm(0)
+    return f"it takes {peak_memory() >> 20} MiB" if not reason and peak_memory() > MOST_MEMORY else reason
 
 
 def _late(number: int, frame: FrameType | None) -> None:
@@ -236,30 +233,10 @@ def _late(number: int, frame: FrameType | None) -> None:
 def problems(run: Path, cases: Iterable[tuple[str, int]]) -> Iterator[str]:
     """What is wrong with changes, each a file and a number, by a process of its own; a further one after one
     that was taken down."""
-    command = [sys.executable, "-m", __name__]
-    waiting = deque(cases)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "learning")))}
-    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-    while waiting:
-        with subprocess.Popen(
-            command, env=environment, stdin=pipe, stdout=pipe, stderr=nowhere, text=True
-        ) as process:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            while waiting:
-                file, number = waiting.popleft()
-                print(
-                    json.dumps({"run": str(run), "file": file, "number": number}),
-                    file=process.stdin,
-                    flush=True,
-                )
-                answer = process.stdout.readline()
-                if not answer:
-                    yield f"{file} {number}: the process ended with {process.wait()}"
-                    break
-                if reason := json.loads(answer):
-                    yield f"{file} {number}: {reason}"
-            process.stdin.close()
+    requests = ({"run": str(run), "file": file, "number": number} for file, number in cases)
+    for request, reason in answers("tests.fuzz.run_files", requests, quiet=True):
+        if reason != "":
+            yield f"{request['file']} {request['number']}: {reason or 'the process ended'}"
 
 
 if __name__ == "__main__":

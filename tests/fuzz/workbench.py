@@ -13,12 +13,11 @@ import hashlib
 import io
 import json
 import os
-import re
-import resource
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +26,7 @@ from types import FrameType, TracebackType
 from deepbots_cli import api
 from deepbots_cli.cli import main as command_line
 from deepbots_cli.diagnostics import Finding
-from tests.fuzz import watch
+from tests.fuzz.harness import OUTSIDE, peak_memory
 from tests.fuzz.mutations import ROOT, Case, case
 
 MOST_SECONDS = 1.0
@@ -43,20 +42,6 @@ class FailedError(Exception):
 
 class _TooLong(BaseException):
     """Nothing in the package catches it."""
-
-
-def peak_memory() -> int:
-    """Bytes of memory that this process held at most.
-
-    On Linux `ru_maxrss` would begin with the peak of the process that started this one.
-    """
-    status = Path("/proc/self/status")
-    held = (
-        re.search(r"^VmHWM:\s*(\d+) kB", status.read_text(encoding="utf-8"), re.MULTILINE)
-        if status.exists()
-        else None
-    )
-    return 1024 * (int(held[1]) if held else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 class Workbench:
@@ -107,9 +92,9 @@ class Workbench:
                 raise FailedError("the findings differ when asked for again")
             if number % 10 == 2 and not _has_error(findings):
                 compile(api.compile(damaged.main).code, "generated", "exec")
-        if watch.OUTSIDE:
-            opened = ", ".join(watch.OUTSIDE)
-            watch.OUTSIDE.clear()
+        if OUTSIDE:
+            opened = ", ".join(OUTSIDE)
+            OUTSIDE.clear()
             raise FailedError(f"outside of the project was opened: {opened}")
         if peak_memory() > self._most_memory:
             raise FailedError(f"the process takes {peak_memory() / 1e6:.0f} MB")
@@ -201,6 +186,20 @@ def digest(findings: Sequence[Finding]) -> str:
 
 def digests_elsewhere(numbers: Sequence[int], hash_seed: int) -> list[str]:
     """The digests that another process comes to, whose sets and dictionaries are in another order."""
-    command = [sys.executable, "-m", "tests.fuzz.elsewhere", *map(str, numbers)]
+    command = [sys.executable, "-m", "tests.fuzz.workbench", *map(str, numbers)]
     environment = {**os.environ, "PYTHONHASHSEED": str(hash_seed), "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+
+def main() -> None:
+    """Print the digest of what `lint` says of each of some cases, in a line."""
+    with tempfile.TemporaryDirectory() as folder, Workbench(Path(folder)) as bench:
+        for number in sys.argv[1:]:
+            try:
+                print(digest(bench.examine(int(number))))
+            except Exception as error:  # noqa: BLE001  # the other process tells of it in full
+                print(type(error).__name__)
+
+
+if __name__ == "__main__":
+    main()

@@ -8,13 +8,12 @@ A process of its own reads, builds and steps the worlds: one that ends it has it
 from __future__ import annotations
 
 import argparse
-import os
 import random
 import resource
 import signal
-import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from types import FrameType
 
@@ -23,16 +22,14 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.webots.project import Files, world_of_source
 from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
+from tests.fuzz.harness import SERVE, answers, peak_memory, serve
 from tests.fuzz.mutations import damaged
-from tests.fuzz.workbench import peak_memory
 
-ROOT = Path(__file__).parents[2]
 SEEDS = Path(__file__).parent / "seeds_of_worlds"
 SECONDS = 20
 """The time that one world may take."""
 MEMORY = 1 << 30
-BLOCK = 500
-"""Worlds of one process."""
+ENDS = ("findings", "runs", "not finite")
 _PATH = Path("/nowhere/worlds/world.wbt")
 
 
@@ -65,68 +62,37 @@ def _late(number: int, frame: FrameType | None) -> None:
     raise TimeoutError(f"a world takes more than {SECONDS} s")
 
 
-def _block(start: int, end: int) -> int:
-    """Check the worlds of some numbers; prints the number of each one before it is read."""
+def _answer(number: int) -> str:
+    signal.alarm(SECONDS)
+    try:
+        end = check(number)
+    except Exception as error:  # noqa: BLE001  # what arrives here is a fault
+        return f"{type(error).__name__}: {str(error)[:200]}"
+    finally:
+        signal.alarm(0)
+    return f"{peak_memory() >> 20} MiB" if peak_memory() > MEMORY else end
+
+
+def server() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (4 * MEMORY, 4 * MEMORY))
     signal.signal(signal.SIGALRM, _late)
-    ends: dict[str, int] = {}
-    failed = 0
-    for number in range(start, end):
-        signal.alarm(SECONDS)
-        try:
-            end_ = check(number)
-        except Exception as error:  # noqa: BLE001  # what arrives here is a fault
-            print(f"{number}: {type(error).__name__}: {str(error)[:200]}", flush=True)
-            failed += 1
-            end_ = "fails"
-        signal.alarm(0)
-        ends[end_] = ends.get(end_, 0) + 1
-        Path(os.environ["PLACE"]).write_text(str(number + 1))
-    if peak_memory() > MEMORY:
-        print(f"{start} .. {end}: {peak_memory() >> 20} MiB", flush=True)
-        failed += 1
-    print(f"{start} .. {end}: {ends}, {peak_memory() >> 20} MiB", flush=True)
-    return 1 if failed else 0
+    serve(_answer)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--start", type=int, default=0)
-    parser.add_argument("--block", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    end = options.start + options.count
-    if options.block:
-        return _block(options.start, end)
-    place = Path(os.environ.get("TMPDIR", "/tmp")) / f"worlds-{os.getpid()}"
-    failed = 0
-    at = options.start
     began = time.monotonic()
-    while at < end:
-        size = min(BLOCK, end - at)
-        words = [
-            sys.executable,
-            "-m",
-            "tests.fuzz.worlds",
-            "--start",
-            str(at),
-            "--count",
-            str(size),
-            "--block",
-            "1",
-        ]
-        place.write_text(str(at))
-        code = subprocess.run(
-            words, env={**os.environ, "PLACE": str(place)}, cwd=ROOT, check=False
-        ).returncode
-        failed += code != 0
-        if code < 0:
-            print(f"{place.read_text()}: the process ended with signal {-code}", flush=True)
-        at = int(place.read_text()) + (1 if code < 0 else 0)
-    place.unlink()
-    print(f"{options.count} worlds in {time.monotonic() - began:.0f} s, {failed} blocks with faults")
-    return 1 if failed else 0
+    ends: Counter[str] = Counter()
+    for number, end in answers("tests.fuzz.worlds", range(options.start, options.start + options.count)):
+        ends[end if end in ENDS else "fails"] += 1
+        if end not in ENDS:
+            print(f"{number}: {end or 'the process ended'}", flush=True)
+    print(f"{options.count} worlds in {time.monotonic() - began:.0f} s: {dict(ends)}")
+    return int(ends["fails"] > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(server() if sys.argv[1:] == [SERVE] else main())

@@ -16,16 +16,14 @@ import os
 import random
 import resource
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from tests.fuzz.harness import SERVE, answers, in_fork, rise_of_memory, serve
 from tests.fuzz.run_files import HOSTILE, mutated
-from tests.fuzz.workbench import peak_memory
 
 ROOT = Path(__file__).parents[2]
 MOST_SECONDS = 10
@@ -236,7 +234,7 @@ def tried(run: Path, number: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         shutil.copytree(run, "run")
         kind = changed(Path("run"), number)
-        outcomes = [_in_child(words) for words in COMMANDS]
+        outcomes = [outcome_of(words) for words in COMMANDS]
     return {
         "kind": kind,
         "seconds": max(seconds for seconds, _, _ in outcomes),
@@ -245,44 +243,25 @@ def tried(run: Path, number: int) -> dict[str, Any]:
     }
 
 
-def _in_child(words: tuple[str, ...]) -> tuple[float, int, str]:
+def outcome_of(words: tuple[str, ...]) -> tuple[float, int, str]:
     """Run a command in a forked process; the CPU seconds and bytes that it took, and what is wrong."""
-    read_end, write_end = os.pipe()
-    child = os.fork()
-    if not child:
-        try:
-            os.write(write_end, json.dumps(_commanded(words)).encode())
-        finally:
-            os._exit(0)
-    os.close(write_end)
-    with os.fdopen(read_end, "rb") as stream:
-        answer = stream.read()
-    _, status, usage = os.wait4(child, 0)
-    seconds = usage.ru_utime + usage.ru_stime
-    if not answer:
-        return (
-            seconds,
-            0,
-            f"{' '.join(words)} was ended by signal {os.WTERMSIG(status)} after {seconds:.1f} s",
-        )
-    memory, problem = json.loads(answer)
-    return seconds, memory, problem
+    answer, seconds, signal = in_fork(lambda: _commanded(words), 20 * MOST_SECONDS)
+    if answer is None:
+        return seconds, 0, f"{' '.join(words)} was ended by signal {signal} after {seconds:.1f} s"
+    return seconds, *answer
 
 
 def _commanded(words: tuple[str, ...]) -> tuple[int, str]:
     from deepbots_cli.cli import main
 
     resource.setrlimit(resource.RLIMIT_CPU, (MOST_SECONDS, MOST_SECONDS))
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(20 * MOST_SECONDS)
-    Path("/proc/self/clear_refs").write_text("5")  # begins the peak of the memory anew
-    before = peak_memory()
+    codes = list[int]()
     with Path("output").open("w+") as output:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-            code = main(list(words))
+            memory = rise_of_memory(lambda: codes.append(main(list(words))))
         output.seek(0)
         text = output.read(10**7)
-    memory = peak_memory() - before
+    (code,) = codes
     label = " ".join(words)
     if code not in (0, 1, 2) or "Traceback" in text:
         return memory, f"{label} ended with {code}: {text[-600:]}"
@@ -307,29 +286,17 @@ def main() -> None:
     torch.set_num_threads(1)  # a pool of threads is lost in a fork
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     gc.freeze()  # copies look for garbage among their own objects alone
-    for line in sys.stdin:
-        request = json.loads(line)
-        print(json.dumps(tried(Path(request["run"]), request["number"])), flush=True)
+    serve(lambda request: tried(Path(request["run"]), request["number"]))
 
 
 def outcomes(run: Path, numbers: range) -> Iterator[dict[str, Any]]:
     """The outcomes of the changes of these numbers, by a server."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.hostile.runs"],
-        env=environment, stdin=pipe, stdout=pipe, text=True,
-    ) as server:  # fmt: skip
-        assert server.stdin is not None
-        assert server.stdout is not None
-        for number in numbers:
-            print(json.dumps({"run": str(run), "number": number}), file=server.stdin, flush=True)
-            yield json.loads(server.stdout.readline())
-        server.stdin.close()
+    requests = ({"run": str(run), "number": number} for number in numbers)
+    return (outcome for _, outcome in answers("tests.hostile.runs", requests))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 1:
+    if sys.argv[1:] == [SERVE]:
         main()
     else:
         for outcome in outcomes(Path(sys.argv[1]).resolve(), range(*map(int, sys.argv[2:]))):

@@ -1,13 +1,15 @@
-"""Run folders that mean harm end in one sentence or in what is right, within little time and memory."""
+"""Run folders that mean harm end in one sentence or in what is right, within little time and memory.
+
+Files that mean harm end in the findings that are for them, and reach for nothing outside of their
+project.
+"""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,15 +26,19 @@ from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.failures import Failure
+from deepbots_cli.learning.environments import Failure
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.sb3.state import StableState
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.program.task import Solved, Training
-from tests.fuzz.workbench import peak_memory
-from tests.hostile.runs import CHANGES, MOST_SECONDS, outcomes
+from tests.fuzz.harness import in_fork, rise_of_memory
+from tests.fuzz.workbench import MOST_MEMORY
+from tests.hostile.cases import Hostile
+from tests.hostile.runs import CHANGES, MOST_SECONDS
+from tests.hostile.runs import outcomes as outcomes_of_runs
+from tests.hostile.trial import Outcome, outcomes
 
 
 @pytest.fixture(scope="module")
@@ -60,29 +66,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_hostile_run_takes_little_time_and_memory_and_prints_no_line_of_its_own(
     run: Path, numbers: range
 ) -> None:
-    tried = list(outcomes(run, numbers))
+    tried = list(outcomes_of_runs(run, numbers))
     assert len(tried) == len(numbers)
     assert not [problem for outcome in tried for problem in outcome["problems"]]
     assert max(outcome["seconds"] for outcome in tried) < MOST_SECONDS
-
-
-def rise_of_memory(action: Callable[[], object]) -> int:
-    """The bytes that an action takes at most, in a forked process."""
-    read_end, write_end = os.pipe()
-    child = os.fork()
-    if not child:
-        try:
-            Path("/proc/self/clear_refs").write_text("5")  # begins the peak anew
-            before = peak_memory()
-            action()
-            os.write(write_end, str(peak_memory() - before).encode())
-        finally:
-            os._exit(0)
-    os.close(write_end)
-    with os.fdopen(read_end) as stream:
-        answer = stream.read()
-    os.waitpid(child, 0)
-    return int(answer)
 
 
 EVALUATION = {
@@ -142,7 +129,7 @@ def test_a_record_of_two_megabytes_takes_fifty_megabytes(model: Any, text: str, 
             read_json(path, model, 10_000_000)
 
     read()  # the schema of the model
-    assert rise_of_memory(read) < 50 * 10**6
+    assert in_fork(lambda: rise_of_memory(read)).result < 50 * 10**6
 
 
 def test_an_evaluation_as_it_is_written_is_read(run: Path) -> None:
@@ -211,3 +198,30 @@ def test_a_text_of_a_run_does_not_become_a_line_of_the_output(run: Path, tmp_pat
     assert (read.engine, read.platform) == ("pybullet\\u{202e}", "\u00e9\\u{9b}\\n")
     (tmp_path / "run.json").write_text(json.dumps(record | texts, ensure_ascii=False))
     assert RunRecord.read(tmp_path) == read
+
+
+# Files that mean harm end in the findings that are for them, and reach for nothing outside of their
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(False, id="most"), pytest.param(True, id="all", marks=pytest.mark.slow)],
+)
+def tried(request: pytest.FixtureRequest) -> list[tuple[Hostile, Outcome]]:
+    return list(outcomes(slow=request.param))
+
+
+def test_each_hostile_file_ends_in_a_finding_that_is_for_it(tried: list[tuple[Hostile, Outcome]]) -> None:
+    assert tried[-1][0].name.startswith("picture")  # lint's process has lived to the last of them
+    assert not {
+        case.name: outcome.codes for case, outcome in tried if not set(case.codes).intersection(outcome.codes)
+    }
+    assert {outcome.exit_code for _, outcome in tried} == {1}
+
+
+def test_no_hostile_file_opens_anything_outside_of_its_project(tried: list[tuple[Hostile, Outcome]]) -> None:
+    assert not {case.name: outcome.outside for case, outcome in tried if outcome.outside}
+
+
+def test_hostile_files_take_little_memory(tried: list[tuple[Hostile, Outcome]]) -> None:
+    assert max(outcome.memory for _, outcome in tried) < MOST_MEMORY

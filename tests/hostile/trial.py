@@ -10,8 +10,6 @@ import io
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,8 +19,7 @@ from pathlib import Path
 
 from deepbots_cli import api
 from deepbots_cli.cli import main as command_line
-from tests.fuzz import watch
-from tests.fuzz.workbench import peak_memory
+from tests.fuzz.harness import OUTSIDE, allow, answers, peak_memory, serve, watch
 from tests.hostile.cases import Hostile, cases
 
 ROOT = Path(__file__).parents[2]
@@ -46,32 +43,27 @@ class Outcome:
 def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
     """The cases, also those that are `slow`, and the outcome of each; fewer than all if lint took its process
     down."""
-    command = [sys.executable, "-m", __name__]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    tried = [case for case in cases() if slow or not case.slow]
     with tempfile.TemporaryDirectory() as name:
-        home = Path(name).resolve()
-        with subprocess.Popen(
-            command, cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        ) as linter:
-            assert linter.stdin is not None
-            assert linter.stdout is not None
-            for number, case in enumerate(case for case in cases() if slow or not case.slow):
-                folder = home / str(number) / "project"
+        folders = [Path(name).resolve() / str(number) / "project" for number in range(len(tried))]
+
+        def written() -> Iterator[str]:
+            for case, folder in zip(tried, folders, strict=True):
                 folder.mkdir(parents=True)
-                print(case.write(folder), file=linter.stdin, flush=True)
-                line = linter.stdout.readline()
-                shutil.rmtree(folder.parent, ignore_errors=True)
-                if not line:
-                    return
-                yield case, Outcome(**json.loads(line))
-            linter.stdin.close()
+                yield str(case.write(folder))
+
+        for case, folder, (_, answer) in zip(tried, folders, answers(__name__, written()), strict=True):
+            shutil.rmtree(folder.parent, ignore_errors=True)
+            if answer is None:
+                return
+            yield case, Outcome(**answer)
 
 
 def examine(main: Path) -> Outcome:
     """Lint a scenario by the command line."""
     os.chdir(main.parent)
-    watch.allow(main.parent)
-    watch.OUTSIDE.clear()
+    allow(main.parent)
+    OUTSIDE.clear()
     start = time.process_time()
     with redirect_stdout(io.StringIO()) as output, redirect_stderr(io.StringIO()):
         exit_code = command_line(["lint", str(main), "--format", "json"])
@@ -79,14 +71,13 @@ def examine(main: Path) -> Outcome:
     os.chdir(main.parents[2])
     findings = json.loads(output.getvalue())["findings"]
     codes = sorted({finding["code"] for finding in findings if finding["severity"] == "error"})
-    return Outcome(codes, seconds, exit_code, list(watch.OUTSIDE), peak_memory())
+    return Outcome(codes, seconds, exit_code, list(OUTSIDE), peak_memory())
 
 
 def main() -> None:
     api.lint("cartpole")  # everything is imported
-    watch.watch()
-    for line in sys.stdin:
-        print(json.dumps(vars(examine(Path(line.rstrip("\n"))))), flush=True)
+    watch()
+    serve(lambda path: vars(examine(Path(path))))
 
 
 if __name__ == "__main__":

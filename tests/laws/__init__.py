@@ -1,7 +1,7 @@
 """Laws: what must hold for every scenario, tried on scenarios that chance draws.
 
 expressions.py  strategies for texts of the expression language
-fields.py       strategies for single values, one for each class of `scenario/fields`
+fields.py       strategies for single values, one for each class of `scenario/fields.py` and `scenario/quantities.py`
 scenarios.py    strategies for whole scenarios, from the models of the language
 tasks.py        strategies for what a scenario says about its task
 pairs.py        the pairs of keys, functions and options that scenarios combine

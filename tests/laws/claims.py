@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import return_range
-from deepbots_cli.analysis.speeds import SpeedRanges, highest_return, rate_of
+from deepbots_cli.analysis.returns import SpeedRanges, highest_return, rate_of, return_range
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.errors import EndsAtResetError, EvaluationError
 from deepbots_cli.expressions.functions import FUNCTIONS
@@ -344,8 +343,8 @@ def every_reward_is_within_its_bounds(case: Case) -> None:
             if episode[-1].is_last:
                 totals.append(sum(sum(moment.terms.values()) for moment in episode))
     for total in totals if is_whole else ():
-        assert within(total, return_range(analysis)), (total, return_range(analysis))
-        limit = highest_return(analysis)
+        assert within(total, return_range(analysis.reward)), (total, return_range(analysis.reward))
+        limit = highest_return(analysis.reward)
         assert within(total, Interval(-math.inf, limit)), (total, limit)
     place = program.agent.reward[0].span
     if any(finding.code == "DB711" and finding.span == place for finding in findings):

@@ -44,7 +44,7 @@ from deepbots_cli.expressions.types import (
     Known,
     ValueType,
 )
-from deepbots_cli.scenario.fields.quantities import Parsed
+from deepbots_cli.scenario.quantities import Parsed
 
 T = TypeVar("T")
 Draw = Callable[[st.SearchStrategy[Any]], Any]

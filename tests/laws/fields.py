@@ -1,4 +1,4 @@
-"""Strategies for single values: one entry for each class of `scenario/fields`.
+"""Strategies for single values: one entry for each class of `scenario/fields.py` and `scenario/quantities.py`.
 
 `value_of` fails for a class without an entry, so a new field type needs a strategy the day it is entered.
 """
@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.expressions.types import Context, Known, ValueType
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import (
+from deepbots_cli.scenario.fields import (
     COLORS,
     ArgumentValue,
     ColorValue,
+    FieldType,
     FilePath,
     Flag,
     Name,
@@ -28,7 +28,7 @@ from deepbots_cli.scenario.fields.names import (
     Text,
     Word,
 )
-from deepbots_cli.scenario.fields.quantities import (
+from deepbots_cli.scenario.quantities import (
     NUMBER_PATTERN,
     Bounds,
     Column,
@@ -36,10 +36,12 @@ from deepbots_cli.scenario.fields.quantities import (
     Number,
     Quantity,
     Range,
+    Setting,
+    Solved,
+    Until,
     WholeNumber,
     dimension_of,
 )
-from deepbots_cli.scenario.fields.training import Setting, Solved, Until
 from deepbots_cli.scenario.search import SearchField
 from tests.laws.expressions import (
     Draw,

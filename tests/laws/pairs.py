@@ -16,12 +16,11 @@ from deepbots_cli.expressions.syntax import Call, Node, children
 from deepbots_cli.expressions.types import Context
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.base import Section, section_fields
-from deepbots_cli.scenario.fields.quantities import Expression
+from deepbots_cli.scenario.base import Section, section_fields, visit_values
+from deepbots_cli.scenario.quantities import Expression
 from deepbots_cli.scenario.robots import Messages, Route
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.sensors import SENSORS
-from deepbots_cli.scenario.walk import visit_values
 from tests.laws.expressions import functions_in
 from tests.laws.scenarios import LEFT_OUT
 

@@ -25,15 +25,13 @@ from deepbots_cli.expressions.types import SPACE, Components, Context, Kind, Kno
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.robots.reader import read
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.agent import PythonTerm
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
 from deepbots_cli.scenario.documentation import example_of
-from deepbots_cli.scenario.episode import MapLayout, Reset
-from deepbots_cli.scenario.fields.base import FieldType
-from deepbots_cli.scenario.fields.names import Reference
+from deepbots_cli.scenario.fields import FieldType, Reference
 from deepbots_cli.scenario.robots import Messages, Robot
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.sensors import SENSORS, RayScan
+from deepbots_cli.scenario.task import MapLayout, PythonTerm, Reset
 from deepbots_cli.scenario.world import World
 from tests.laws import tasks
 from tests.laws.expressions import (

@@ -16,12 +16,10 @@ from hypothesis import strategies as st
 
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.types import SPACE, Context, Known, ValueType
-from deepbots_cli.scenario.agent import Observed
 from deepbots_cli.scenario.base import section_fields
-from deepbots_cli.scenario.episode import Disturbance
-from deepbots_cli.scenario.evaluation import Expectation
-from deepbots_cli.scenario.fields.quantities import Number, Quantity
+from deepbots_cli.scenario.quantities import Number, Quantity
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.scenario.task import Disturbance, Expectation, Observed
 from deepbots_cli.scenario.training import ALGORITHMS, SelfPlay, Training
 from tests.laws.expressions import (
     CONDITION,

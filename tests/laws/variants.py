@@ -22,7 +22,7 @@ from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.syntax import Number
 from deepbots_cli.insight.inspection import in_written_units, scenario_tables
-from deepbots_cli.insight.world_changes import command_plans, friction_plans, latency_plans
+from deepbots_cli.insight.recorded_worlds import command_plans, friction_plans, latency_plans
 from deepbots_cli.learning.robustness import (
     DELAY,
     FACTOR,
@@ -37,7 +37,7 @@ from deepbots_cli.learning.scenario_tests import run_tests
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.run import STATIC_RULES
 from deepbots_cli.program import Program
-from deepbots_cli.program.draws import EpisodeDraws
+from deepbots_cli.program.resets import EpisodeDraws
 from deepbots_cli.rollout.source import Source, SourceKind
 from tests.laws.expressions import chance, pick
 from tests.laws.law import Case, law, reference

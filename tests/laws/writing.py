@@ -36,10 +36,9 @@ from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.syntax import NUMBER, Number
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program, identity
-from deepbots_cli.scenario.base import MappingOf, Section
-from deepbots_cli.scenario.fields.names import RESERVED, Name
-from deepbots_cli.scenario.fields.quantities import Parsed
-from deepbots_cli.scenario.walk import shape_at
+from deepbots_cli.scenario.base import MappingOf, Section, shape_at
+from deepbots_cli.scenario.fields import RESERVED, Name
+from deepbots_cli.scenario.quantities import Parsed
 from tests.laws.expressions import Draw, chance, pick, units_of
 from tests.laws.law import Case, as_text, law, reference
 from tests.laws.scenarios import LEFT_OUT

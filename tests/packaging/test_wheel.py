@@ -1,4 +1,8 @@
-"""The wheel contains what a user needs: it is built, unpacked elsewhere, and used from an empty folder."""
+"""The wheel contains what a user needs: it is built, unpacked elsewhere, and used from an empty folder.
+
+Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which
+needs it only for robots.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,10 @@ import sys
 import sysconfig
 import tomllib
 import zipfile
+from email.parser import Parser
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -19,6 +25,9 @@ import pytest
 import yaml
 
 import deepbots_cli
+from deepbots_cli.scenario.scenario import ROS_TYPES
+from deepbots_robot.topics import PARTS
+from tests.few import few
 from tools.packaging import clean
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -189,3 +198,209 @@ def test_the_page_about_the_installation_names_every_extra() -> None:
     ]
     page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)) == set(extras)
+
+
+# Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which
+
+
+NEEDS_ROBOT = {"dev", "export", "robot", "ros", "sign", "zmq"}
+"""The extras of deepbots-cli that require deepbots-robot."""
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFile]:
+    """The wheels by distribution, each made of its sdist alone."""
+    folder = tmp_path_factory.mktemp("dist")
+    return {
+        project: zipfile.ZipFile(clean.build(sources, folder / project))
+        for project, sources in clean.PROJECTS.items()
+    }
+
+
+def metadata(wheel: zipfile.ZipFile) -> Any:
+    (name,) = [name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")]
+    return Parser().parsestr(wheel.read(name).decode())
+
+
+def required(wheel: zipfile.ZipFile) -> dict[str, set[str]]:
+    """The requirements by extra, without markers; those of every installation under an empty name."""
+    requirements: dict[str, set[str]] = {}
+    for line in metadata(wheel).get_all("Requires-Dist"):
+        extra = re.search(r"extra == '(\w+)'", line)
+        requirements.setdefault(extra[1] if extra else "", set()).add(line.partition(";")[0].strip())
+    return requirements
+
+
+def names(requirements: set[str]) -> set[str]:
+    return {re.match(r"[\w.-]+", text)[0] for text in requirements}  # type: ignore[index]
+
+
+def test_the_wheel_of_the_robot_contains_its_package_and_no_build_file(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
+    files = {name for name in wheels["deepbots-robot"].namelist() if ".dist-info/" not in name}
+    modules = {f"deepbots_robot/{path.name}" for path in (ROOT / "deepbots_robot").glob("*.py")}
+    assert files == {*modules, "deepbots_robot/py.typed"}
+
+
+def test_no_file_is_in_both_wheels(wheels: dict[str, zipfile.ZipFile]) -> None:
+    cli, robot = (set(wheel.namelist()) for wheel in wheels.values())
+    assert not cli & robot
+    assert not [name for name in cli if "deepbots_robot" in name]
+    commands = {
+        project: wheel.read(name).decode()
+        for project, wheel in wheels.items()
+        for name in wheel.namelist()
+        if "entry_points" in name
+    }
+    assert "deepbots = deepbots_cli.cli:main" in commands["deepbots-cli"]
+    assert "deepbots-robot =" not in commands["deepbots-cli"]
+    assert "deepbots-robot = deepbots_robot.__main__:main" in commands["deepbots-robot"]
+
+
+def test_both_wheels_have_the_version_of_deepbots_and_the_extra_robot_requires_this_version(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
+    versions = {project: metadata(wheel)["Version"] for project, wheel in wheels.items()}
+    assert versions == dict.fromkeys(clean.PROJECTS, deepbots_cli.__version__)
+    assert required(wheels["deepbots-cli"])["robot"] == {f"deepbots-robot=={deepbots_cli.__version__}"}
+
+
+def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_training_or_simulation_need(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
+    needed = {
+        extra: names(requirements) for extra, requirements in required(wheels["deepbots-robot"]).items()
+    }
+    assert needed == {
+        "": {"msgspec", "numpy", "onnxruntime"},
+        "log": {"mcap"},
+        "ros": {"cyclonedds"},
+        "sign": {"cryptography"},
+        "websocket": {"websockets"},
+        "zmq": {"pyzmq"},
+    }
+
+
+def test_deepbots_installs_without_the_robot_what_linting_and_training_need(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
+    """Else `pip install '.[train]'` would fail in a clone: no package index has deepbots-robot."""
+    by_extra = required(wheels["deepbots-cli"])
+    assert {
+        extra for extra, requirements in by_extra.items() if "deepbots-robot" in names(requirements)
+    } == NEEDS_ROBOT
+    (line,) = re.findall(
+        r"^The extras (.+) need deepbots-robot",
+        (ROOT / "docs" / "install.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    assert set(re.findall(r"`(\w+)`", line)) == NEEDS_ROBOT
+    offered = set(metadata(wheels["deepbots-robot"]).get_all("Provides-Extra"))
+    wanted = {
+        text
+        for requirements in by_extra.values()
+        for text in requirements
+        if text.startswith("deepbots-robot[")
+    }
+    assert {extra for text in wanted for extra in text.partition("[")[2].rstrip("]").split(",")} <= offered
+
+
+def test_both_licenses_are_the_same_and_the_notices_of_the_robot_name_every_package() -> None:
+    folder = clean.PROJECTS["deepbots-robot"]
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+    rows = re.findall(
+        r"^\| ([a-z][^|]*) \|", (folder / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    needed = {
+        *project["dependencies"],
+        *(text for texts in project["optional-dependencies"].values() for text in texts),
+    }
+    assert {name.strip() for row in rows for name in row.split(",")} - {"package"} == names(needed)
+    described = set(
+        re.findall(r"^\| `(\w+)` \|", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    assert described == set(project["optional-dependencies"])
+
+
+def test_an_editable_robot_is_the_package_of_its_clone(tmp_path: Path) -> None:
+    command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", "wheel:editable", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT / "deepbots_robot", check=True, capture_output=True)
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        (name,) = [name for name in wheel.namelist() if name.endswith(".pth")]
+        assert Path(wheel.read(name).decode().strip()) == ROOT
+        assert not [name for name in wheel.namelist() if name.endswith(".py")]
+
+
+def test_make_and_the_workflow_install_both_from_the_clone() -> None:
+    texts = [
+        path.read_text(encoding="utf-8")
+        for path in (ROOT / "Makefile", ROOT / ".github" / "workflows" / "systems.yml")
+    ]
+    installing = [line for text in texts for line in text.splitlines() if re.search(r"-e ['\"]\.\[", line)]
+    assert len(installing) == 6
+    assert all("-e ./deepbots_robot " in line for line in installing)
+
+
+def test_the_language_has_the_messages_of_ros_where_the_robot_is_not_installed() -> None:
+    assert tuple(PARTS) == ROS_TYPES
+
+
+WITHOUT_ROBOT = """
+import sys
+sys.modules["deepbots_robot"] = None
+from deepbots_cli.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+ROS = (
+    "deepbots: 1\nextends: cartpole\nname: Named\nros:\n  cart.pole_angle: {topic: /cart/angle, type:"
+    " sensor_msgs/JointState}\n"
+)
+
+
+def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", WITHOUT_ROBOT, *words]
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    few(
+        [
+            ("lint", "cartpole"),
+            ("inspect", "cartpole"),
+            ("try", "cartpole", "--steps", "5"),
+            ("lsp", "--schema"),
+        ],
+        ["lint", "try"],
+        lambda words: words[0],
+    ),
+)
+def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = without_robot(tmp_path, *words)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("lint", "named.yaml"), "the section `ros`"),
+        pytest.param(("inspect", "cartpole", "--ros"), "--ros", marks=pytest.mark.slow),
+        (("serve", "bundle"), "serving a policy"),
+        pytest.param(("export", "--new-key", "key"), "making a key", marks=pytest.mark.slow),
+        pytest.param(("export", "--check", "cartpole", "bundle"), "reading a bundle", marks=pytest.mark.slow),
+    ],
+    ids=["a section", "topics", "serving", "a key", "a bundle"],
+)
+def test_what_needs_the_robot_names_the_extra(words: tuple[str, ...], what: str, tmp_path: Path) -> None:
+    (tmp_path / "named.yaml").write_text(ROS, encoding="utf-8")
+    done = without_robot(tmp_path, *words)
+    assert done.returncode == 2, done.stdout
+    assert re.search(
+        rf"{re.escape(what)} needs the 'robot' extra; install it with: pip install .*\[robot\]'", done.stderr
+    ), done.stderr

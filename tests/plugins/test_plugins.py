@@ -190,7 +190,7 @@ def test_editors_are_offered_kinds_and_parameters(site):
 from deepbots_cli.lsp.hover import describe_key
 from deepbots_cli.scenario.documentation import section_description
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.walk import shape_at
+from deepbots_cli.scenario.base import shape_at
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)

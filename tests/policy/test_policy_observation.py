@@ -24,7 +24,7 @@ from deepbots_cli.learning import learner
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.learning.policy import Policy
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.observations import Observer
+from deepbots_cli.runtime.spaces import Observer
 from tests.worlds import CART, Make, Maker
 
 CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)

@@ -33,9 +33,8 @@ import msgspec
 import numpy as np
 
 from deepbots_robot import model
-from deepbots_robot.about import About
 from deepbots_robot.bundle import BUNDLE_NAME
-from deepbots_robot.messages import longest_message
+from deepbots_robot.link import About, longest_message
 from deepbots_robot.serving import Transport, field_of
 from tools.benchmarks.report import Row, show
 

@@ -14,8 +14,7 @@ pytest.importorskip("msgspec")
 
 import msgspec
 
-from deepbots_robot.about import About, differences, misfit, with_fields
-from deepbots_robot.link import Link
+from deepbots_robot.link import About, Link, differences, misfit, with_fields
 from deepbots_robot.serving import ServeError, Transport
 from deepbots_robot.topics import Field, Topic
 
@@ -248,13 +247,13 @@ def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic as DdsTopic
 
-    from deepbots_robot import dds, idl
+    from deepbots_robot import dds, ros
 
     with closing(robot_end(Transport(domain=77))) as robot:
         participant = DomainParticipant(77)
         listener = DataReader(
             participant,
-            DdsTopic(participant, "rt/cart/joint_states", idl.TYPES["sensor_msgs/JointState"]),
+            DdsTopic(participant, "rt/cart/joint_states", ros.TYPES["sensor_msgs/JointState"]),
             qos=dds.COMMANDS,
         )
         assert remarks_of(robot) == [

@@ -13,7 +13,7 @@ import pytest
 IdlStruct = pytest.importorskip("cyclonedds.idl").IdlStruct
 rosbags = pytest.importorskip("rosbags.typesys")
 
-from deepbots_robot import idl, ros  # noqa: E402
+from deepbots_robot import ros  # noqa: E402
 from deepbots_robot.topics import PARTS, Field, Topic, first_mapping, part_of  # noqa: E402
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
@@ -35,19 +35,19 @@ def _fill(rng: np.random.Generator, value: Any) -> Any:
     return value
 
 
-@pytest.mark.parametrize("name", idl.TYPES)
+@pytest.mark.parametrize("name", ros.TYPES)
 def test_bytes_are_those_of_rosbags(name: str) -> None:
     """Rosbags has read the .msg files of ROS 2 Humble, and reads our bytes as the same fields."""
     package, kind = name.split("/")
-    ours, rng = idl.TYPES[name], np.random.default_rng(0)
+    ours, rng = ros.TYPES[name], np.random.default_rng(0)
     assert ours.__idl_typename__.replace(".", "::") == f"{package}::msg::dds_::{kind}_"
     theirs = f"{package}/msg/{kind}"
     assert [field.name for field in fields(ours)] == [field for field, _ in STORE.fielddefs[theirs][1]]
     for number in range(20):
-        message = _fill(rng, idl.zero(kind))
+        message = _fill(rng, ros.zero(kind))
         for field in fields(message):
             if getattr(message, field.name) == []:
-                row = {"name": [""], "dim": [idl.zero("MultiArrayDimension")]}.get(field.name, [0])
+                row = {"name": [""], "dim": [ros.zero("MultiArrayDimension")]}.get(field.name, [0])
                 setattr(message, field.name, _fill(rng, row * (number % 4)))
         content = message.serialize(use_version_2=False)
         assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(content, theirs), theirs)) == content
@@ -103,7 +103,7 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
     for sharing in by_topic.values():
         codec = ros.Codec(sharing[0][1].type, sharing)
         message = codec.encode(values, 12.25)
-        again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
+        again = ros.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
         assert ros.stamp_of(again) in (12.25, None)
         for name, value in codec.decode(again).items():
             np.testing.assert_array_equal(value, values[name])
@@ -116,7 +116,7 @@ def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[
     codec = ros.Codec("sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))])
     value = np.linspace(0, 255, field.count).reshape(shape).astype(np.uint8)
     message = codec.encode({"dog.eye": value}, 1.0)
-    again = idl.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
+    again = ros.TYPES[codec.type].deserialize(message.serialize(use_version_2=False))
     np.testing.assert_array_equal(codec.decode(again)["dog.eye"], value)
     content = io.BytesIO()
     image.fromarray(value.squeeze()).save(content, "JPEG", quality=95)
@@ -135,7 +135,7 @@ def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[
 
 def test_joints_are_found_by_name_in_any_order() -> None:
     codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))])
-    message = idl.empty(codec.type, 0.0, "")
+    message = ros.empty(codec.type, 0.0, "")
     message.name, message.position = ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0]
     assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
     message.name[0] = "wheel"
@@ -197,7 +197,7 @@ def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic,
 
 def test_each_part_has_its_attribute() -> None:
     for type, parts in PARTS.items():
-        message = idl.empty(type, 0.0, "")
+        message = ros.empty(type, 0.0, "")
         for part in parts.values():
             holder, name = ros._holder(message, part.path)
             assert hasattr(holder, name)

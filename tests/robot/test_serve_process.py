@@ -35,7 +35,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.recording import with_probes
+from deepbots_cli.insight.export.devices import with_probes
 from deepbots_cli.insight.real_robot import RESET_BY_ROBOT, SILENT, scored, try_robot
 from deepbots_cli.insight.robot import SimulatedRobot, robot_program, sent_readings, serve_robot
 from deepbots_cli.program import Program

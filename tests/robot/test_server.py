@@ -40,13 +40,12 @@ pytest.importorskip("onnxruntime")
 
 import zmq
 
-from deepbots_robot import messages, serving, websocket, zeromq
+from deepbots_robot import link as links
+from deepbots_robot import serving, websocket, zeromq
 from deepbots_robot.__main__ import main
-from deepbots_robot.about import About, Remark
-from deepbots_robot.intake import Input
-from deepbots_robot.link import Array, Arrival, Link
+from deepbots_robot.link import About, Array, Arrival, Link, Remark
 from deepbots_robot.log import LogWriter, read_log
-from deepbots_robot.server import Output, Server, report_lines
+from deepbots_robot.server import Input, Output, Server, report_lines
 from deepbots_robot.serving import Notes, Transport
 from deepbots_robot.topics import Field
 from tests.bundle.untrained import write_bundle
@@ -384,7 +383,7 @@ def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> Non
             content = content[: rng.randrange(len(content))] + bytes(
                 rng.randrange(256) for _ in range(rng.randrange(4))
             )
-        world.line.coming.append((at, messages.read(content, fields)))
+        world.line.coming.append((at, links.read(content, fields)))
         if number % 10 == 9:
             moment += 1
             world.line.put(at + 0.5 / RATE, 0.125)
@@ -398,7 +397,7 @@ def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> Non
 
 def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     pytest.importorskip("cyclonedds")
-    from deepbots_robot import dds, idl, ros
+    from deepbots_robot import dds, ros
     from deepbots_robot.topics import Topic
 
     rng = random.Random(1)
@@ -410,7 +409,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
         for _ in range(rng.randrange(1, 4)):
             spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
         try:
-            message = idl.TYPES[codec.type].deserialize(bytes(spoiled))
+            message = ros.TYPES[codec.type].deserialize(bytes(spoiled))
         except Exception as error:  # noqa: BLE001  as the reader gets it
             message = error
         arrival = dds._arrival("/s", codec, message)
@@ -557,7 +556,7 @@ def test_a_second_sender_neither_changes_what_the_policy_takes_nor_gets_its_comm
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", LINKS)
 def test_after_a_silence_another_robot_is_taken(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(messages, "HELD", 0.3)
+    monkeypatch.setattr(links, "HELD", 0.3)
     with connected(LINKS[kind]) as (policy, robot):
         robot().send({"cart.angle": np.array([0.1])}, 1.0)
         assert angles_taken(policy) == [0.1]
@@ -577,7 +576,7 @@ def test_messages_that_wait_have_a_limit_in_bytes(tmp_path: Path) -> None:
         with closing(link):
             waiting, longest = link._most_waiting, link._longest
             assert waiting <= most
-            assert waiting == 4 or waiting * longest <= messages._WAITING_BYTES
+            assert waiting == 4 or waiting * longest <= links._WAITING_BYTES
             assert longest <= 20_000 + sum(2 * field.count for field in fields)
 
 

@@ -1,8 +1,12 @@
-"""A robot from a CAD program in millimeters, grams or g mm^2 is named with the factor; a right one is not."""
+"""A robot from a CAD program in millimeters, grams or g mm^2 is named with the factor; a right one is not.
+
+Robots whose numbers are in other units, made from right ones.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,10 +17,15 @@ from deepbots_cli.robots.model import (
     Capsule,
     Cylinder,
     Geometry,
+    Inertial,
+    Joint,
     Link,
+    Mesh,
+    Pose,
     RobotModel,
     Shape,
     Sphere,
+    Vector,
     homogeneous_inertial,
     to_urdf,
     volume,
@@ -24,7 +33,91 @@ from deepbots_cli.robots.model import (
 from deepbots_cli.robots.packages import package_file
 from deepbots_cli.robots.reader import read, read_bytes
 from tests.robots.meshes import block
-from tests.robots.wrong_units import with_identities, with_lengths, with_masses, with_visuals
+
+
+def with_lengths(model: RobotModel, factor: float) -> RobotModel:
+    """The robot with all lengths of its shapes, joints and centers of mass times a factor."""
+
+    def link(old: Link) -> Link:
+        return replace(
+            old,
+            inertial=old.inertial and replace(old.inertial, origin=_pose(old.inertial.origin, factor)),
+            visuals=tuple(_geometry(part, factor) for part in old.visuals),
+            collisions=tuple(_geometry(part, factor) for part in old.collisions),
+        )
+
+    def joint(old: Joint) -> Joint:
+        return replace(old, origin=_pose(old.origin, factor))
+
+    return replace(model, links=tuple(map(link, model.links)), joints=tuple(map(joint, model.joints)))
+
+
+def with_visuals(model: RobotModel, factor: float) -> RobotModel:
+    """The robot with the lengths of its visuals times a factor."""
+    links = tuple(
+        replace(link, visuals=tuple(_geometry(part, factor) for part in link.visuals or link.collisions))
+        for link in model.links
+    )
+    return replace(model, links=links)
+
+
+def with_masses(model: RobotModel, mass: float, inertia: float) -> RobotModel:
+    """The robot with all masses and inertias times factors."""
+    links = tuple(
+        replace(link, inertial=link.inertial and _inertial(link.inertial, mass, inertia))
+        for link in model.links
+    )
+    return replace(model, links=links)
+
+
+def with_identities(model: RobotModel) -> RobotModel:
+    """The robot with an inertia of 1 of each link."""
+    links = tuple(
+        replace(link, inertial=Inertial(link.mass, link.inertial.origin, ixx=1.0, iyy=1.0, izz=1.0))
+        if link.inertial
+        else link
+        for link in model.links
+    )
+    return replace(model, links=links)
+
+
+def _inertial(old: Inertial, mass: float, inertia: float) -> Inertial:
+    return Inertial(
+        old.mass * mass,
+        old.origin,
+        *(inertia * moment for moment in (old.ixx, old.ixy, old.ixz, old.iyy, old.iyz, old.izz)),
+    )
+
+
+def _vector(old: Vector, factor: float) -> Vector:
+    x, y, z = old
+    return factor * x, factor * y, factor * z
+
+
+def _pose(old: Pose, factor: float) -> Pose:
+    return replace(old, xyz=_vector(old.xyz, factor))
+
+
+def _geometry(old: Geometry, factor: float) -> Geometry:
+    return replace(old, shape=_shape(old.shape, factor), origin=_pose(old.origin, factor))
+
+
+def _shape(old: Shape, factor: float) -> Shape:
+    match old:
+        case Box(size):
+            return Box(_vector(size, factor))
+        case Sphere(radius):
+            return Sphere(factor * radius)
+        case Cylinder(radius, length):
+            return Cylinder(factor * radius, factor * length)
+        case Capsule(radius, length):
+            return Capsule(factor * radius, factor * length)
+        case Mesh(scale=scale):
+            return replace(old, scale=_vector(scale, factor))
+
+
+# A robot from a CAD program in millimeters, grams or g mm^2 is named with the factor; a right one is not
+
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = [
@@ -121,6 +214,8 @@ FAULTS: dict[str, tuple[Callable[[RobotModel], RobotModel], list[tuple[str, str]
         [("DB306", "in g*mm^2, 1,000,000,000 times")],
     ),
     "kg mm^2": (lambda model: with_masses(model, 1.0, 1e6), [("DB306", "in kg*mm^2, 1,000,000 times")]),
+    "g cm^2": (lambda model: with_masses(model, 1.0, 1e7), [("DB306", "in g*cm^2, 10,000,000 times")]),
+    "kg cm^2": (lambda model: with_masses(model, 1.0, 1e4), [("DB306", "in kg*cm^2, 10,000 times")]),
     "g m^2": (lambda model: with_masses(model, 1.0, 1e3), [("DB306", "in g*m^2, 1,000 times")]),
     "grams and g mm^2": (
         lambda model: with_masses(model, 1e3, 1e9),
@@ -176,6 +271,7 @@ def wagon(body: str, mass: str, moment: str) -> str:
 BOX = '<geometry><box size="0.14 0.1 0.04"/></geometry>'
 MESH = '<geometry><mesh filename="body.stl"/></geometry>'
 RIGHT = '<geometry><mesh filename="body.stl" scale="0.001 0.001 0.001"/></geometry>'
+TWICE = '<geometry><mesh filename="body.stl" scale="1e-6 1e-6 1e-6"/></geometry>'
 
 
 @pytest.mark.parametrize(
@@ -186,6 +282,7 @@ RIGHT = '<geometry><mesh filename="body.stl" scale="0.001 0.001 0.001"/></geomet
         (wagon(f"<collision>{MESH}</collision>", "0.5", "1.1e-3"), 'body">\n    <inertial>'),
         (wagon(f"<visual>{MESH}</visual><collision>{RIGHT}</collision>", "0.5", "1.1e-3"), "<visual>"),
         (wagon(f"<visual>{RIGHT}</visual><collision>{MESH}</collision>", "0.5", "1.1e-3"), "<collision>"),
+        (wagon(f"<visual>{RIGHT}</visual><collision>{TWICE}</collision>", "0.5", "1.1e-3"), "<collision>"),
     ],
 )
 def test_one_wrong_link_is_found_at_its_place(tmp_path: Path, text: str, place: str) -> None:
@@ -197,3 +294,22 @@ def test_one_wrong_link_is_found_at_its_place(tmp_path: Path, text: str, place: 
     assert text[finding.span.start :].startswith(
         place.removeprefix("<link name=") if "link" in place else place
     )
+
+
+def test_links_that_are_wrong_in_different_elements_have_a_finding_each() -> None:
+    small, large = Geometry(Box((0.3, 0.2, 0.1))), Geometry(Box((300.0, 200.0, 100.0)))
+    inertial = homogeneous_inertial(small.shape, 2.0)
+    links = (Link("a", inertial, (large,), (small,)), Link("b", inertial, (small,), (large,)))
+    joint = Joint("weld", "fixed", "a", "b")
+    texts = [finding.headline for finding in judged(RobotModel("two", links, (joint,), "a"))]
+    assert texts == [
+        "the <visual> of link 'a' is 1,000 times as large as the <collision>: it is probably in millimeters,"
+        " 1000 times too large",
+        "the <collision> of link 'b' is 1,000 times as large as the <visual>: it is probably in millimeters,"
+        " 1000 times too large",
+    ]
+
+
+def test_an_inertia_is_compared_with_that_of_the_box() -> None:
+    (finding,) = judged(with_masses(part(Box((0.3, 0.2, 0.1)), 3.0), 1.0, 1e6))
+    assert "is about 1,000,000 times that of a box of this mass and size" in finding.headline

@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import message_formats
 from deepbots_cli.errors import MessageError
-from deepbots_cli.expressions.functions import FUNCTIONS, scalar_function
-from deepbots_cli.expressions.functions.table import rotation
+from deepbots_cli.expressions.functions import FUNCTIONS, rotation, scalar_function
 from deepbots_cli.expressions.scalar import Const, EngineRead, Op, Scalar
 from deepbots_cli.frames import Frame
 from deepbots_cli.insight.inspection import message_size

@@ -23,7 +23,7 @@ import pytest
 from pydantic import ValidationError
 
 import deepbots_cli
-from deepbots_cli import Scenario, api
+from deepbots_cli import Scenario
 from deepbots_cli.compiler.agents import divide, has_several_agents
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import Document, descend, load, to_data
@@ -31,15 +31,13 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario import validate, visit_values
 from deepbots_cli.scenario.actuators import ACTUATORS, VelocityMotor
-from deepbots_cli.scenario.base import Section, section_fields, unit_of
+from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_sections
 from deepbots_cli.scenario.documentation import key_description
-from deepbots_cli.scenario.fields.names import Pattern, Reference
-from deepbots_cli.scenario.fields.quantities import Expression, Quantity, Range, count_literal
-from deepbots_cli.scenario.fields.training import read_schedule
+from deepbots_cli.scenario.fields import Pattern, Reference
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
+from deepbots_cli.scenario.quantities import Expression, Quantity, Range, count_literal, read_schedule
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
-from deepbots_cli.scenario.walk import walk_sections
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS, Arena, World
 from tests.golden.cases import mistakes
 
@@ -70,15 +68,6 @@ def cartpole(**changes: Any) -> Scenario:
         "truncation": {"max_steps": 200},
     }
     return Scenario(**sections | changes)
-
-
-def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> None:
-    scenario = cartpole()
-    assert isinstance(scenario.robots["cart"].actuators["wheels"], VelocityMotor)
-    assert [finding.headline for finding in api.lint(scenario) if finding.severity == "error"] == []
-    assert deepbots_cli.compile(scenario).program.name == "Built"
-    assert scenario == cartpole()
-    assert scenario.model_copy(update={"name": "Other"}) != scenario
 
 
 @pytest.mark.parametrize(
@@ -123,25 +112,6 @@ def test_a_scenario_cannot_be_changed() -> None:
 def test_a_mistake_that_only_the_whole_scenario_shows_is_a_finding_at_its_line() -> None:
     with pytest.raises(ScenarioError, match=r"<Scenario Built>:\d+:\d+: DB402"):
         deepbots_cli.compile(cartpole(reward={"alive": "2 * nothing"}))
-
-
-@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
-def test_a_file_goes_to_python_and_back(path: Path) -> None:
-    scenario = Scenario.from_yaml(path)
-    assert Scenario.model_validate_json(scenario.model_dump_json(exclude_unset=True)) == scenario
-
-
-def test_a_scenario_of_several_agents_is_changed_in_python() -> None:
-    scenario = Scenario.from_yaml(ROOT / "scenarios" / "sumo.yaml")
-    assert scenario.agents is not None
-    red = scenario.agents["red"].model_copy(update={"reward": {"win": "20 when blue_out"}})
-    changed = Scenario(
-        **scenario.model_dump(exclude_unset=True) | {"agents": {**scenario.agents, "red": red}}
-    )
-    assert [term.text for term in deepbots_cli.compile(changed).program.agent.reward] == [
-        "20 when blue_out",
-        "20 when red_out",
-    ]
 
 
 def test_without_agents_the_sections_of_one_agent_are_required() -> None:

@@ -3,26 +3,31 @@
 * When a sensor is read, how it errs, and when its reading is delivered.
 * Sensors from the text of a scenario to the observation, on a rail whose exact motion is known.
 * What an inertial unit feels, against closed forms: at rest, in free fall, on a slope, on a turning arm.
+
+Sensors along rays.
+
+* Sensors along rays, against closed forms, and their lookup tables.
+* Height scans and grids of rays, against the height of the ground and of bodies on it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import count
-from math import cos, hypot, pi, sin
+from itertools import count, pairwise
 from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
-from deepbots_cli.frames import quaternion
-from deepbots_cli.program.robots import NoiseModel, Sensor
+from deepbots_cli.program.robots import CalibrationTable, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.readers import LookupTable
 from deepbots_cli.runtime.sensing import Device, Instrument
 from deepbots_cli.runtime.streams import Streams
 from tests.sensing.conftest import DEGREE, TIMESTEP, Scene, arm, brick, on
@@ -303,82 +308,8 @@ def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_ot
     assert ends == [pytest.approx(pair) for pair in ranges]
 
 
-def test_the_same_seed_gives_the_same_readings(sensed: Make) -> None:
-    world = sensed(
-        "{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}"
-    )
-    first = truth_and_readings(world, 30)
-    truth_and_readings(world, 7, 2)
-    assert np.array_equal(truth_and_readings(world, 30), first)
-    assert not np.array_equal(
-        truth_and_readings(world, 30, 3)[:, 1] - truth_and_readings(world, 30, 3)[:, 0],
-        first[:, 1] - first[:, 0],
-    )
-
-
 G = 9.81
 Build = Callable[..., Scene]
-
-
-def test_at_rest_an_accelerometer_feels_the_ground_push_upwards(scene: Build) -> None:
-    world = scene(brick(), pose=Pose((0, 0, 0.1)), ground=True)
-    accelerometer = world.sensor(on("accelerometer", "brick"))
-    world.begin()
-    assert accelerometer.reading == pytest.approx((0, 0, G))
-    world.tick(100)
-    assert accelerometer.reading == pytest.approx((0, 0, G), abs=1e-3)
-
-
-def test_in_free_fall_it_feels_nothing_even_while_tumbling(scene: Build) -> None:
-    world = scene(brick(), pose=Pose((0, 0, 50)))
-    accelerometer = world.sensor(on("accelerometer", "brick"))
-    world.engine.reset()
-    world.engine.place("robot", (0, 0, 50), quaternion(0.3, 0.2, 0.1), (1, 2, 3), (3, -2, 1))
-    world.begin()
-    world.tick()
-    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-6)
-    world.tick(30)
-    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-6)
-
-
-def test_off_the_center_of_a_tumbling_body_it_feels_the_turning(scene: Build) -> None:
-    """A cube turns steadily about any axis: at r from the center the acceleration is w x (w x r)."""
-    world = scene(brick(), pose=Pose((0, 0, 50)), substeps=16)
-    accelerometer = world.sensor(on("accelerometer", "brick", mount=Pose((0.1, 0, 0))))
-    world.engine.reset()
-    world.engine.place("robot", (0, 0, 50), quaternion(0, 0, 0), (0, 0, 0), (0, 4, 0))
-    world.begin()
-    world.tick(20)
-    assert accelerometer.reading == pytest.approx((-0.1 * 16, 0, 0), abs=0.02)
-
-
-@pytest.mark.parametrize("angle", [10, 20])
-def test_on_a_slope_its_reading_leans_by_the_angle_of_the_slope(scene: Build, angle: float) -> None:
-    lean = angle * DEGREE
-    slope = ObjectBody("slope", Box((4, 4, 0.2)), Pose((0, 0, 0.5), (0, lean, 0)), fixed=True, friction=1.0)
-    middle = (0.2 * sin(lean), 0.0, 0.5 + 0.2 * cos(lean))
-    world = scene(brick(), pose=Pose(middle, (0, lean, 0)), objects=(slope,))
-    accelerometer = world.sensor(on("accelerometer", "brick"))
-    level = world.sensor(on("accelerometer", "brick", mount=Pose((0, 0, 0), (0, -lean, 0))))
-    world.begin()
-    world.tick(100)
-    assert accelerometer.reading == pytest.approx((-G * sin(lean), 0, G * cos(lean)), abs=0.05)
-    assert level.reading == pytest.approx((0, 0, G), abs=0.05)
-
-
-@pytest.mark.parametrize("rate", [2.0, -5.0])
-def test_on_a_turning_arm_it_feels_the_centripetal_acceleration(scene: Build, rate: float) -> None:
-    world = scene(arm(), fixed=True)
-    accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0))))
-    gyro = world.sensor(on("gyro", "arm", mount=Pose(rpy=(0, pi / 2, 0))))
-    drive = world.engine.velocity_motor("robot", ["hinge"], [1e6])
-    world.engine.reset()
-    world.engine.set_joint("robot", "hinge", 0.0, rate)
-    drive([rate])
-    world.begin()
-    world.tick(50)
-    assert accelerometer.reading == pytest.approx((-0.5 * rate * rate, 0, G), abs=0.01 * rate * rate)
-    assert gyro.reading == pytest.approx((-rate, 0, 0), abs=1e-3)
 
 
 def test_what_it_sums_up_is_the_change_of_velocity(scene: Build) -> None:
@@ -425,73 +356,6 @@ def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_o
     assert accelerometer.reading == pytest.approx((-8, 0, G), abs=0.03)
 
 
-def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
-    world = scene(brick(), pose=Pose((0, 0, 50)))
-    down = world.sensor(on("projected_gravity", "brick"))
-    accelerometer = world.sensor(on("accelerometer", "brick"))
-    world.engine.reset()
-    world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
-    world.begin()
-    assert (accelerometer.reading, down.reading) == (pytest.approx((-3, 0, 4)), pytest.approx((0.6, 0, -0.8)))
-    world.tick(5)
-    assert accelerometer.reading == pytest.approx((0, 0, 0), abs=1e-9)
-    world.engine.reset()
-    world.begin()
-    assert down.reading == pytest.approx((0, 0, -1))
-
-
-@pytest.mark.parametrize(
-    ("roll", "pitch", "yaw"), [(0, 0, 0), (30, 0, 0), (0, -40, 0), (20, 30, 100), (170, 10, -60)]
-)
-def test_down_and_heading_follow_the_attitude(scene: Build, roll: float, pitch: float, yaw: float) -> None:
-    rpy = (roll * DEGREE, pitch * DEGREE, yaw * DEGREE)
-    world = scene(brick(), pose=Pose((0, 0, 1), rpy))
-    down, compass = world.sensor(on("projected_gravity", "brick")), world.sensor(on("compass", "brick", ()))
-    turned = world.sensor(on("compass", "brick", (), Pose(rpy=(0, 0, pi / 2))))
-    attitude = world.sensor(on("orientation", "brick", ("x", "y", "z", "w"), Pose(rpy=(0.1, 0.0, 0.0))))
-    world.begin()
-    expected = (sin(rpy[1]), -sin(rpy[0]) * cos(rpy[1]), -cos(rpy[0]) * cos(rpy[1]))
-    assert (down.reading, hypot(*down.reading)) == (pytest.approx(expected, abs=1e-9), pytest.approx(1.0))
-    assert compass.reading[0] == pytest.approx(rpy[2], abs=1e-9)
-    if roll == pitch == 0:
-        assert cos(turned.reading[0] - compass.reading[0] - pi / 2) == pytest.approx(1.0)
-    x, y, z, w = quaternion(rpy[0] + 0.1, rpy[1], rpy[2])
-    assert attitude.reading == pytest.approx((x, y, z, w) if w >= 0 else (-x, -y, -z, -w), abs=1e-9)
-
-
-def test_a_sensor_off_the_origin_moves_as_its_point_of_the_link(scene: Build) -> None:
-    world = scene(arm(), fixed=True)
-    there = Pose((0.5, 0, 0.1))
-    velocity = world.sensor(on("velocity", "arm", mount=there))
-    position = world.sensor(on("position", "arm", mount=there))
-    turning = world.sensor(on("angular_velocity", "arm", mount=Pose(rpy=(1, 2, 3))))
-    world.engine.reset()
-    world.engine.set_joint("robot", "hinge", 0.7, 2.0)
-    world.begin()
-    assert position.reading == pytest.approx((0.5 * cos(0.7), 0.5 * sin(0.7), 1.1))
-    assert velocity.reading == pytest.approx((-sin(0.7), cos(0.7), 0))
-    assert turning.reading == pytest.approx((0, 0, 2))
-
-
-def test_readings_after_a_reset_are_those_of_a_fresh_world(scene: Build) -> None:
-    world = scene(brick(), pose=Pose((0, 0, 0.3), (0.2, 0.1, 0)), ground=True)
-    world.sensor(on("accelerometer", "brick"))
-    world.sensor(on("gyro", "brick"))
-
-    def episode() -> list[object]:
-        world.engine.reset()
-        world.begin()
-        readings = []
-        for _ in range(40):
-            world.tick()
-            readings.append([tuple(device.reading) for device in world.devices])
-        return readings
-
-    first = episode()
-    world.tick(7)
-    assert episode() == first
-
-
 def test_the_wrench_in_a_joint_is_about_the_origin_of_the_sensor_and_along_its_axes(scene: Build) -> None:
     """The joint holds 1 kg at 0.25 m; a sensor there feels its weight and no torque."""
     world = scene(arm(), fixed=True)
@@ -506,3 +370,163 @@ def test_the_wrench_in_a_joint_is_about_the_origin_of_the_sensor_and_along_its_a
     assert force.reading == pytest.approx((0, G, 0), abs=1e-6)
     assert torque.reading == pytest.approx((0, 0, 0), abs=1e-6)
     assert at_joint.reading == pytest.approx((0, -0.25 * G, 0), abs=1e-6)
+
+
+# Sensors along rays
+
+
+HERE = Pose()
+
+
+def ranger(
+    *turns: float,
+    reach: float = 5.0,
+    combined: str = "each",
+    mount: Pose = HERE,
+    lookup: CalibrationTable | None = None,
+) -> Sensor:
+    """Rays at these yaw angles (deg)."""
+    rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
+    names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()
+    return Sensor("s", "sonar", ("brick",), names, "m", mount, None, RayConfig(rays, reach, combined, lookup))  # type: ignore[arg-type]
+
+
+TABLE = CalibrationTable((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
+
+
+def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
+    distances = [0.0, 0.005, *np.linspace(0.01, 0.07, 61), 0.08, 1.0]
+    assert LookupTable(TABLE, len(distances))(distances) == pytest.approx(
+        np.interp(distances, TABLE.distance, TABLE.value)
+    )
+
+
+def test_the_noise_of_a_lookup_is_a_share_of_the_reading_interpolated_between_rows() -> None:
+    noisy = CalibrationTable(TABLE.distance, TABLE.value, (0.002, 0.04, 0.01, 0.03))
+    distances = [0.0, 0.01, 0.015, 0.03, 0.07, 0.2]
+    table = LookupTable(noisy, len(distances))
+    table.restart(Streams(3)["lookup"])
+    sample = np.array([table(distances) for _ in range(20_000)])
+    values = np.interp(distances, noisy.distance, noisy.value)
+    shares = np.interp(distances, noisy.distance, noisy.noise)
+    assert sample.mean(axis=0) == pytest.approx(values, rel=2e-3)
+    assert (sample.std(axis=0) / values) == pytest.approx(shares, rel=0.03)
+
+
+def test_a_ray_sensor_reports_what_its_table_makes_of_the_distance(scene: Build) -> None:
+    wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((0.24, 0, 0)), fixed=True)
+    world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
+    sensor = world.sensor(ranger(0, 180, reach=0.07, mount=Pose((0.1, 0, 0)), lookup=TABLE))
+    world.begin()
+    assert sensor.reading == pytest.approx([200.0, 50.0], rel=1e-4)
+
+
+def test_readings_fall_with_the_distance(scene: Build) -> None:
+    world = scene(
+        brick(),
+        gravity=(0, 0, 0),
+        objects=(ObjectBody("wall", Box((0.2, 2, 2)), Pose((0.9, 0, 1)), fixed=True),),
+    )
+    sensor = world.sensor(ranger(0, reach=0.07, mount=Pose((0.1, 0, 0)), lookup=TABLE))
+    readings = []
+    for step in range(8):
+        world.engine.reset()
+        world.engine.place("robot", (0.7 - 0.01 * step, 0, 1), (0, 0, 0, 1))
+        world.begin()
+        readings.append(sensor.reading[0])
+    assert all(near > far for near, far in pairwise(readings[1:7]))
+
+
+# What touch and force sensors feel
+STONE = ObjectBody("stone", Box((0.1, 0.1, 0.1)), Pose((0.5, 0, 0.05)), mass=0.5)
+
+
+def touch(against: tuple[str, ...] | None = None) -> Sensor:
+    return Sensor("touch", "touch", ("brick",), (), "", against=against)
+
+
+def test_a_force_sensor_feels_the_weight_of_what_it_carries(scene: Build) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 0.1)), ground=True)
+    force = world.sensor(Sensor("force", "force", ("brick",), (), "N"))
+    world.begin()
+    assert force.reading == pytest.approx([0.0])
+    world.tick(100)
+    assert force.reading[0] == pytest.approx(9.81, rel=0.01)
+
+
+def test_touch_begins_with_the_tick_of_the_impact(scene: Build) -> None:
+    height = 0.2
+    world = scene(brick(), pose=Pose((0, 0, 0.1 + height)), ground=True)
+    sensor = world.sensor(touch())
+    world.begin()
+    assert list(sensor.reading) == [False]
+    falling = (2 * height / 9.81) ** 0.5
+    ticks = 0
+    while not sensor.reading[0]:
+        world.tick()
+        ticks += 1
+    assert ticks * world.world.timestep == pytest.approx(falling, abs=1.5 * world.world.timestep)
+
+
+AGAINST = [
+    (None, True, True),
+    (("ground",), True, False),
+    (("stone",), False, True),
+    (("stone", "ground"), True, True),
+    (("stone.stone",), False, True),
+]
+
+
+@pytest.mark.parametrize(("against", "on_ground", "on_stone"), AGAINST)
+def test_touch_may_feel_only_some_bodies(
+    scene: Build, against: tuple[str, ...] | None, on_ground: bool, on_stone: bool
+) -> None:
+    world = scene(brick(), pose=Pose((0, 0, 0.1)), ground=True, objects=(STONE,))
+    sensor = world.sensor(touch(against))
+    world.begin()
+    world.tick(5)
+    assert list(sensor.reading) == [on_ground]
+    world.engine.reset()
+    world.engine.place("robot", (0.5, 0, 0.2), (0, 0, 0, 1))
+    world.begin()
+    assert list(sensor.reading) == [False]
+    world.tick(5)
+    assert list(sensor.reading) == [on_stone]
+
+
+# Sensors that look at lines on the ground
+
+
+WAVES = "{type: formula, heights: 3 cm * (sin(x / m * 300 deg) + sin(y / m * 400 deg)), size: 20 20 m}"
+ROUGH = f"""\
+deepbots: 1
+extends: quadruped
+name: Rough
+world: {{terrain: {WAVES}}}
+robots:
+  dog:
+    sensors: {{scan: {{type: height_scan, link: trunk, grid: 4 3, spacing: 20 cm, range: -1 .. 1 m}}}}
+    emit: {{scan: scan}}
+observation: {{dog.scan: -1 .. 1 m}}
+evaluation: {{cases: {{}}}}
+tests: {{}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("sensor", "code"),
+    [
+        ("type: height_scan, link: trunk, grid: 4 3", "DB102"),  # no range
+        ("type: height_scan, link: trunk, grid: 4 3, range: -1 .. 0 m", "DB105"),
+        ("type: height_scan, link: trunk, grid: 4 3, rays: 5, range: 0 .. 1 m", "DB101"),
+        ("type: height_scan, link: trunk, grid: 4 0, range: 0 .. 1 m", "DB105"),
+        ("type: laser, link: trunk, grid: 4 3, spacing: 0 m, range: 0 .. 1 m", "DB105"),
+        ("type: laser, link: trunk, grid: 4 3, spacing: 1 s, range: 0 .. 1 m", "DB503"),
+    ],
+)
+def test_a_wrong_scan_is_a_finding_at_its_place(tmp_path: Path, sensor: str, code: str) -> None:
+    file = tmp_path / "rough.yaml"
+    scan = "type: height_scan, link: trunk, grid: 4 3, spacing: 20 cm, range: -1 .. 1 m"
+    file.write_text(ROUGH.replace(scan, sensor))
+    findings = [finding for finding in api.lint(file) if finding.severity == "error"]
+    assert [finding.code for finding in findings] == [code]

@@ -245,6 +245,14 @@ def device(simulation: Simulation, name: str, robot: int = 0):
     return device_object(simulation, simulation.scene.robots[robot].devices[name])
 
 
+def turning(simulation: Simulation, velocity: float, name: str = "rotational motor"):
+    """Return a motor of the first robot under velocity control."""
+    motor = device(simulation, name)
+    motor.setPosition(inf)
+    motor.setVelocity(velocity)
+    return motor
+
+
 def solid(shape: str, fields: str = "", mass: float = 1.0, name: str = "BODY") -> str:
     """Return a solid with a bounding object and a mass (kg)."""
     return (

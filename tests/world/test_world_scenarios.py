@@ -168,37 +168,9 @@ def test_the_view_follows_a_robot_that_leaves_and_stays_where_there_is_an_arena(
         assert body.mean() < 0.05  # the floor under it has the same tiles, and the robot is where it was
 
 
-def drive(name: str, steps: int) -> None:
-    """Random steps, with a reset at each ending; all that comes back is finite."""
-    with closing(api.make(name)) as environment:
-        environment.action_space.seed(0)
-        environment.reset(seed=0)
-        for _ in range(steps):
-            observation, reward, terminated, truncated, _ = environment.step(
-                environment.action_space.sample()
-            )
-            parts = observation.values() if isinstance(observation, dict) else [observation]
-            assert all(np.isfinite(part).all() for part in parts)
-            assert np.isfinite(reward)
-            if terminated or truncated:
-                environment.reset()
-
-
 @pytest.mark.parametrize("name", shipped.scenario_names())
 def test_a_shipped_scenario_has_no_findings(name: str) -> None:
     assert [f"{finding.span.location}: {finding.headline}" for finding in api.lint(name, preview=True)] == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", few(shipped.scenario_names()))
-def test_a_shipped_scenario_runs_under_random_actions(name: str) -> None:
-    drive(name, 100)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", shipped.scenario_names())
-def test_a_shipped_scenario_runs_for_long_under_random_actions(name: str) -> None:
-    drive(name, 10_000)
 
 
 # Robots of an installed package

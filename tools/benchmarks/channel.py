@@ -19,7 +19,7 @@ import numpy as np
 
 from deepbots_cli import api
 from tests.channel.conftest import CART
-from tests.channel.radio_trials import (
+from tests.channel.test_channel_radio import (
     BURSTS,
     MESSAGES,
     SINGLE,

@@ -14,7 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.workbench import Workbench, peak_memory
+from tests.fuzz.harness import peak_memory
+from tests.fuzz.workbench import Workbench
 from tools.benchmarks.report import Row, options, show
 
 

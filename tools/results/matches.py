@@ -11,9 +11,9 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from deepbots_cli.learning.agents.matches import MatchTable, play_matches
+from deepbots_cli.learning.matches import MatchTable, play_matches
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM
 
 
 def rows(seed: int, table: MatchTable) -> Iterator[str]:

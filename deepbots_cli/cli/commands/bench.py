@@ -208,15 +208,15 @@ def _bench_shards(
     )
     terminal.note_warnings(compiled.findings, scenario)
     with terminal.transient_line("loading PyTorch ..."):
-        from deepbots_cli.learning import scaling
+        from deepbots_cli.learning import training
     if address is None and workers is None and max(numbers) > 1:
         workers = min(max(numbers), arguments.available_cores())
     terminal.note(
-        f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
+        f"training for about {training.MEASURED_SECONDS:.0f} s with each number of shards, after the start of their"
         " processes"
     )
     with arguments.executor(workers, address) as executor, terminal.progress("measurements") as show:
-        timings = scaling.measure(
+        timings = training.measure_shards(
             scenario,
             numbers,
             executor,
@@ -259,7 +259,6 @@ _EXTRAS = {
     "view": "the page of view and play",
     "editor": "the language server",
     "studio": "the studio",
-    "webots-js": "PROTOs of Webots with JavaScript",
     "export": "policies as ONNX",
     "ros": "ROS 2 topics of serve",
     "zmq": "ZeroMQ of serve",

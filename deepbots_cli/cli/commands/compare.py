@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import filecmp
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -41,8 +40,8 @@ from deepbots_cli.words import counted, number_text, rate_text, sentence_list
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
     from deepbots_cli.api import Compiled
-    from deepbots_cli.learning.agents.matches import Match, MatchTable
     from deepbots_cli.learning.comparison import Comparison, GroupResult
+    from deepbots_cli.learning.matches import Match, MatchTable
 
 _BETTER = {
     "success_rate": "a success where the first run has none",
@@ -475,37 +474,11 @@ def _run_notes(run: ListedRun) -> Iterator[str]:
 
 
 def _own_notes(run: ListedRun) -> Iterator[str]:
-    """Yield notes that the table does not show: damage, models that were chosen by another rule, and a
-    training that got worse."""
+    """Yield notes that the table does not show: damage, and a training that got worse."""
     if run.problem is not None:
         yield run.problem
-    if chosen_by_return := list(_chosen_by_return(run)):
-        count = len(chosen_by_return)
-        models = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
-        models = f"the best model of {count} of its runs" if count > 1 else models
-        choices = [path for path in chosen_by_return if _has_other_models(path)]
-        again = "for each, choose again with" if len(choices) > 1 else "choose again with"
-        command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
-        yield f"an earlier version chose {models} by return{command}"
     if run.decline is not None:
         yield run.decline.text
-
-
-def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
-    """Yield the runs in a run, a group or a study whose best model an earlier version chose by return."""
-    if run.chosen_by == "return":
-        yield run.path
-    for inner in run.runs:
-        yield from _chosen_by_return(inner)
-
-
-def _has_other_models(run: Path) -> bool:
-    """Return whether `eval --keep` has a choice: a model that differs from the best one."""
-    best = run / "models" / "agent" / "best.zip"
-    # By content: by default, `filecmp` takes files with the same size and time as equal.
-    return best.is_file() and any(
-        not filecmp.cmp(best, model, shallow=False) for model in best.parent.glob("*.zip")
-    )
 
 
 def _run_data(run: ListedRun) -> dict[str, Any]:

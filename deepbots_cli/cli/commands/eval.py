@@ -52,8 +52,8 @@ from deepbots_cli.words import beside, counted
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
+    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.executor import Executor
-    from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
     from deepbots_cli.rollout.policies import StopCondition
@@ -304,7 +304,7 @@ def _evaluate_run(
         program.variant(case, stage)
     planned = [request.options["episodes"] or program.evaluation_episodes(case) for program in programs]
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
+        from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     arguments.check_dividable(request.workers, request.address, parts, reason)
@@ -497,7 +497,7 @@ def _kept(
 ) -> KeptModel:
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.keeping import keep
+        from deepbots_cli.learning.evaluation import keep
     with (
         arguments.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import OpenedSource, is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, XacroArguments, option
@@ -23,6 +22,7 @@ from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.insight import inspection
 from deepbots_cli.program import Program
+from deepbots_cli.program.identity import Deployment
 
 if TYPE_CHECKING:
     from deepbots_robot.topics import Topic

@@ -36,8 +36,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
-from deepbots_cli.robots.gltf import GLTF_SUFFIXES
 from deepbots_cli.robots.kinds import Kind
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
 from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
@@ -176,7 +176,7 @@ def _next_commands(
 ) -> list[str]:
     """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
-    if starter is not None and starter.todos:
+    if starter is not None:
         commands = ["lint", "try", "inspect", "train"]
     program = api.load(scenario, permissions=permissions).program
     if program is not None:
@@ -201,7 +201,7 @@ def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
     from deepbots_cli.cli.starters.webots import from_webots
-    from deepbots_cli.webots.findings import WorldError
+    from deepbots_cli.webots.syntax import WorldError
 
     try:
         return from_webots(world, library, name, scenario_title(name))
@@ -215,13 +215,10 @@ def _note_places(starter: Starter) -> None:
     """Print what the world has that the scenario lacks, and how many places are left."""
     for warning in starter.warnings:
         terminal.note(warning)
-    if starter.todos:
-        count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
-        terminal.note(
-            f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
-        )
-    else:
-        terminal.note("no place is left to you")
+    count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
+    terminal.note(
+        f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
+    )
 
 
 def _name_faster_engine(program: Program) -> None:

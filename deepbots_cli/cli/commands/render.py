@@ -249,7 +249,7 @@ def command(
         return
     xacro_arguments(xacro, of_robot=False)
     from deepbots_cli.view.episodes import Showing
-    from deepbots_cli.view.players import closing_player
+    from deepbots_cli.view.replay import closing_player
 
     ref = _model(shown, kind, permissions, last=last)
     if episodes == FAILED_EPISODES:

@@ -6,14 +6,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
@@ -52,11 +50,10 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Objective, Study, create_study
-from deepbots_cli.learning.runs.decline import decline_of
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import run_verdict
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.learning.runs.verdict import decline_of, run_verdict
+from deepbots_cli.processes import Process
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.scenario.training import MAX_SHARDS
 from deepbots_cli.words import counted
@@ -313,9 +310,9 @@ def command_resume(
         studies.continue_study(study, workers, address, **output_options)
         return
     if callbacks or loggers:
-        from deepbots_cli.learning.sb3 import plugins
+        from deepbots_cli.learning.sb3 import logs
 
-        plugins.check(names(callbacks), names(loggers))
+        logs.check_plugins(names(callbacks), names(loggers))
     settings: dict[str, Any] = {
         "total_timesteps": timesteps,
         "stop_when_solved": False if full else None,
@@ -558,39 +555,31 @@ def training_page(*, enabled: bool, permissions: Permissions) -> Iterator[Callab
     """
     if enabled and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
-    started: list[tuple[subprocess.Popen[str], Thread]] = []
+    pages: list[Process] = []
 
     def show(run: Path) -> None:
         if enabled:
             options = ["--fps", str(_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
-            command = python_command("deepbots_cli", "view", *options, "--", str(run))
-            nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
-            process = subprocess.Popen(
-                command, stdin=nowhere, stdout=pipe, text=True, env=python_environment()
-            )
-            started.append((process, Thread(target=_await_page, args=(process,), daemon=True)))
-            started[0][1].start()
+            pages.append(Process("deepbots_cli", "view", *options, "--", str(run), hear=show_address))
+
+    def show_address(line: bytes) -> None:
+        """Show the address of the page once it is served, and lower the priority of its process."""
+        print(line.decode("utf-8", "replace"), end="", file=sys.stderr, flush=True)
+        _lower_priority(pages[0].pid)
 
     try:
         yield show
     finally:
-        for process, waiting in started:
-            process.kill()  # the page reports SIGTERM, but not this
-            process.wait()
-            waiting.join()  # its standard output has ended
+        for page in pages:
+            page.end()  # killed, since the page would report SIGTERM
 
 
-def _await_page(page: subprocess.Popen[str]) -> None:
-    """Show the address of a page once it is served, and lower the priority of its process."""
-    assert page.stdout is not None
-    print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
+def _lower_priority(pid: int) -> None:
     if sys.platform != "win32":
         # In Linux, the priority of a process is that of its first thread, so each thread is set.
-        threads = Path(f"/proc/{page.pid}/task")
+        threads = Path(f"/proc/{pid}/task")
         with suppress(OSError):  # the process has ended
-            for thread in (
-                [int(folder.name) for folder in threads.iterdir()] if threads.is_dir() else [page.pid]
-            ):
+            for thread in [int(folder.name) for folder in threads.iterdir()] if threads.is_dir() else [pid]:
                 os.setpriority(os.PRIO_PROCESS, thread, 15)
 
 

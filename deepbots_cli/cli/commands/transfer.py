@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
     from deepbots_cli.insight.trace import Trace
     from deepbots_cli.insight.training import TrainingEvidence
-    from deepbots_cli.insight.transfer import Transfer
-    from deepbots_cli.insight.world_comparison import WorldComparison
+    from deepbots_cli.insight.transfer import Transfer, WorldComparison
 
 EXPLAINS_WHOLE, EXPLAINS_MOST = 0.9, 0.5
 """The share from which a change explains the whole difference, apart from the growth of a small rest, and the
@@ -572,7 +571,7 @@ def command_diagnose(
 
 
 def _is_log(path: Path) -> bool:
-    from deepbots_cli.rollout.robot_logs import is_robot_log
+    from deepbots_cli.rollout.recordings import is_robot_log
 
     return is_robot_log(path)
 
@@ -735,10 +734,9 @@ def _diagnose(
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.diagnosis import has_learned
-        from deepbots_cli.insight.probes import run_probes
         from deepbots_cli.insight.stages import present_stage
         from deepbots_cli.insight.statements import statements_about
-        from deepbots_cli.insight.training import read_trainings
+        from deepbots_cli.insight.training import read_trainings, run_probes
     reports: list[dict[str, Any]] = []
     for folder in folders:
         try:

@@ -44,12 +44,11 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.executor import results
+from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.runs.episodes import Summary, agent_scores
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
-from deepbots_cli.program.members import RANDOM
+from deepbots_cli.program import RANDOM
 from deepbots_cli.program.task import ScenarioTest
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
@@ -235,9 +234,9 @@ def _on_robot(
 
 def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_json: bool) -> bool:
     """Repeat a failed episode; return whether the file is one."""
-    from deepbots_cli.learning import failures  # this imports gymnasium
+    from deepbots_cli.learning import environments  # this imports gymnasium
 
-    if not failures.is_failure(path):
+    if not environments.is_failure(path):
         return False
     refused = [name for key, name in written_options(ctx).items() if key not in ("as_json", "allow_code")]
     if refused:
@@ -245,7 +244,7 @@ def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_
             f"leave out {', '.join(refused)}: the file of a failed episode already contains its scenario,"
             " start and actions; only --json and --allow-code can be added"
         )
-    failure, error = failures.reproduce(path, permissions=permissions)
+    failure, error = environments.reproduce(path, permissions=permissions)
     repeated = (
         f"repeated {counted(len(failure.actions), 'action')}:"
         f" {'the episode does not fail' if error is None else error}"

@@ -40,7 +40,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.words import counted
@@ -173,8 +173,8 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
         page.run()
     finally:
         page.close()
-        if page.driven is not None:
-            _finish(page.driven)
+        if page.playback.driven is not None:
+            _finish(page.playback.driven)
 
 
 def _finish(driven: DrivenEpisodes) -> None:
@@ -201,7 +201,7 @@ def _training_words(opened: ShowingState) -> list[str]:
     """Return the words of the command that trains the shown scenario."""
     showing = opened.shown
     if opened.run is not None:
-        from deepbots_cli.insight.train_command import training_command
+        from deepbots_cli.insight.scenario_facts import training_command
 
         return training_command(opened.run, showing.overrides)
     changed = [word for text in showing.overrides for word in ("--set", text)]
@@ -244,7 +244,10 @@ def command_studio(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Write, watch and train a scenario on one page of the browser."""
-    from deepbots_cli.studio.server import studio
+    try:
+        from deepbots_cli.studio.server import studio
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("studio", "the studio") from error
 
     prepared = studio(source, permissions=permissions, host=host, port=port)
     terminal.print_result(prepared.address)
@@ -283,7 +286,7 @@ def command_replay(
     permissions: Permissions = Permissions(),
 ) -> None:
     """List the episodes of a recording, or run them again and compare."""
-    from deepbots_cli.rollout.robot_logs import is_robot_log
+    from deepbots_cli.rollout.recordings import is_robot_log
 
     log = Path(recording)
     if is_robot_log(log):

@@ -2,7 +2,8 @@
 
 engine.py      the engine: one world
 model.py       ground, walls, objects and robots, as a model of MuJoCo
-state.py       the state of a world and what is derived from it; the values that an episode varies
+state.py       the state of a world and what is derived from it; the values that an episode varies; what
+               motors and readers of a batch share
 motors.py      motors and springs on joints, and forces on links; of one world and of a batch
 sliding.py     Coulomb's friction for contacts that slide; sliding_callback.py compiles it for batches
 surfaces.py    contacts and their forces, distances between surfaces and along rays, lines of sight

@@ -160,6 +160,7 @@ class MuJoCoBatch(BatchReaders):
     """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers
     use."""
 
+    members: list[BatchMember]
     name = "mujoco"
     capabilities: frozenset[Any] = frozenset(
         {
@@ -173,6 +174,7 @@ class MuJoCoBatch(BatchReaders):
         sliding.install()
         self.builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self.builder)
+        self.actuators = self.single.motors.actuators
         self._world = self.single._world
         self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
@@ -201,9 +203,7 @@ class MuJoCoBatch(BatchReaders):
         """The pushes of all members, in the order in which each of them binds its pushers."""
         self.motors: dict[Any, BatchMotor] = {}
         self.has_commands = False
-        """Whether members have commanded motors since the last step."""
-        self.write_mask: Column | None = None
-        """The worlds that motors are written in, as truth values; None for all."""
+        self.write_mask = None
         self._sensors = {}
         """The sensors of the model by number, which is also their column in `touched`."""
         self.touched = np.zeros((count, 0), bool)

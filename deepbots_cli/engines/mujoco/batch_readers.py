@@ -17,7 +17,7 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder
 from deepbots_cli.engines.mujoco.motors import cells
-from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, LinkMotions, MujocoWorld
+from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, BatchState, LinkMotions, MujocoWorld
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
 from deepbots_cli.program.world import GROUND
@@ -25,9 +25,8 @@ from deepbots_cli.program.world import GROUND
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.engines.mujoco.batch import BatchMember, MuJoCoBatch
     from deepbots_cli.frames import Frame
-    from deepbots_cli.port import Part
+    from deepbots_cli.port import EngineProxy, Part
 
     Column = NDArray[Any]
 
@@ -105,7 +104,7 @@ class Observer:
     """Links, rays and distances of all worlds in their present state, from the same model without contacts
     and motors."""
 
-    def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
+    def __init__(self, batch: BatchState, threads: int) -> None:
         self._batch = batch
         self._threads = threads
         self._distances: dict[Sensor, int] = {}
@@ -207,14 +206,11 @@ class ForceMeans:
         return self._contacts[number]
 
 
-class BatchReaders:
+class BatchReaders(BatchState):
     """The readers of `MuJoCoBatch`, which sets these attributes."""
 
-    count: int
     single: MuJoCoEngine
-    members: list[BatchMember]
-    nominal: Any
-    rows: dict[str, Column]
+    members: Sequence[EngineProxy]
     touched: Column
     _force_means: ForceMeans
     _world: MujocoWorld
@@ -500,7 +496,7 @@ class BatchReaders:
         pool = self.single.pool(body)
         return (pool.current, link_number(pool.current, link)) if len(list(pool)) == 1 else None
 
-    def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
+    def _read_each(self, bind: Callable[[EngineProxy], Callable[[], Any]]) -> Callable[[], Any]:
         """Return a reader that reads the members in turn, for bodies with several forms."""
         readers = [bind(member) for member in self.members]
 

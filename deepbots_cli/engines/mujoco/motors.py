@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.engines.mechanics import TorqueCurve
-    from deepbots_cli.engines.mujoco.batch import MuJoCoBatch
-    from deepbots_cli.engines.mujoco.state import MujocoWorld
+    from deepbots_cli.engines.mujoco.state import BatchState, MujocoWorld
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import MotorWriter, Pusher, TorqueReader, WrenchReader
 
@@ -438,7 +437,7 @@ class BatchMotor:
 
     is_soft = False
 
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
+    def __init__(self, batch: BatchState, joints: Sequence[int]) -> None:
         self._batch = batch
         self._model = batch.nominal
         self.joints = tuple(joints)
@@ -453,7 +452,7 @@ class BatchMotor:
         self._is_spring = False
         self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
         """The worlds whose joints it drives, and those whose members have commanded it since."""
-        self._actuators = array_index([batch.single.motors.actuators[joint] for joint in joints])
+        self._actuators = array_index([batch.actuators[joint] for joint in joints])
         self._dofs = array_index(self._model.jnt_dofadr[list(joints)].tolist())
         self._joint_index = array_index(self.joints)
 
@@ -547,7 +546,7 @@ class CurvedMotor(BatchMotor):
     """A motor whose largest torque falls with its speed; see `TorqueCurve.bounds`, which computes the same
     for one world."""
 
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
+    def __init__(self, batch: BatchState, joints: Sequence[int]) -> None:
         super().__init__(batch, joints)
         self._stall = np.zeros(self._targets.shape)
         self._fastest = np.ones(self._targets.shape)
@@ -581,7 +580,7 @@ class TrackingMotor(BatchMotor):
 
     is_soft = True
 
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
+    def __init__(self, batch: BatchState, joints: Sequence[int], rate: float) -> None:
         super().__init__(batch, joints)
         model = self._model
         self._rate = rate

@@ -8,7 +8,8 @@ requires.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import atan2, exp, inf, pi, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from deepbots_cli.engines.mechanics import JointSpeed, Pool, fastest, named, require_possible
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
+from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body, ModelBuilder
 from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
@@ -59,6 +60,34 @@ A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0
 and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first step sees it.
 """
 BOUNCE_IMPEDANCE = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
+
+
+class BatchState(ABC):
+    """What motors and observers read and write of a batch, which sets these attributes: arrays with a row per
+    world, and the fields of the model that differ between worlds."""
+
+    builder: ModelBuilder
+    nominal: Any
+    count: int
+    actuators: Mapping[int, int]
+    """The actuator of each joint."""
+    state: FloatArray
+    ctrl: FloatArray
+    qpos: FloatArray
+    qvel: FloatArray
+    rows: dict[str, NDArray[Any]]
+    write_mask: NDArray[Any] | None
+    """The worlds that motors are written in, as truth values; None for all."""
+    has_commands: bool
+    """Whether members have commanded motors since the last step."""
+
+    @abstractmethod
+    def take_commands(self) -> None:
+        """Copy the changes of members to the worlds, and their commands to the motors."""
+
+    @abstractmethod
+    def usual_armature(self, worlds: Any, dofs: Any) -> NDArray[Any]:
+        """Return the armature of these worlds without the part that velocity motors add."""
 
 
 class WorldSnapshot(NamedTuple):

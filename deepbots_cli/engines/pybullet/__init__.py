@@ -4,10 +4,9 @@ engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
 state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors
                that an episode varies
-motors.py      motors and springs on joints, and forces on links
-damping.py     the damping of joints
-surfaces.py    contacts and their forces, distances between surfaces and along rays, lines of sight
-cameras.py     pictures: bodies, floor and sky
+motors.py      motors, springs and damping of joints, and forces on links
+surfaces.py    contacts and their forces, distances between surfaces and along rays, lines of sight; pictures:
+               bodies, floor and sky
 
 Differences between PyBullet and the port, which this package resolves:
 

@@ -24,16 +24,15 @@ from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
     NEGLIGIBLE_FORCE,
-    cameras,
     loading,
     motors,
     state,
     surfaces,
 )
 from deepbots_cli.engines.pybullet import pybullet as p
-from deepbots_cli.engines.pybullet.cameras import Floor, brightened, downsampled
-from deepbots_cli.engines.pybullet.damping import Damping
+from deepbots_cli.engines.pybullet.motors import Damping
 from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
+from deepbots_cli.engines.pybullet.surfaces import Floor, brightened, downsampled
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
 from deepbots_cli.program.world import GROUND
@@ -488,7 +487,7 @@ class PyBulletEngine:
         return self._drives.add(springs, body)
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        camera = cameras.Camera(self._client, width, height, fov, self._floor)
+        camera = surfaces.Camera(self._client, width, height, fov, self._floor)
         pose = self.pose(*part)
         # `name_indices` has the index among the names for each of PyBullet's numbers.
         names = tuple(self._pools)
@@ -499,7 +498,7 @@ class PyBulletEngine:
 
         def look() -> CameraImage:
             image = camera.camera_image(
-                cameras.pose_along(frames.compose(pose(), mount)), name_indices, ground, names
+                surfaces.pose_along(frames.compose(pose(), mount)), name_indices, ground, names
             )
             return image._replace(colors=brightened(image.colors, self._parameters.light))
 
@@ -508,8 +507,8 @@ class PyBulletEngine:
     def render(self, view: View) -> Image:
         self._require_open()
         fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
-        camera = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._floor)
-        aim = cameras.pose_of_view(view)
+        camera = surfaces.Camera(self._client, fine.width, fine.height, fine.fov, self._floor)
+        aim = surfaces.pose_of_view(view)
         key = (fine, self._floor.tiles if self._floor else None)
         if self._backdrop is None or self._backdrop[0] != key:
             self._backdrop = (key, camera.background(aim))

@@ -290,7 +290,7 @@ def _make_contact(client: int, body: Body) -> None:
 
 def _plane(client: int, ground: Ground) -> Body:
     shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-    # Without a visual shape, PyBullet would draw the collision shape; `cameras.Floor` draws the ground.
+    # Without a visual shape, PyBullet would draw the collision shape; `surfaces.Floor` draws the ground.
     unseen = p.createVisualShape(
         p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client
     )

@@ -21,8 +21,8 @@ from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.mechanics import Pool
-    from deepbots_cli.engines.pybullet.cameras import Floor
-    from deepbots_cli.engines.pybullet.damping import Damping
+    from deepbots_cli.engines.pybullet.motors import Damping
+    from deepbots_cli.engines.pybullet.surfaces import Floor
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (
         JointReader,

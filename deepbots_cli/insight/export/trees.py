@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.code import template
-from deepbots_cli.expressions.functions import Function, function_named
+from deepbots_cli.expressions.functions import Function, function_named, template
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.insight.export.network import Graph
 from deepbots_cli.program import Program

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.scenario.actuators import JointActuator
-from deepbots_cli.scenario.fields.base import Scalar
-from deepbots_cli.scenario.fields.quantities import Quantity
+from deepbots_cli.scenario.fields import Scalar
+from deepbots_cli.scenario.quantities import Quantity
 
 
 class Throttle(JointActuator):

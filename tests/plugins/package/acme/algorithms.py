@@ -3,7 +3,7 @@ its own learner."""
 
 from typing import Literal
 
-from deepbots_cli.scenario.fields.quantities import PositiveInt
+from deepbots_cli.scenario.quantities import PositiveInt
 from deepbots_cli.scenario.training import PPO, Training
 
 
