@@ -384,7 +384,7 @@ def _policies_of(others: Others) -> dict[str, Predictor]:
         return {}
     from deepbots_cli.plugins import import_attribute
 
-    load = import_attribute("deepbots_cli.learning.agents.rivals:load_rival")
+    load = import_attribute("deepbots_cli.learning.policy:load_rival")
     return {name: load(others, name) for name in others.models}
 
 

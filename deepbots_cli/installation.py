@@ -13,7 +13,6 @@ from pathlib import Path
 
 _EXTRAS_OF_MODULES = {
     "PIL": "sim",
-    "py_mini_racer": "webots-js",
     "websockets": "view",
     "zmq": "zmq",
 }

@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deepbots_cli.cli.sources import open_source
+from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.inspection import Tables, scenario_tables
 from deepbots_cli.program import Program

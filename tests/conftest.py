@@ -123,10 +123,9 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py`
     has it."""
     from deepbots_cli.compiler.inputs import Inputs
-    from deepbots_cli.lint.report import Done, Entry, SimulationReport, decode, encode
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.search import ExploitSearch
-    from deepbots_cli.lint.simulation import Limits
+    from deepbots_cli.lint.simulation import Done, Entry, Limits, SimulationReport, decode, encode
 
     def measure(
         inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False

@@ -14,8 +14,7 @@ from PIL import Image
 
 from deepbots_cli.document.shipped import scenario_names
 from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.studio.dialogs import templates
-from deepbots_cli.studio.start import PICTURES
+from deepbots_cli.studio.dialogs import PICTURES, templates
 from tools.results import measure
 from tools.results.experiment import experiments
 from tools.results.measure import Places

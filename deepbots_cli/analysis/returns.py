@@ -449,3 +449,10 @@ def speed_notes(analysis: RangeAnalysis) -> tuple[str, ...]:
     return tuple(
         f"`{name}` moves at no more than {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF
     )
+
+
+def break_even(living: float, failing: float, success: float) -> float:
+    """Return the share of episodes that must succeed, at once, before going on is worth more than failing;
+    all three are returns."""
+    # The share p solves p * success + (1 - p) * living = failing.
+    return (failing - living) / (success - living)

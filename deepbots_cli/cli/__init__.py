@@ -1,27 +1,15 @@
 """The command `deepbots`.
 
 command.py             the commands as one program; arguments that several commands share
-commands/              the commands, a module each, imported when it is called
-sources.py             scenarios, folders, runs and robots as arguments
-processes.py           the processes of `--workers` and `--cluster`
+commands/              the commands, a module for each or for those of one topic, imported when called
+arguments.py           what arguments name: scenarios, folders, runs, robots, worker processes
 exits.py               exceptions to exit codes
 terminal.py            output, color, progress
 tables.py              tables as text
-new_files.py           new files in a folder, which replace no others
-rewriting.py           changes of the user's files, shown or written
-episodes.py            the episodes of `try`, and their tables
-failed_episodes.py     the failed episodes of the last evaluation of a run
+records.py             results of trainings and evaluations as text, JSON and CSV; failed episodes
+written_files.py       the files that commands write: new ones, changes of the user's files, recordings of exploits
 explanations.py        the entries of `explain` about a word
-inspected.py           the captions of the tables of `inspect`, and those without `--full`
-pages.py               the pages of `view` and `play`
-gates.py               the requirements of `eval` on its result
-records.py             results of trainings and evaluations as text, JSON and CSV
-matches.py             policies and scripts of two agents against each other
-trainings.py           the results of `train` and `resume`
-training_page.py       the page of `train --view`
 studies.py             the display and the table of a study of `tune`
-throughput.py          the speed of engines, as commands print it
-exploits.py            the output of `lint --exploits`: recordings, and a record of the searched tasks
 help/                  the text of `--help` of each command, without its options
 starters/              the scenarios that `new` writes
 glossary.yaml          the glossary, printed by `explain`, and a page of the site

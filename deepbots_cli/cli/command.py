@@ -18,14 +18,18 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GONE, GROUPS, REPLACEMENTS, module_name
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, function_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
+from deepbots_cli.words import sentence_list
 
 MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""
 MAX_SEEDS = 1000
 """The largest number of seeds of a group."""
+
+FAILED_EPISODES = "failed"
+"""The value of `--episodes` for the failed episodes of the last evaluation."""
 
 ADVANCED = "Advanced"
 """The group of options that are rarely needed or dangerous; it is the last in the help."""
@@ -190,6 +194,11 @@ def seed_list(text: str) -> tuple[int, ...]:
     return tuple(seeds)
 
 
+def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
+    """Parse a number, or `failed`."""
+    return text if text == FAILED_EPISODES else whole_number(minimum, maximum)(text)
+
+
 def names(texts: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of an option that may be repeated; `none` alone stands for no name."""
     return () if texts is None or list(texts) == ["none"] else tuple(texts)
@@ -333,6 +342,40 @@ EngineOrRun = Annotated[
     ),
 ]
 
+Shown = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|MODEL|RECORDING",
+        help="A scenario file, the name of a shipped scenario, a run directory, a model in it, a recording"
+        " or the log of a robot.",
+    ),
+]
+Host = Annotated[
+    str,
+    option(
+        "--host ADDRESS",
+        "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens"
+        " only with the token in the printed address.",
+        ADVANCED,
+    ),
+]
+Port = Annotated[
+    int | None,
+    integer(
+        "--port N", "Port of the page; by default the first free port from 8787.", 0, 65535, group=ADVANCED
+    ),
+]
+Open = Annotated[bool, option("--open", "Open the page in the browser.")]
+Episode = Annotated[
+    int,
+    integer(
+        "--episode K",
+        "Begin with the start of held-out episode K of `deepbots eval`, counted from 0.",
+        0,
+        group=EPISODES,
+    ),
+]
+
 
 # The command
 
@@ -371,6 +414,32 @@ def help_text(name: str) -> str:
     return "\n\n".join([COMMANDS[name], *marked] if name in COMMANDS else marked)
 
 
+def _check_together(command: str, given: set[str]) -> None:
+    """Refuse options that lack an option that they need, or that exclude each other.
+
+    Raises:
+        UsageError: There are such options.
+    """
+    for options, text in NEEDS.get(command, {}).items():
+        needed, _, reason = text.partition("; ")
+        lone = next((name for name in options.split() if name in given), None)
+        if lone is not None and given.isdisjoint(needed.split()):
+            alternatives = sentence_list(needed.split(), "or")
+            raise UsageError(
+                f"{lone} {reason}; add {alternatives}" if reason else f"{lone} needs {alternatives}"
+            )
+    for options, text in [*EXCLUDES[""].items(), *EXCLUDES.get(command, {}).items()]:
+        excluded, _, reason = text.partition("; ")
+        pairs = ((one, other) for one in options.split() for other in excluded.split() if one != other)
+        for one, other in pairs:
+            if {one, other} <= given:
+                raise UsageError(
+                    f"{one} {reason}; leave out {other}"
+                    if reason
+                    else f"{one} and {other} cannot be combined"
+                )
+
+
 class Command(TyperCommand):
     """A command whose help has its options in groups, and whose errors for an option of another name, or a
     value that is gone, say what to write."""
@@ -390,7 +459,9 @@ class Command(TyperCommand):
                 replacement = REPLACEMENTS.get(instead)
             if replacement is not None:
                 ctx.fail(f"there is no option {name}; use `{replacement}`")
-        return super().parse_args(ctx, args)
+        left = super().parse_args(ctx, args)
+        _check_together(self.name or "", {*written_options(ctx).values()})
+        return left
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
@@ -411,7 +482,8 @@ def _command(name: str) -> Any:
     """Return the command of this name. It is cached for programs that call `main` several times, because
     typer takes 4 ms to read its annotations."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    run = import_module(f"deepbots_cli.cli.commands.{module_name(name)}").command
+    module, function = function_name(name)
+    run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
     app.command(name, cls=Command, help=help_text(name))(
         _with_permission_options(
             _with_role_options(run, ADVANCED if name == "eval" else SCENARIO) if name in _WITH_ROLES else run

@@ -15,21 +15,22 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import last_episodes, run_verdict
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.keeping import KeptModel
-    from deepbots_cli.learning.robustness import Condition, Robustness, Side
+    from deepbots_cli.learning.evaluation import KeptModel
+    from deepbots_cli.learning.robustness import Condition, Robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame
 
@@ -106,19 +107,41 @@ def with_interval(
     )
 
 
-def _statistics(result: Summary, *, success_defined: bool) -> Row:
-    remark = "; all returns are equal" if result.std_return == 0 else ""
+def means(record: Any, *, success_defined: bool = True, over: str = "", remark: str = "") -> Row:
+    """Return the lines of a record: mean return and success rate with their intervals, by default those of
+    the record; `over` is the end of the names of other ones. `remark` stands behind the interval of the
+    return."""
+    interval, of_success = (getattr(record, f"{name}_interval{over}") for name in ("return", "success"))
+    has_success = success_defined and record.success_rate is not None
     return {
-        "mean return": with_interval(result.mean_return, result.return_interval, remark=remark),
+        "mean return": with_interval(record.mean_return, interval, remark=remark),
+        "success rate": with_interval(record.success_rate, of_success, percent) if has_success else "",
+    }
+
+
+def _statistics(result: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None) -> Row:
+    """Return the lines about episodes; of several agents, the scores of each, and what all have in common."""
+    remark = "; all returns are equal" if result.std_return == 0 else ""
+    of_all = means(result, success_defined=success_defined, remark=remark)
+    common = {
+        "mean length": f"{result.mean_length:.1f} steps",
+        "ended by": _endings(result),
+        "success rate": of_all["success rate"],
+    }
+    if agents:
+        return {name: _joined(means(scores)) for name, scores in agents.items()} | common
+    return {
+        "mean return": of_all["mean return"],
         "standard deviation": None if result.std_return is None else number(result.std_return),
         "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
-        "mean length": f"{result.mean_length:.1f} steps",
-        "ended by": _endings(result),
-        "success rate": with_interval(result.success_rate, result.success_interval, percent)
-        if success_defined
-        else "",
+        **common,
     }
+
+
+def _joined(row: Row) -> str:
+    """Return lines as the text of one line."""
+    return ", ".join(f"{name} {text}" for name, text in row.items() if text)
 
 
 def _endings(result: Summary) -> str:
@@ -133,24 +156,6 @@ def result_sentence(summary: Summary, *, success_defined: bool) -> str:
     is_same = summary.episodes > 1 and len(summary.endings) == 1
     endings = f"all ended by {next(iter(summary.endings))}" if is_same else f"ended by {_endings(summary)}"
     return f"{episodes}, mean return {number(summary.mean_return)}, {endings}"
-
-
-def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, success_defined: bool) -> Row:
-    """Return the scores of each of several agents, and what all of them have in common."""
-    common = _statistics(summary, success_defined=success_defined)
-    return {
-        **{name: _agent_text(agent_scores) for name, agent_scores in agents.items()},
-        **{name: common[name] for name in ("mean length", "ended by", "success rate")},
-    }
-
-
-def _agent_text(agent_scores: Scores) -> str:
-    parts = [f"mean return {with_interval(agent_scores.mean_return, agent_scores.return_interval)}"]
-    if agent_scores.success_rate is not None:
-        parts.append(
-            f"success rate {with_interval(agent_scores.success_rate, agent_scores.success_interval, percent)}"
-        )
-    return ", ".join(parts)
 
 
 # Trainings
@@ -177,12 +182,12 @@ def training_text(result: TrainingResult) -> str:
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
         rows["success rate"] = f"{rate_text(result.success_rate)} of these episodes"
-    at = result.confirmed_at
+    at = result.solved_at
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
         rows["solved"] = f"confirmed on new starts after {at.steps:,} steps, {took}"
-    if result.best_model is not None:
-        rows[f"{result.best_model.label} model"] = result.best_model.text
+    if result.best is not None:
+        rows[f"{result.best.label} model"] = result.best.text
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
@@ -210,8 +215,8 @@ def group_training_text(result: GroupTraining) -> str:
             "steps": training.steps,
             "episodes": training.episodes,
             "recent_return": training.mean_return,
-            "solved_after": training.confirmed_at.steps if training.confirmed_at else None,
-            "best_at": training.best_model.steps if training.best_model else None,
+            "solved_after": training.solved_at.steps if training.solved_at else None,
+            "best_at": training.best.steps if training.best else None,
             "cpu_s": round(training.cpu_seconds, 1),
         }
         for training in result.trained
@@ -233,7 +238,7 @@ def group_training_text(result: GroupTraining) -> str:
 def shown_model(run: str | Path, name: str) -> str:
     """Return the name of a model as it is shown: the best model of agents that compete is the newest one."""
     record = RunRecord.read(Path(run)) if name == "best" else None
-    best = None if record is None or record.result is None else record.result.best_model
+    best = None if record is None or record.result is None else record.result.best
     return name if best is None else best.label
 
 
@@ -258,11 +263,7 @@ def evaluation_text(
         "scenario": scenario,
         "episodes": f"{held_out(result.episodes)} from evaluation seed"
         f" {result.seed}, which no training uses{'' if result.deterministic else ', actions sampled'}",
-        **(
-            _statistics_of_agents(result, result.agents, success_defined=result.success_defined)
-            if result.agents
-            else _statistics(result, success_defined=result.success_defined)
-        ),
+        **_statistics(result, success_defined=result.success_defined, agents=result.agents),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
     if result.case:
@@ -321,11 +322,7 @@ def summary_text(
     summary: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None
 ) -> str:
     """Return the statistics of episodes without a trained policy; with `agents`, those of each of them."""
-    rows = (
-        _statistics_of_agents(summary, agents, success_defined=success_defined)
-        if agents
-        else _statistics(summary, success_defined=success_defined)
-    )
+    rows = _statistics(summary, success_defined=success_defined, agents=agents)
     return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(rows)
 
 
@@ -402,18 +399,12 @@ def group_text(group: GroupResult) -> str:
     count = len(group.evaluations)
     has_success = group.success_defined
     solved = [solved_by(result) for result in group.evaluations]
-    over_starts = {
-        "mean return": with_interval(group.mean_return, group.return_interval_over_starts),
-        "success rate": with_interval(group.success_rate, group.success_interval_over_starts, percent)
-        if has_success
-        else "",
-    }
+    over_starts = means(group, success_defined=has_success, over="_over_starts")
+    of_seeds = means(group, success_defined=has_success)
     rows = {
-        "mean return": with_interval(group.mean_return, group.return_interval),
+        "mean return": of_seeds["mean return"],
         "interquartile mean": number(group.interquartile_mean),
-        "success rate": with_interval(group.success_rate, group.success_interval, percent)
-        if has_success
-        else "",
+        "success rate": of_seeds["success rate"],
         "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
     }
     seeds = f"over {counted(count, 'seed')}"
@@ -492,7 +483,8 @@ def robustness_text(robustness: Robustness) -> str:
             " condition was evaluated;"
             " train the policy further, or require a return with --min-return VALUE"
         )
-    measure, text = ("success rate", percent) if _is_rate(robustness) else ("mean return", number)
+    is_rate = robustness.metric == "success_rate"
+    measure, text = ("success rate", percent) if is_rate else ("mean return", number)
     holds, certain = robustness.nominal_holds, robustness.nominal_certain
     rows = [_level_row("(no change)", "", nominal, holds=holds, certain=certain)]
     rows += [
@@ -510,16 +502,12 @@ def robustness_text(robustness: Robustness) -> str:
             row_as_lines(verdicts),
             "",
             table(rows),
-            *_notes(_robustness_notes(robustness, robustness.bar)),
+            *_notes(_robustness_notes(robustness, robustness.bar, is_rate=is_rate)),
         ]
     )
 
 
-def _is_rate(robustness: Robustness) -> bool:
-    return robustness.metric == "success_rate"
-
-
-def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
+def _robustness_notes(robustness: Robustness, bar: float, *, is_rate: bool) -> Iterator[str]:
     """Yield notes on conditions without effect, too few episodes, and a score that is missed without any
     change."""
     nominal = robustness.nominal
@@ -530,7 +518,7 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
     ]
     if names:
         yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(names)}"
-    if _is_rate(robustness) and bar < 1.0:
+    if is_rate and bar < 1.0:
         needed = episodes_above(bar)
         if nominal.episodes < needed:
             yield (
@@ -538,7 +526,7 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
                 f" succeed; write --episodes {needed} or more"
             )
     if not robustness.nominal_holds:
-        option = "--min-success" if _is_rate(robustness) else "--min-return"
+        option = "--min-success" if is_rate else "--min-return"
         yield f"the policy misses the required score even without any change; set another one with {option}"
 
 
@@ -554,24 +542,6 @@ def _changes_episodes(condition: Condition, nominal: EvaluationResult) -> bool:
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
     return [(episode.total_return, episode.length) for episode in result.outcomes]
-
-
-def robustness_json(robustness: Robustness) -> dict[str, Any]:
-    """Return the robustness as a dictionary, with every evaluation."""
-    conditions = [
-        vars(condition) | {"sides": list(map(_side_json, condition.sides))}
-        for condition in robustness.conditions
-    ]
-    certain = {"nominal_holds": robustness.nominal_holds, "nominal_certain": robustness.nominal_certain}
-    return vars(robustness) | certain | {"conditions": conditions}
-
-
-def _side_json(side: Side) -> dict[str, Any]:
-    return vars(side) | {
-        "verdict": side.verdict,
-        "holds_up_to": side.holds_up_to,
-        "fails_from": side.fails_from,
-    }
 
 
 # Recordings
@@ -600,6 +570,50 @@ def recorded_rows(ends: Iterable[tuple[int, WorldFrame]], *, have_rivals: bool =
 def recorded_table(rows: Sequence[Row]) -> str:
     hidden = {"ended_by", *(name for row in rows for name, value in row.items() if value is None)}
     return table([{name: value for name, value in row.items() if name not in hidden} for row in rows])
+
+
+# Failed episodes
+
+
+def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationResult]:
+    """Return the last evaluation of a run, or of a named model of it, in its own scenario and engine, with
+    its episodes.
+
+    Raises:
+        UsageError: There is none.
+    """
+    evaluation = last_episodes(ref)
+    if evaluation is None:
+        path = ref.path if ref.is_named else ref.run.path
+        suffix = f" of {ref.name}" if ref.is_named else ""
+        raise UsageError(
+            f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with:"
+            f" deepbots eval {quote(str(path))}"
+        )
+    return evaluation
+
+
+def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int], EvaluationResult]:
+    """Return the numbers of the failed episodes of the last evaluation, of one of several agents with
+    `agent`, and the evaluation.
+
+    Raises:
+        RunError: The run has no such agent.
+        UsageError: There is no evaluation, or none of its episodes failed.
+    """
+    _, record = last_evaluation(ref)
+    program = ref.run.program
+    if agent is not None:
+        member = ref.run.member(agent)
+        outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
+        record = record.model_copy(update={"outcomes": outcomes})
+        program = member.program
+    failed = record.failed(program)
+    if not failed:
+        raise UsageError(
+            f"none of the {len(record.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+        )
+    return failed, record
 
 
 # Files

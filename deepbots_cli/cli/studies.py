@@ -8,7 +8,7 @@ from statistics import fmean
 
 import typer
 
-from deepbots_cli.cli import processes, terminal
+from deepbots_cli.cli import arguments, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
@@ -16,7 +16,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.campaigns.study import Study, StudyReporter, StudyTrial, TrialProgress
 from deepbots_cli.learning.campaigns.trials import run_study
-from deepbots_cli.words import counted, rate_text
+from deepbots_cli.words import counted, number_text, rate_text
 
 _MAX_SHOWN = 10
 """The number of trials in the table; --json has all."""
@@ -38,7 +38,7 @@ def continue_study(
     permissions: Permissions,
 ) -> None:
     """Train the trials of a study that are left, and show its table."""
-    with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
+    with arguments.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
             is_done = run_study(study, reporter=display, permissions=permissions, executor=executor)
@@ -84,13 +84,14 @@ class StudyDisplay(StudyReporter):
     def update(self, number: int, progress: TrialProgress) -> None:
         self._at_work[number] = progress
         if not self._quiet:
-            self._display.show_line(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
+            self._display.show(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
 
     def _work(self) -> str:
         """Return the progress of the trials at work."""
         if len(self._at_work) > 1:
             return "at work: " + ", ".join(
-                f"trial {number} ({progress.fraction:.0%})" for number, progress in self._at_work.items()
+                f"trial {number} ({rate_text(progress.fraction)})"
+                for number, progress in self._at_work.items()
             )
         ((number, progress),) = self._at_work.items()
         steps = f"{progress.training.steps:,} of {progress.training.total_steps:,} steps"
@@ -107,7 +108,7 @@ class StudyDisplay(StudyReporter):
         if self._quiet:
             return
         best = next(iter(self._study.ranked(self._study.trials())), None)
-        self._best = f"best so far: trial {best.number}, score {best.score:.4g}" if best else ""
+        self._best = f"best so far: trial {best.number}, {_score(best)}" if best else ""
         result = trial.reason or trial.state if trial.score is None else _result(trial)
         self._display.print(terminal.printable(f"trial {trial.number}: {_settings(trial.values)}: {result}"))
 
@@ -116,12 +117,16 @@ def _settings(values: Mapping[str, str]) -> str:
     return ", ".join(f"{name}={text}" for name, text in values.items())
 
 
+def _score(trial: StudyTrial) -> str:
+    return f"score {number_text(trial.score or 0.0)}"
+
+
 def _result(trial: StudyTrial) -> str:
     solved = [seed.steps for seed in trial.seeds if seed.steps is not None]
     after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (
         f" after {fmean(solved):,.0f} steps" if solved else ""
     )
-    return f"score {trial.score:.4g}{after}"
+    return f"{_score(trial)}{after}"
 
 
 def _row(study: Study, trial: StudyTrial) -> Row:
@@ -191,7 +196,7 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
     scenario itself."""
     best = ranked[0]
     over_first = study.over_first(ranked)
-    text = f"best: trial {best.number}, score {best.score:.4g}"
+    text = f"best: trial {best.number}, {_score(best)}"
     if equals := sum(trial.score == best.score for trial in ranked) - 1:
         measures = (
             "the return" if study.record.objective == "mean_return" else "the success rate, then the return"
@@ -205,14 +210,14 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
         return text + ("; it has the values of the scenario itself" if is_first else "")
     difference = over_first.difference
     first = next(trial for trial in ranked if trial.number == 0)
-    reference = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
+    reference = f"the values of the scenario itself (trial 0, {_score(first)})"
     if over_first.is_clear:
         return f"{text}; it is clearly better than {reference}"
     if difference.interval is None:
         why = "one seed does not show it"
     else:
-        low, high = difference.interval
-        why = f"the interval of the difference, {low:.4g} .. {high:.4g} for {len(ranked)} trials, contains 0"
+        interval = interval_text(difference.interval)
+        why = f"the interval of the difference, {interval} for {len(ranked)} trials, contains 0"
     return f"{text}; it is not clearly better than {reference}: {why}"
 
 

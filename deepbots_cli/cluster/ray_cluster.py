@@ -1,10 +1,10 @@
-"""A Ray cluster that runs already. Only this module imports Ray.
+"""A Ray cluster that runs already. Only this module imports Ray, and names private members of it.
 
 Calls of functions report to a board, a small actor in the node of this process, and learn from it that they
 should stop.
 
-Ray prints the messages of its nodes and has no option against this, so `_quiet` replaces a private function
-of Ray. Its version is pinned for this reason, and tests look at the terminal.
+Ray prints the messages of its nodes and has no option against this, so `node_messages_silenced` replaces a private
+function of Ray. Its version is pinned for this reason, and a test looks for the function in the library.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from deepbots_cli.cluster import ray_internals
-from deepbots_cli.cluster.worker_pool import Call, News, Refusal, Requirements, WorkerLost, perform
+from deepbots_cli.cluster.worker import Call, Refusal, Requirements, perform
+from deepbots_cli.cluster.worker_pool import News, WorkerLost
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.processes import python_script
 
@@ -78,7 +78,7 @@ class RayCluster:
             with (
                 tempfile.TemporaryDirectory() as folder,
                 _working_directory(Path(folder)),
-                ray_internals.node_messages_silenced(),
+                node_messages_silenced(),
             ):
                 ray.init(address=self._address, **_SILENT)
         except (ConnectionError, ValueError) as error:
@@ -413,3 +413,16 @@ def _working_directory(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
+
+
+@contextmanager
+def node_messages_silenced() -> Iterator[None]:
+    """Silence the messages of Ray's nodes within the block: deepbots reports lost workers itself."""
+    from ray._private import worker
+
+    before = worker.listen_error_messages
+    worker.listen_error_messages = lambda *_: None
+    try:
+        yield
+    finally:
+        worker.listen_error_messages = before

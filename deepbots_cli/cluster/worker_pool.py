@@ -1,34 +1,33 @@
-"""The interface between shards or calls and the processes that do their work.
+"""The interface between shards or calls and the processes that do their work, and the processes of this machine.
 
-`LocalProcesses` (`local_processes.py`) starts processes on this machine, and `RayCluster` (`ray_cluster.py`)
-uses those of a Ray cluster. The module also has the functions that a worker of either kind runs and the
-requirements that it checks.
+`LocalProcesses` starts processes on this machine, and `RayCluster` (`ray_cluster.py`) uses those of a Ray cluster.
+
+A process of this machine is an interpreter of its own, which imports deepbots and nothing of the main module: it
+works from a script, `python -c` and a notebook. `concurrent.futures` and `multiprocessing.Pool` do not serve here:
+the first ends all calls when one process is killed, the second waits for its answer forever, and both import the
+main module.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import pickle
-import signal
-import socket
-import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from pathlib import Path
-from types import FrameType
-from typing import Any, NamedTuple, NoReturn, Protocol
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import IO, Any, NamedTuple, Protocol, Self
 
-import deepbots_cli
-from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.runs.records import versions
+from deepbots_cli.cluster.worker import Call, Parent, Requirements, invoke, perform
+from deepbots_cli.errors import UsageError
+from deepbots_cli.processes import Process, ending
 
 MAX_LOSSES = 3
 """The number of workers that may be lost in one fragment of a shard, or in one call."""
-_LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
-"""The libraries on whose versions the results depend."""
+_TICK_S = 1.0
+"""The time in s that this process waits before it looks at signals, which a wait on Windows ignores."""
 
 
 class WorkerLost(Exception):  # noqa: N818  # a state, which never reaches the user
@@ -123,125 +122,211 @@ class Calls(Protocol):
         """End with calls."""
 
 
-# Functions that a worker runs
+# Processes of this machine
 
 
-@dataclass(frozen=True)
-class Requirements:
-    """The requirements of a worker: the working directory, the same files, and the same versions of deepbots
-    and its libraries."""
+class Owed:
+    """The answer to a call. `hear` is called with the kind and value of each message that the call sends
+    before."""
 
-    folder: Path
-    files: Mapping[Path, str]
-    versions: Mapping[str, str]
-
-    @classmethod
-    def of_this_process(cls, files: Sequence[Path]) -> Requirements:
-        return cls(Path.cwd(), {path.absolute(): _digest(path) for path in files}, library_versions())
-
-    def unmet(self) -> str | None:
-        """Return a sentence with the requirement that this process does not meet."""
-        worker = f"the worker on {socket.gethostname()}"
-        here = library_versions()
-        for name, version in self.versions.items():
-            if here.get(name) != version:
-                return (
-                    f"{worker} has {name} {here.get(name, 'not installed')}, but this process has {version}"
-                )
-        for path, digest in self.files.items():
-            if _digest(path) != digest:
-                return f"{worker} does not see {path}; use a folder that all nodes share"
-        return (
-            None
-            if self.folder.is_dir()
-            else f"{worker} does not see {self.folder}; work in a folder that all nodes share"
-        )
+    def __init__(self, worker: Worker, hear: Callable[[str, Any], None] | None = None) -> None:
+        self.worker = worker
+        self.hear = hear
+        self.result: tuple[str, Any] | None = None
 
 
-def library_versions() -> dict[str, str]:
-    return {
-        "deepbots": deepbots_cli.__version__,
-        **{name: text for name, text in versions().items() if name in _LIBRARIES},
-    }
+Inbox = SimpleQueue[tuple["Worker", str, Any]]
+"""Messages of workers: their kind, and their value."""
 
 
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return ""
+class Worker:
+    """A process; it makes its calls one after the other. `loss` is the reason why it ended, empty before."""
 
-
-class Call(NamedTuple):
-    """A call of a function, to be made by a worker; `content` is the function with its item."""
-
-    item: int
-    attempt: int
-    content: bytes
-    requirements: Requirements
-    log: Path | None
-    can_stop: bool
-
-
-class Refusal(NamedTuple):
-    """The reason why a worker cannot do any call."""
-
-    reason: str
-
-
-class Line(Protocol):
-    """The connection of a call to the process that asked for it; it opens when the call begins."""
-
-    def report(self, value: object) -> None:
-        """Send how far the call is."""
-
-    def note(self, text: str) -> None:
-        """Send a message for the user."""
-
-
-def perform(call: Call, line: AbstractContextManager[Line]) -> object:
-    """Make a call in a worker. The result is the error itself if it is one of deepbots, and None after a
-    stop."""
-    reason = call.requirements.unmet()
-    if reason is not None:
-        return Refusal(reason)
-    os.chdir(call.requirements.folder)
-    with ExitStack() as stack:
-        if call.log is not None:
-            stack.enter_context(output_in(call.log))
-        if call.can_stop:  # until a training handles the signal itself
-            stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, _interrupt))
+    def __init__(self, inbox: Inbox) -> None:
+        self.beginning: tuple[object, ...] = ()
+        self.owed: deque[Owed] = deque()
+        self.loss = ""
         try:
-            function, item = pickle.loads(call.content)
-            opened = stack.enter_context(line)
-            return function(item, Attempt(call.attempt, opened.report, opened.note))
-        except DeepbotsError as error:
-            return error
-        except KeyboardInterrupt:
-            return None
+            self.process = Process(
+                "deepbots_cli.cluster.worker",
+                hear=lambda message: inbox.put((self, *message)),
+                on_end=lambda code: inbox.put((self, "lost", _loss(code))),
+                read=_unpickled,
+                environment={"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
+                apart=True,  # this process handles Ctrl-C, which a terminal sends to the whole group
+            )
+        except OSError as error:
+            raise UsageError(f"a worker cannot start: {error.strerror}; use fewer workers") from error
+
+    def send(self, message: bytes | None) -> None:
+        self.process.send(pickle.dumps(message))
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-@contextmanager
-def output_in(path: Path) -> Iterator[None]:
-    """Write standard output and error of this process into a file within the block."""
-    streams = (sys.stdout, sys.stderr)
-    for stream in streams:
-        stream.flush()
-    before = [os.dup(number) for number in (1, 2)]
-    with suppress(OSError):  # a folder that is not shared is refused in words
-        path.parent.mkdir(exist_ok=True)
-        log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        os.dup2(log, 1)
-        os.dup2(log, 2)
-        os.close(log)
+def _unpickled(stream: IO[bytes]) -> Any:
     try:
-        yield
-    finally:
-        for stream, number, saved in zip(streams, (1, 2), before, strict=True):
-            stream.flush()
-            os.dup2(saved, number)
-            os.close(saved)
+        return pickle.load(stream)
+    except pickle.UnpicklingError as error:  # the process ended within a message
+        raise EOFError from error
+
+
+def _loss(code: int) -> str:
+    return f"its process was ended by {ending(code)}" if code < 0 else f"its process ended with code {code}"
+
+
+class LocalProcesses:
+    """An `WorkerPool` with up to `workers` processes, which start when there is work and end with the
+    block."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._inbox: Inbox = SimpleQueue()
+        self._alive: set[Worker] = set()
+        self._idle: list[Worker] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in list(self._alive):
+            self.end(worker)
+
+    def free(self) -> int:
+        return self.workers - len(self._alive) + len(self._idle)
+
+    def start(self, kind: Callable[..., Any], *arguments: object) -> Worker:
+        worker = self._process()
+        worker.beginning = (kind, arguments)
+        return worker
+
+    def ask(self, worker: Worker, method: str, *arguments: object) -> Owed:
+        return self._send(Owed(worker), invoke, *worker.beginning, method, *arguments)
+
+    def share(self, value: object) -> object:
+        return value
+
+    def end(self, worker: Worker) -> None:
+        self._remove(worker, _loss(worker.process.end()))
+
+    def wait(self, owed: Collection[Owed], count: int = 1, timeout_s: float | None = None) -> Sequence[Owed]:
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while sum(entry.result is not None for entry in owed) < min(count, len(owed)):
+            left = _TICK_S if deadline is None else min(_TICK_S, deadline - time.monotonic())
+            if left <= 0:
+                break
+            with suppress(Empty):
+                self._take(*self._inbox.get(timeout=left))
+        return [entry for entry in owed if entry.result is not None]
+
+    def answer(self, owed: Owed) -> Any:
+        kind, value = owed.result or ("lost", "it has not answered")
+        if kind == "lost":
+            raise WorkerLost(value)
+        if kind == "error" and isinstance(value, Exception):
+            raise value
+        return value
+
+    def check(self) -> None:
+        pass
+
+    def set_message_if_lost(self, text: str) -> None:
+        pass
+
+    def calls(self, requirements: Requirements, *, can_stop: bool) -> LocalCalls:
+        return LocalCalls(self)
+
+    def call(
+        self, function: Callable[..., object], *arguments: object, hear: Callable[[str, Any], None]
+    ) -> Owed:
+        """Call a function in a process that is idle, or in a new one; it becomes idle again."""
+        return self._send(Owed(self._process(), hear), function, *arguments)
+
+    def _process(self) -> Worker:
+        worker = self._idle.pop() if self._idle else Worker(self._inbox)
+        self._alive.add(worker)
+        return worker
+
+    def _send(self, owed: Owed, function: Callable[..., object], *arguments: object) -> Owed:
+        content = pickle.dumps((function, arguments))
+        if owed.worker.loss:  # between two calls
+            owed.result = ("lost", owed.worker.loss)
+            return owed
+        owed.worker.owed.append(owed)
+        owed.worker.send(content)
+        return owed
+
+    def _take(self, worker: Worker, kind: str, value: Any) -> None:
+        """Take a message of a worker."""
+        if kind == "lost":
+            self._remove(worker, value)
+        elif not worker.owed:
+            return  # a late message of a process that was ended, whose calls are lost
+        elif kind in ("answer", "error"):
+            owed = worker.owed.popleft()
+            owed.result = (kind, value)
+            if owed.hear is not None and not worker.loss:
+                self._idle.append(worker)
+        elif (hear := worker.owed[0].hear) is not None:
+            hear(kind, value)
+
+    def _remove(self, worker: Worker, loss: str) -> None:
+        """Remove a process that has ended; its calls are lost."""
+        worker.loss = loss
+        self._alive.discard(worker)
+        if worker in self._idle:
+            self._idle.remove(worker)
+        while worker.owed:
+            worker.owed.popleft().result = ("lost", loss)
+
+
+class LocalCalls:
+    """Calls of functions, each in a process that does not start another one meanwhile."""
+
+    def __init__(self, processes: LocalProcesses) -> None:
+        self._processes = processes
+        self._running: dict[int, Owed] = {}
+        self._reports: dict[int, object] = {}
+        self._notes: list[tuple[int, str]] = []
+        self._stopped: set[int] = set()
+        self._begun: set[int] = set()
+
+    def submit(self, call: Call) -> Owed:
+        self._begun.discard(call.item)
+        owed = self._processes.call(_perform, call, hear=partial(self._hear, call.item))
+        self._running[call.item] = owed
+        return owed
+
+    def cancel(self, owed: Owed) -> None:
+        if owed.result is None:
+            self._processes.end(owed.worker)
+
+    def news(self, *, stop: bool) -> News:
+        if stop:
+            for item in self._begun - self._stopped:
+                if self._running[item].result is None:
+                    self._stopped.add(item)
+                    self._running[item].worker.send(None)
+        news = News(self._reports, self._notes, self._begun)
+        self._reports = {}
+        self._notes = []
+        return news
+
+    def leave_out(self) -> None:
+        return None
+
+    def close(self) -> None:
+        """Close the calls. A process that was told to stop could receive the signal in its next call, so it
+        gets no further call."""
+        for item in self._stopped:
+            self._processes.end(self._running[item].worker)
+
+    def _hear(self, item: int, kind: str, value: Any) -> None:
+        if kind == "begun":
+            self._begun.add(item)
+        elif kind == "report":
+            self._reports[item] = value
+        elif item not in self._stopped:  # after that, the caller prints how to continue
+            self._notes.append((item, value))
+
+
+def _perform(parent: Parent, call: Call) -> object:
+    return perform(call, parent)

@@ -1,7 +1,7 @@
 """From a program to readable Python.
 
     Program  ->  robot.py       a controller class per robot: use_message_data, create_message, its devices
-             ->  this module    the supervisor class: bindings, the paper's methods, hand-written policies
+             ->  this file      the supervisor class: bindings, the paper's methods, hand-written policies
                    reset.py     the draws and variations of an episode, and its start
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
 workspace.py   names that the methods of a supervisor share; reads of the engine

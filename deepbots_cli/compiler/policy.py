@@ -20,7 +20,7 @@ from deepbots_cli.compiler.namespace import (
     SupervisorScope,
 )
 from deepbots_cli.compiler.texts import SourceText
-from deepbots_cli.document.edits import move_to_augment_fix
+from deepbots_cli.document.layout import move_to_augment_fix
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER

@@ -1,5 +1,5 @@
 """Findings as text: `full` with source lines for people, `concise` for logs, `json`, and the formats of
-GitHub and SARIF.
+GitHub, SARIF and JUnit XML. JUnit XML also reports the requirements of `eval` and the tests of scenarios.
 
 Files are untrusted, so their text is escaped before it reaches a terminal, a log or an XML report.
 """
@@ -9,15 +9,19 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from urllib.parse import quote
 
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Label, Source, Span
 from deepbots_cli.diagnostics.registry import RULES, Severity
 from deepbots_cli.words import counted
+
+if TYPE_CHECKING:
+    from xml.etree import ElementTree
 
 Format = Literal["full", "concise", "json"]
 
@@ -367,3 +371,100 @@ def _file(source: Source) -> JsonObject:
     if Path(path).is_absolute():
         return {"uri": f"file://{quote(path, errors='replace')}"}
     return {"uri": quote(path, errors="replace"), "uriBaseId": "%SRCROOT%"}
+
+
+class Case(NamedTuple):
+    """A finding, a requirement or a test, with its output.
+
+    `fault` is the reason why it fails, empty if it passes. `attributes` are further attributes, such as
+    `time` in s.
+    """
+
+    name: str
+    output: str
+    fault: str = ""
+    kind: Literal["failure", "error"] = "failure"
+    code: str = ""
+    attributes: Mapping[str, str] = MappingProxyType({})
+
+
+def xml_report(
+    suites: Mapping[str, Iterable[Case]],
+    *,
+    title: str = "",
+    prefix: str = "",
+    properties: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Return the cases of each suite as XML; without a title, a single suite is the root.
+
+    `prefix` is put before the name of each suite. `properties` are the properties of each suite, by name.
+    """
+    from xml.etree import ElementTree  # only reports need XML
+
+    root = ElementTree.Element("testsuites")
+    for name, cases in suites.items():
+        suite = _xml_element(root, "testsuite", name=f"{prefix}{name}")
+        listed = _xml_element(suite, "properties") if properties else suite
+        for key, value in properties.items():
+            _xml_element(listed, "property", name=key, value=value)
+        for case in cases:
+            element = _xml_element(suite, "testcase", name=case.name, classname=name, **case.attributes)
+            if case.fault:
+                _xml_element(element, case.kind, case.output, type=case.code, message=case.fault)
+            elif case.output:
+                _xml_element(element, "system-out", case.output)
+        suite.attrib |= _xml_counts(suite)
+    root.attrib |= {"name": title, **_xml_counts(root)}
+    whole = root[0] if len(root) == 1 and not title else root
+    ElementTree.indent(whole)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(whole, encoding="unicode")}\n'
+
+
+def _xml_element(
+    parent: ElementTree.Element, tag: str, text: str = "", **attributes: str
+) -> ElementTree.Element:
+    """Return a new element without the attributes that are empty."""
+    from xml.etree import ElementTree
+
+    element = ElementTree.SubElement(
+        parent, tag, {name: escaped(value) for name, value in attributes.items() if value}
+    )
+    element.text = "\n".join(map(escaped, text.split("\n"))) or None
+    return element
+
+
+def _xml_counts(part: ElementTree.Element) -> dict[str, str]:
+    tags = {"tests": "testcase", "failures": "failure", "errors": "error"}
+    return {name: str(len([*part.iter(tag)])) for name, tag in tags.items()}
+
+
+def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection[Severity]) -> str:
+    """Return the report of `lint`: a suite for each file, a case for each finding; one that passes without
+    findings.
+
+    `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`,
+    else a case that passes with output; a DB903 is an error.
+    """
+    names = sorted({*files, *(finding.span.source.name for finding in findings)})
+    suites = {
+        relative_name(name): [
+            _junit_case(finding, failing) for finding in findings if finding.span.source.name == name
+        ]
+        or [Case("no findings", "", attributes={"time": "0"})]
+        for name in names
+    }
+    return xml_report(suites, title="deepbots lint")
+
+
+def _junit_case(finding: Finding, failing: Collection[Severity]) -> Case:
+    line, column = finding.span.start_position
+    headline = shortened(finding.headline)
+    return Case(
+        # programs merge cases of the same name
+        f"{finding.code} {finding.name} at {line}:{column}: {headline}",
+        message(finding),
+        headline if finding.severity in failing or finding.is_internal_error else "",
+        "error" if finding.is_internal_error else "failure",
+        finding.code,
+        {"file": relative_name(finding.span.source.name), "line": str(line), "time": "0"},
+    )

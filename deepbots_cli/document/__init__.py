@@ -6,8 +6,7 @@ syntax_hints.py  the messages of syntax errors
 value_hints.py   valid YAML that is probably a mistake
 nodes.py         Scalar, Sequence, Mapping; paths, walking, changed trees
 load.py          a scenario with the files that it extends and includes, `remove` and `--set`, as one Document
-layout.py        nodes to text: the canonical layout, and written trees
-edits.py         edits that keep the other text: an entry removed, moved or set
+layout.py        nodes to text: the canonical layout, and written trees; edits that keep the other text
 shipped.py       the scenarios and robots that come with deepbots
 """
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import yaml
 from yaml.error import MarkedYAMLError
 
-from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, nearest
 from deepbots_cli.document.nodes import ScalarNode
 from deepbots_cli.words import counted
 
@@ -207,7 +207,7 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         )
     if not value_text:
         return problem.finding("a value is missing", "write a value", at)
-    if value_text.startswith("|") and (replacement := foreign.without_bars(value_text)):
+    if value_text.startswith("|") and (replacement := nearest.without_bars(value_text)):
         fix = Fix((Edit(Span(problem.source, at, at + len(value_text)), replacement),), safe=False)
         return problem.finding(
             "`|` does not mean the absolute value", f"write `{replacement}`", at, len(value_text), fix
@@ -318,7 +318,7 @@ def is_readable(text: str, end: int | None = None) -> bool:
 def _second_colon(problem: _Problem, help: str) -> Finding:
     line = problem.rest_of_line(problem.line_start)
     key = _KEY.match(line)
-    replacement = foreign.conditional(line[key.end() :]) if key else None
+    replacement = nearest.as_conditional(line[key.end() :]) if key else None
     if key is not None and replacement:
         return problem.finding(
             "this condition is in the form of another language",

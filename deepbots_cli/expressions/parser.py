@@ -17,7 +17,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import foreign
+from deepbots_cli.diagnostics import nearest
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS
@@ -512,19 +512,19 @@ class _Parser:
                 before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help
             )
         token = self._peek
-        if token.text in _CONDITIONAL_SIGNS and (replacement := foreign.conditional(self._text)):
+        if token.text in _CONDITIONAL_SIGNS and (replacement := nearest.as_conditional(self._text)):
             return _SyntaxError(
                 token.start,
                 token.end,
                 "this condition is in the form of another language",
                 f"write `{replacement}`",
             )
-        if token.text == "|" and missing and (replacement := foreign.without_bars(self._text)):
+        if token.text == "|" and missing and (replacement := nearest.without_bars(self._text)):
             headline = "`|` does not mean the absolute value"
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(replacement.split())}`")
         if token.text == "(" and (names := self._names_before()):
             first = self._tokens[self._at - 2 * len(names) + 1]
-            help = f"call the function without a prefix: `{foreign.call(names)}`"
+            help = f"call the function without a prefix: `{nearest.foreign_call(names)}`"
             return _SyntaxError(
                 first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
             )

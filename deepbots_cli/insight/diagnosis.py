@@ -7,7 +7,6 @@ possible symptoms. A training that solves its task has none, unless it fell apar
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -24,31 +23,33 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import display_path
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.changed import changed_since_solved
-from deepbots_cli.insight.collapse import fell_apart
-from deepbots_cli.insight.ends import (
+from deepbots_cli.insight.causes import (
     TOTAL_TIMESTEPS,
+    changed_since_solved,
+    constant_observation,
     one_ending,
+    rival_improved,
+    rival_too_strong,
+    saturated_observation,
+    script_succeeds,
+    sensor_without_reading,
     stopped_early,
+    strategies_cycle,
+    teacher_fails,
+    teacher_sees_more,
     too_few_steps,
 )
 from deepbots_cli.insight.learner import (
     exploration_collapsed,
     exploration_hides_success,
     exploration_too_large,
+    fell_apart,
     horizon_too_short,
     learning_rate_too_high,
     learning_rate_too_low,
     rewards_too_large,
     success_needs_exploration,
 )
-from deepbots_cli.insight.missed import missed_condition
-from deepbots_cli.insight.observations import (
-    constant_observation,
-    saturated_observation,
-    sensor_without_reading,
-)
-from deepbots_cli.insight.probes import run_probes
 from deepbots_cli.insight.rewards import (
     ending_early_pays,
     loitering,
@@ -58,10 +59,11 @@ from deepbots_cli.insight.rewards import (
     standing_still_pays,
     term_dominates,
 )
-from deepbots_cli.insight.rivals import rival_improved, rival_too_strong, strategies_cycle
+from deepbots_cli.insight.scenario_facts import training_command
 from deepbots_cli.insight.stages import (
     easy_stage_counted,
     levels_stay_lowest,
+    missed_condition,
     some_starts_fail,
     stage_too_hard,
     stuck_in_stage,
@@ -79,17 +81,17 @@ from deepbots_cli.insight.statements import (
     statement,
     statements_about,
 )
-from deepbots_cli.insight.teachers import script_succeeds, teacher_fails, teacher_sees_more
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.insight.train_command import training_command
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
+    commonest_ending,
     latest_failure,
     read_trainings,
+    run_probes,
 )
-from deepbots_cli.learning.agents.multi_agent import SHARED
-from deepbots_cli.learning.failures import Failure
+from deepbots_cli.learning.environments import Failure
+from deepbots_cli.learning.multi_agent import SHARED
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import logged_episodes_meet
 from deepbots_cli.program.task import SAME_OBSERVATION
@@ -302,7 +304,7 @@ def has_learned(evidence: TrainingEvidence) -> Literal["exploring", "evaluated"]
         """Return whether successes suffice in a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    final = SuccessRate([episode.is_success for episode in evidence.final_episodes])
+    final = SuccessRate.of(evidence.final_episodes)
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
     if not excluded and (
         _met_while_exploring(evidence)
@@ -325,7 +327,7 @@ def _met_while_exploring(evidence: TrainingEvidence) -> bool:
     solved, result = evidence.run.program.agent.solved, evidence.run.record.result
     if result is None or result.solved_at is None:
         return False
-    if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
+    if solved is None:
         return True
     recent = evidence.episodes[-solved.episodes :] if evidence.is_last_stage else evidence.episodes[:0]
     return logged_episodes_meet(solved, recent.returns, recent.successes)
@@ -422,20 +424,19 @@ def _difference(first: Trace, second: Trace, numbers: Sequence[int]) -> float:
 )
 def ending_at_once(evidence: TrainingEvidence) -> Numbers | None:
     lengths = evidence.episodes.lengths
-    longest = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if len(lengths) < MIN_EPISODES:
         return None
     long = float(np.quantile(lengths, 0.9))
-    name, count = Counter(evidence.episodes.endings).most_common(1)[0]
-    if long > min(12, 0.2 * longest) or name not in evidence.program.failures:
+    name, share = commonest_ending(evidence.episodes)
+    if long > min(12, 0.2 * evidence.longest) or name not in evidence.program.failures:
         return None
     return {
         "likelihood": 0.96,
         "ending": name,
-        "share": Percentage(count / len(lengths)),
+        "share": Percentage(share),
         "length": float(np.median(lengths)),
         "long": long,
-        "longest": longest,
+        "longest": evidence.longest,
     }
 
 

@@ -10,15 +10,6 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.expressions.text import unit_named
-from deepbots_cli.insight.conditions import (
-    SIGN_OF_OPERATOR,
-    Comparison,
-    comparisons_in,
-    holds,
-    measure,
-    missing_comparisons,
-)
-from deepbots_cli.insight.missed import inner_comparisons, missed_success, nearest_moment
 from deepbots_cli.insight.statements import (
     MAX_LISTED,
     Numbers,
@@ -29,7 +20,18 @@ from deepbots_cli.insight.statements import (
     statement,
     statements_about,
 )
-from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.trace import (
+    SIGN_OF_OPERATOR,
+    Comparison,
+    Trace,
+    comparisons_in,
+    holds,
+    inner_comparisons,
+    measure,
+    missed_success,
+    missing_comparisons,
+    nearest_moment,
+)
 from deepbots_cli.learning.runs.episodes import agent_returns
 from deepbots_cli.words import counted, number_text, rate_text
 

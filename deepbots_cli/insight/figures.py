@@ -16,7 +16,7 @@ from deepbots_cli import frames
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.files import atomic_write, check_folder
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.learning.runs.draws import DrawnEffects
+from deepbots_cli.learning.runs.evaluations import DrawnEffects
 from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.kinematics import bounds_of_shape
@@ -24,22 +24,18 @@ from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.spaces import joined, parts_of_rows
 from deepbots_cli.view.frames import COLORS, LinkName
+from deepbots_cli.view.pictures import Moving, has_moved
 from deepbots_cli.view.plots import (
     THEMES,
     ending_colors,
     plot_agents,
-    plot_band,
-    plot_decline,
     plot_endings,
-    plot_evaluation,
-    plot_evaluations,
     plot_lessons,
-    plot_teacher,
+    plot_scores,
     style_panel,
     term_styles,
 )
-from deepbots_cli.view.training_logs import TrainingLog
-from deepbots_cli.view.trajectories import Moving, has_moved
+from deepbots_cli.view.training_logs import Measure, TrainingLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,40 +67,24 @@ def _with_legend(figure: Figure, height: float) -> Figure:
     return figure
 
 
-def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
-    """Draw returns of training episodes, the mean over seeds with a band from the lowest to the highest,
-    evaluations, and the teacher."""
-    figure, ((panel,),) = new_figure(theme, 2.9)
-    if any(log.agents for log in logs):
-        plot_agents(panel, logs)
-        return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
-    plot_band(
-        panel,
-        [log.returns for log in logs if log.returns is not None],
-        {"color": COLORS[0], "label": _episodes_label(logs)},
-    )
-    plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
-    for log in logs:
-        plot_evaluation(panel, None, log, COLORS[1])
-        plot_decline(panel, None, log)
-    plot_teacher(panel, logs, "mean_return", THEMES[theme][1], f"teacher {logs[0].teacher}")
-    return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
-
-
-def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """Draw success rates in the same way as the returns."""
-    curves = [log.successes for log in logs if log.successes is not None]
-    if not curves:
+def scores(logs: Sequence[TrainingLog], theme: str, measure: Measure) -> Figure | None:
+    """Draw a measure of training episodes, the mean over seeds with a band from the lowest to the highest, of
+    evaluations, and of the teacher; the returns of each of several agents."""
+    if all(log.curves(measure)[0] is None for log in logs):
         return None
     figure, ((panel,),) = new_figure(theme, 2.9)
-    plot_band(panel, curves, {"color": COLORS[2], "label": _episodes_label(logs)})
-    plot_evaluations(panel, logs, COLORS[1], "evaluations during the training", successes=True)
-    for log in logs:
-        plot_evaluation(None, panel, log, COLORS[1])
-        plot_decline(None, panel, log)
-    plot_teacher(panel, logs, "success_rate", THEMES[theme][1], f"teacher {logs[0].teacher}")
-    panel.set_ylim(-0.03, 1.03)
-    return _with_legend(figure, style_panel(panel, "success rate", theme, stages=[logs]))
+    is_return = measure == "mean_return"
+    if is_return and any(log.agents for log in logs):
+        plot_agents(panel, logs)
+    else:
+        seeds = "" if len(logs) == 1 else f", mean of {len(logs)} seeds"
+        style = {"color": COLORS[0] if is_return else COLORS[2], "label": f"training episodes{seeds}"}
+        marks = COLORS[1], "evaluations during the training"
+        plot_scores(panel, logs, measure, style, marks, (THEMES[theme][1], f"teacher {logs[0].teacher}"))
+    if not is_return:
+        panel.set_ylim(-0.03, 1.03)
+    title = "return" if is_return else "success rate"
+    return _with_legend(figure, style_panel(panel, title, theme, stages=[logs]))
 
 
 def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
@@ -133,10 +113,6 @@ def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
 
 
 _ACTION_BINS = 20
-
-
-def _episodes_label(logs: Sequence[TrainingLog]) -> str:
-    return "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
 
 
 def lessons(logs: Sequence[TrainingLog], theme: str) -> Figure | None:

@@ -1,20 +1,437 @@
-"""Causes in the learner: its rate, its horizon, its exploration."""
+"""Causes in the learner: its rate, horizon and exploration, and the settings of a training that fell apart.
+
+deepbots weighs each setting of a training that fell apart by its distance from the usual value, on a scale
+of its own where 1 means "often breaks a training that has learned", and by the scalars of the run: an
+update that changes the policy a lot has a large KL divergence, a weight of the entropy that is too large
+lets the entropy rise again. `tests/insight/collapses.py` measures how often the planted setting is
+named.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.insight.collapse import suspects
-from deepbots_cli.insight.ends import training_length
+from deepbots_cli.insight.causes import training_length
+from deepbots_cli.insight.rewards import rising_term
 from deepbots_cli.insight.stages import criterion, hides_success, needs_exploration
 from deepbots_cli.insight.statements import Numbers, Percentage, sentence, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, mean_return, return_trend
-from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
-from deepbots_cli.words import number_text
+from deepbots_cli.insight.training import (
+    MIN_EPISODES,
+    TrainingEvidence,
+    last_quarter,
+    mean_return,
+    return_trend,
+    usual_settings,
+)
+from deepbots_cli.learning.runs.verdict import Decline
+from deepbots_cli.program.task import Schedule
+from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import number_text, rate_text
+
+SUSPECTED = 0.5
+"""The weight from which a setting is named; settings of shipped scenarios stay below."""
+MAX_SUSPECTS = 2
+"""The largest number of settings that are named."""
+_LARGE_UPDATE = 0.03
+"""The KL divergence of an update that changes the policy a lot. In a usual update it is 0.003 to 0.02; see
+`_of_scale`."""
+_USUAL_RETURN, _BREAKING_RETURNS = 300.0, 10.0
+"""The returns for which a critic is suited, and the factor of returns that break it."""
+
+
+class Suspect(NamedTuple):
+    """A setting that explains a fall: its path, its value and the one to write, both as text, a reason, and
+    how likely it is."""
+
+    path: str
+    now: str
+    advised: str
+    reason: str
+    weight: float
+
+    @property
+    def advice(self) -> str:
+        return f"`{self.path}: {self.advised}`" + (f" instead of {self.now}" if self.now else "")
+
+
+class _Scale(NamedTuple):
+    """The scale of a setting: its usual value, and the distance from it that often breaks a training.
+
+    Attributes:
+        usual: Its usual value; None for its default.
+        times: The factor on the usual value that often breaks a training; below 1 for values that are too
+            small.
+        acts_by_updates: Whether it breaks it by updates that change the policy a lot.
+    """
+
+    usual: float | None
+    times: float
+    acts_by_updates: bool = False
+
+
+_ON_POLICY: Mapping[str, _Scale] = {
+    "learning_rate": _Scale(None, 5, acts_by_updates=True),
+    "n_epochs": _Scale(10, 5, acts_by_updates=True),
+    "clip_range": _Scale(0.2, 2.5, acts_by_updates=True),
+    "batch_size": _Scale(64, 1 / 4, acts_by_updates=True),
+    "max_grad_norm": _Scale(0.5, 20, acts_by_updates=True),
+    "ent_coef": _Scale(0.01, 8),
+    "vf_coef": _Scale(0.5, 20),
+}
+_OFF_POLICY: Mapping[str, _Scale] = {
+    "learning_rate": _Scale(1e-3, 5),
+    "batch_size": _Scale(None, 1 / 20),
+    "tau": _Scale(None, 40),
+    "buffer_size": _Scale(None, 1 / 20),
+    "target_update_interval": _Scale(None, 1 / 50),
+    "exploration_final_eps": _Scale(0.05, 6),
+    "ent_coef": _Scale(0.02, 10),
+}
+
+
+@statement(
+    "fell_apart",
+    "{fall}. {reasons}",
+    advice="{advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.",
+)
+def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
+    fall = evidence.decline
+    if fall is None or evidence.rivals:  # less success against a rival is its gain: `rival_improved`
+        return None
+    text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
+    if (paid := _return_meanwhile(evidence, fall)) is not None and paid[1] >= paid[0]:
+        before, after = paid
+        return {
+            **numbers,
+            "likelihood": 0.5,
+            "fall": sentence(text),
+            "reasons": f"Meanwhile the mean return rose from {number_text(before)} to {number_text(after)}:"
+            " the reward pays"
+            " for something other than"
+            f" success{_paying_term(evidence)}.",
+            "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
+            " lint` and"
+            " `lint --exploits` look for such payments.",
+            "suspects": [],
+        }
+    causes = suspects(evidence, fall)[:MAX_SUSPECTS]
+    reasons = " ".join(
+        f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), causes, strict=False)
+    )
+    if not reasons:
+        reasons = "No setting is unusual: later updates may still be too large for a policy that has learned."
+    advice = (
+        _fallback(evidence) if not causes else f"Write {', or '.join(suspect.advice for suspect in causes)}."
+    )
+    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback_settings(evidence)
+    return {
+        **numbers,
+        # Before the rows of single settings; after faults of the reward if no setting is far from usual.
+        "likelihood": 0.945 if causes and causes[0].weight >= 1.0 else 0.9,
+        "fall": sentence(text),
+        "reasons": sentence(reasons),
+        "advice": advice,
+        "suspects": [suspect._asdict() for suspect in causes],
+        "settings": settings,
+    }
+
+
+def _return_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
+    """Return the mean return of the evaluations at the best model and of the last ones; None for a fall of
+    the return."""
+    if fall.measure != "success_rate":
+        return None
+    points = [
+        (evaluation["steps"], fmean(evaluation["returns"]))
+        for evaluation in evidence.evaluations
+        if "steps" in evaluation
+    ]
+    best = [value for steps, value in points if steps == fall.best_steps]
+    late = [value for steps, value in points if steps >= fall.last_steps]
+    return (best[0], fmean(late)) if best and late else None
+
+
+def _paying_term(evidence: TrainingEvidence) -> str:
+    """Return the reward term that rose most, in words; empty where none rose."""
+    rise = rising_term(evidence)
+    return (
+        ""
+        if rise is None
+        else f". The term '{rise[0]}' rose most, from {number_text(rise[1])} to {number_text(rise[2])} per"
+        " episode"
+    )
+
+
+def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
+    """Return the settings that explain a fall, the most likely first, and only those whose value is not the
+    advised one."""
+    training = evidence.program.agent.training
+    if training is None:
+        return []
+    is_off_policy = "buffer_size" in evidence.settings
+    scales = _OFF_POLICY if is_off_policy else _ON_POLICY
+    causes = [_of_scale(evidence, fall, name, scale) for name, scale in scales.items()]
+    rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
+        _reward_scale,
+        _discount,
+        _trace,
+        _small_rollouts,
+        _updates_per_step,
+        _noise,
+        _advantages,
+        _after_teacher,
+    )
+    causes += [rule(evidence, fall) for rule in rules]
+    candidates = [
+        suspect
+        for suspect in causes
+        if suspect is not None and suspect.weight >= SUSPECTED and suspect.now != suspect.advised
+    ]
+    by_path: dict[str, Suspect] = {}  # the strongest of several reasons for a change of one setting
+    for suspect in sorted(candidates, key=lambda suspect: -suspect.weight):
+        by_path.setdefault(suspect.path, suspect)
+    return list(by_path.values())
+
+
+def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
+    """Detect a number that is too large or too small."""
+    value, default = _value_at(evidence, name, fall.since_steps), usual_settings(evidence).get(name)
+    usual = scale.usual
+    if usual is None:
+        usual = default if isinstance(default, int | float) else 3e-4
+    if value is None or value <= 0 or usual <= 0:
+        return None
+    weight = math.log(value / usual) / math.log(scale.times)
+    times = value / usual if scale.times > 1 else usual / value
+    size = f"{times:.2g} times" if scale.times > 1 else f"{times:.2g} times smaller than"
+    reason = f"`{name}` is {value:g}, {size} the usual {usual:g}"
+    if scale.acts_by_updates:
+        divergence = _since(evidence, "train/approx_kl", fall.best_steps)
+        if len(divergence):
+            high = float(np.quantile(divergence, 0.9))
+            weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
+            size = f"up to {divergence.max():.2g} (usual: 0.003 to 0.02)"
+            reason += (
+                f"; the KL divergence, by which an update changes the policy, is {size} since"
+                f" {fall.best_steps:,} steps"
+            )
+    if name == "ent_coef":
+        before, after = (-_part(evidence, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
+        if len(before) and len(after):
+            rise = float(after.mean() - before.mean())
+            weight *= 1.2 if rise > 0 else 0.8
+            reason += f"; the entropy went from {before.mean():.2g} to {after.mean():.2g}"
+    now = evidence.settings.get(name)
+    text = now.text if isinstance(now, Schedule) else f"{value:g}"
+    return Suspect(f"train.{name}", text, _advised(evidence, name, usual, default), reason, weight)
+
+
+def _advised(evidence: TrainingEvidence, name: str, usual: float, default: Any) -> str:
+    """Return the value to write."""
+    if name == "batch_size" and (rows := _rows(evidence)):
+        return f"{next((size for size in (256, 128, 64, 32) if rows % size == 0 and size < rows), rows)}"
+    if name == "ent_coef" and isinstance(default, str):
+        return default
+    if name == "learning_rate":
+        rate = min(usual, default) if isinstance(default, int | float) else usual
+        return f"{rate:g} -> {rate / 10:g}"
+    return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
+
+
+def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect returns that are too large for a critic."""
+    training = evidence.program.agent.training
+    if training is None or training.normalize == "reward" or not evidence.evaluations:
+        return None
+    size = float(
+        np.mean([abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"]])
+    )
+    high = max(abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"])
+    if size <= 0:
+        return None
+    weight = math.log(high / _USUAL_RETURN) / math.log(_BREAKING_RETURNS) if high > 0 else 0.0
+    reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
+    explained = _since(evidence, "train/explained_variance", fall.best_steps)
+    if len(explained):
+        median = float(np.median(explained))
+        weight += 0.3 if median < 0.3 else 0.0
+        reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
+    return Suspect("train.normalize", "", "reward", reason, weight)
+
+
+def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
+    rewards."""
+    gamma = evidence.number_setting("gamma")
+    length = evidence.longest
+    if gamma is None:
+        return None
+    # A horizon 1 / (1 - gamma) of a quarter of the longest episode.
+    advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
+    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
+    if gamma >= 1:
+        reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
+        return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, 0.9)
+    # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
+    weight = (
+        math.log(usual / horizon) / math.log(8)
+        if horizon < usual
+        else math.log(horizon / usual) / math.log(30)
+    )
+    reason = (
+        f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about"
+        f" {horizon:.0f} of {length:,} steps"
+    )
+    return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
+
+
+def _trace(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect a `gae_lambda` of 1, which gives noisy advantages, or a small one, whose advantages depend on an
+    inaccurate critic."""
+    trace = evidence.number_setting("gae_lambda")
+    if trace is None or _base(evidence) == "A2C" or 0.6 <= trace < 0.995:
+        return None
+    return Suspect(
+        "train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8
+    )
+
+
+def _small_rollouts(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect updates from too few steps."""
+    rows, steps = _rows(evidence), evidence.number_setting("n_steps")
+    if not rows or not steps or "n_epochs" not in evidence.settings:
+        return None
+    usual = max(32.0, 256 / rows * steps)
+    reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
+    return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
+
+
+def _updates_per_step(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect too many gradient steps of an off-policy algorithm for each new step."""
+    training = evidence.program.agent.training
+    updates = evidence.number_setting("gradient_steps")
+    often = evidence.number_setting("train_freq")
+    if (
+        training is None
+        or updates is None
+        or often is None
+        or "buffer_size" not in evidence.settings
+        or updates <= 0
+    ):
+        return None
+    ratio = updates / (often * training.environments)
+    if ratio <= 1:
+        return None
+    reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
+    return Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
+
+
+def _noise(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect action noise that hides the actions of the policy, or no noise."""
+    noise = evidence.settings.get("action_noise")
+    sigma = getattr(noise, "sigma", None)
+    if sigma is None:
+        return None
+    value = sigma.at(evidence.progress(fall.since_steps))
+    weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
+    path, advised = evidence.noise_setting("0.3 -> 0.1")
+    reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
+    return Suspect(path, sigma.text, advised, reason, weight)
+
+
+def _advantages(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect advantages as large as the rewards."""
+    if "n_epochs" not in evidence.settings or evidence.settings.get("normalize_advantage") is not False:
+        return None
+    reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
+    return Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
+
+
+def _after_teacher(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
+    """Detect a policy that was better while it imitated than after it learned by itself."""
+    weights = _part(evidence, "teacher/weight", 0.0, math.inf)
+    if not len(weights):
+        return None
+    steps, values = evidence.scalars["teacher/weight"]
+    alone = steps[values < 1.0]
+    if not len(alone) or fall.since_steps < alone[0]:
+        return None
+    rate = _value_at(evidence, "learning_rate", fall.since_steps)
+    if rate is None:
+        return None
+    reason = (
+        f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm"
+        " undo what was imitated"
+    )
+    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
+
+
+def _fallback(evidence: TrainingEvidence) -> str:
+    """Return the advice if no setting is unusual."""
+    settings = _fallback_settings(evidence)
+    change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
+    return (
+        f"Write {change}, so that updates become smaller."
+        if change
+        else "Train with further seeds: `--seeds 0..4`."
+    )
+
+
+def _fallback_settings(evidence: TrainingEvidence) -> dict[str, str]:
+    rate = evidence.settings.get("learning_rate")
+    if isinstance(rate, int | float) and rate > 0:
+        return {"train.learning_rate": f"{rate:g} -> {rate / 10:g}"}
+    if isinstance(rate, Schedule) and rate.start > 0:
+        return {"train.learning_rate": f"{rate.start / 3:.1g} -> {rate.end / 3:.1g}"}
+    return {}
+
+
+# Numbers
+
+
+def _base(evidence: TrainingEvidence) -> str:
+    training = evidence.program.agent.training
+    algorithm = None if training is None else ALGORITHMS.get(training.algorithm)
+    return "" if algorithm is None else algorithm.base()
+
+
+def _rows(evidence: TrainingEvidence) -> int:
+    """Return the steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
+    training, copies = evidence.program.agent.training, evidence.program.agent.copies
+    steps = evidence.number_setting("n_steps")
+    if training is None or steps is None or "buffer_size" in evidence.settings:
+        return 0
+    return int(steps) * training.environments * (copies.count if copies else 1)
+
+
+def _value_at(evidence: TrainingEvidence, name: str, steps: float) -> float | None:
+    """Return a hyperparameter after so many steps; None where it is not a number."""
+    value = evidence.settings.get(name)
+    if isinstance(value, Schedule):
+        return value.at(evidence.progress(steps))
+    return evidence.number_setting(name)
+
+
+def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (0.5 * fall.best_steps, float(fall.best_steps)), (float(fall.since_steps), math.inf)
+
+
+def _part(evidence: TrainingEvidence, tag: str, first: float, last: float) -> Any:
+    """Return the finite values of a scalar between two numbers of steps."""
+    if tag not in evidence.scalars:
+        return np.zeros(0)
+    steps, values = evidence.scalars[tag]
+    return values[(steps >= first) & (steps <= last) & np.isfinite(values)]
+
+
+def _since(evidence: TrainingEvidence, tag: str, first: float) -> Any:
+    return _part(evidence, tag, first, math.inf)
+
 
 _LARGE_RETURN = 1000.0
 """The absolute mean return from which a critic of the usual learning rate falls behind: CartPole with 1000
@@ -65,13 +482,7 @@ def _names_rate(evidence: TrainingEvidence) -> bool:
 
 def _usual_rate(evidence: TrainingEvidence) -> float:
     """Return the default learning rate, of deepbots or the library."""
-    training = evidence.program.agent.training
-    defaults: Any = (
-        None
-        if training is None
-        else default_values(training, evidence.run.record.total_timesteps, longest_episode(evidence.program))
-    )
-    rate = (defaults or {}).get("learning_rate")
+    rate = usual_settings(evidence).get("learning_rate")
     return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
 
 
@@ -126,7 +537,7 @@ def rewards_too_large(evidence: TrainingEvidence) -> Numbers | None:
     ):
         return None
     late = evidence.episodes_between(0.75, 1.0).returns
-    median = float(np.median(explained[-max(1, len(explained) // 4) :]))
+    median = float(np.median(last_quarter(explained)))
     if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
         return None
     return {"likelihood": 0.91, "late": float(late.mean()), "explained": Percentage(max(0.0, median)),
@@ -144,11 +555,7 @@ def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     if gamma is None or gamma >= 1.0:
         return None
     has_successes = len(won) >= MIN_EPISODES
-    length = (
-        float(np.median(won))
-        if has_successes
-        else float(evidence.program.truncation.max_episode_steps(evidence.program.period))
-    )
+    length = float(np.median(won)) if has_successes else float(evidence.longest)
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
@@ -280,7 +687,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
     entropy, spread = -evidence.curve("train/entropy_loss"), evidence.curve("train/std")
     if not weight or not len(entropy) or (random is None and not len(spread)):
         return None
-    late = float(entropy[-max(1, len(entropy) // 4) :].mean())
+    late = float(last_quarter(entropy).mean())
     share = float(spread[-1] / spread[0]) if random is None else late / random
     if share < (1.2 if random is None else 0.97):
         return None
@@ -327,30 +734,21 @@ def exploration_collapsed(evidence: TrainingEvidence) -> Numbers | None:
     settings = _settings(more or slower)
     sigma = getattr(getattr(evidence.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
+        numbers = {"measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1}
         return {
+            **numbers,
             "likelihood": 0.85,
-            "measure": "the standard deviation of the action noise",
-            "value": 0.0,
-            "least": 0.1,
             "steps": evidence.steps,
             "remedy": remedy,
             "settings": settings,
         }
-    random, measures = _random_entropy(evidence), []
-    if random is not None:
-        measures.append(("the entropy of the policy", -evidence.curve("train/entropy_loss"), 0.05 * random))
-    for measure, curve, least in [
-        *measures,
+    random = _random_entropy(evidence)
+    least_entropy = -math.inf if random is None else 0.05 * random
+    for measure, curve, least in (
+        ("the entropy of the policy", -evidence.curve("train/entropy_loss"), least_entropy),
         ("the standard deviation of the actions", evidence.curve("train/std"), 0.05),
-    ]:
+    ):
         if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            return {
-                "likelihood": 0.6,
-                "steps": evidence.steps // 2,
-                "measure": measure,
-                "value": value,
-                "least": least,
-                "remedy": remedy,
-                "settings": settings,
-            }
+            numbers = {"measure": measure, "value": value, "least": least, "steps": evidence.steps // 2}
+            return {**numbers, "likelihood": 0.6, "remedy": remedy, "settings": settings}
     return None

@@ -25,9 +25,7 @@ from deepbots_cli import api, rollout
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar
-from deepbots_cli.insight.export.actuators import output
-from deepbots_cli.insight.export.readings import Reading
-from deepbots_cli.insight.export.recording import Watch
+from deepbots_cli.insight.export.devices import Reading, Watch, output
 from deepbots_cli.insight.robot import robot_program, sent_readings
 from deepbots_cli.port import (
     ClearanceReader,

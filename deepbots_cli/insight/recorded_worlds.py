@@ -1,4 +1,5 @@
-"""The values of episodes in two worlds, and what differs between them.
+"""The values of episodes in two worlds, what differs between them, and changes of a world which may explain
+that.
 
 A world is recorded while the policy acts, or while it repeats the starts and actions of another one. The
 values are those of the observation, in SI units, and the reward terms.
@@ -9,25 +10,206 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
+from itertools import combinations, islice
 from math import inf
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import api
-from deepbots_cli.document import Permissions
+from deepbots_cli.document import MappingNode, Permissions
+from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.insight.conditions import Comparison, InstrumentedProgram, instrument_program, measure
-from deepbots_cli.insight.missed import inner_comparisons
-from deepbots_cli.insight.world_changes import Act, Array
+from deepbots_cli.insight.trace import (
+    Comparison,
+    InstrumentedProgram,
+    TraceRecorder,
+    inner_comparisons,
+    instrument_program,
+    measure,
+)
+from deepbots_cli.learning.robustness import (
+    DELAY,
+    Change,
+    Plan,
+    delayed,
+    friction,
+    joined,
+    movable_objects,
+    scaled,
+    written,
+)
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Thrust
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_cli.words import counted, sentence_list, unit_text
+
+_LONGEST = 0.35
+"""The longest time that is tried, in s. Three times are always tried: those of 1, 2 and 4 timesteps. Further
+ones are twice as long as the one before."""
+_MAX_SINGLE = 12
+"""The largest number of actuators, or of numbers of an action, that are changed one by one."""
+Array = NDArray[np.float64]
+Act = Callable[[Any], Any]
+"""A function that changes an action."""
+
+
+def doubled_times(timestep: float) -> tuple[float, ...]:
+    """Return times in ms, from one timestep on; each is twice the previous one."""
+    count = max(3, 1 + int(np.log2(_LONGEST / timestep)))
+    return tuple(1000 * timestep * 2**power for power in range(count))
+
+
+def friction_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
+    """Yield, for each object that can move, a plan that multiplies its friction."""
+    for name in movable_objects(root, program):
+        yield Plan("friction", partial(_friction_of, root, name), subject=name)
+
+
+def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
+    return {"objects": {name: friction(root, ("objects", name), factor)}}
+
+
+def latency_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
+    """Yield, for each sensor, a plan that adds to its latency."""
+    for robot in program.robots:
+        for sensor in entries_at(root, "robots", robot.name, "sensors"):
+            path = ("robots", robot.name, "sensors", sensor, "latency")
+            subject = f"the sensor {robot.name}.{sensor}"
+            yield Plan("latency", partial(_later, root, [path]), form=DELAY, subject=subject)
+
+
+def command_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
+    """Yield, for each actuator and for all together, another gain of the command, a delay, and a larger time
+    constant."""
+    motors = [
+        (robot.name, name)
+        for robot in program.robots
+        for name in entries_at(root, "robots", robot.name, "actuators")
+    ]
+    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in motors[:_MAX_SINGLE]}
+    if len(motors) > 1:
+        groups["all actuators"] = motors
+    for words, actuators in groups.items():
+        apply_paths = [("robots", robot, "apply", name) for robot, name in actuators]
+        if commands := [path for path in apply_paths if written(root, *path)]:
+            yield Plan("command", partial(_scaled_texts, root, commands), subject=words)
+        for key in ("time_constant", "delay"):
+            paths = [("robots", robot, "actuators", name, key) for robot, name in actuators]
+            yield Plan(key.replace("_", " "), partial(_later, root, paths), form=DELAY, subject=words)
+
+
+def torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
+    """Yield, for each motor, a plan that sets its limit of torque or force, and its largest present limit in
+    N m or N."""
+    models = {robot.name: robot.model for robot in program.world.robots}
+    for robot in program.robots:
+        for motor in robot.actuators:
+            if isinstance(motor, Thrust) or not (limits := [limit for limit in motor.max_torque if limit]):
+                continue
+            path = ("robots", robot.name, "actuators", motor.name, "max_torque")
+            form = "{:g} N" if models[robot.name].joint(motor.joints[0]).type == "prismatic" else "{:g} N*m"
+            subject = f"{robot.name}.{motor.name}"
+            plan = Plan("torque limit", partial(_limit, path, form), form=form, subject=subject)
+            yield plan, max(limits)
+
+
+def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
+    return joined({path: form.format(limit)})
+
+
+def _later(root: MappingNode, paths: Sequence[tuple[str, ...]], delay: float) -> Change:
+    return joined({path: delayed(delay, written(root, *path)) for path in paths})
+
+
+def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], factor: float) -> Change:
+    """Return written values times a factor."""
+    return joined({path: scaled(factor, written(root, *path) or "") for path in paths})
+
+
+def changed_actions(program: Program) -> Iterator[tuple[str, Act]]:
+    """Yield ranges with another sign or order, or options of one choice: the change in words, and
+    a function that changes an action."""
+    names, choices = program.agent.range_names, program.agent.choices
+    if len(choices) == 1 and not names:
+        options = choices[0].options
+        for first, second in combinations(range(len(options)), 2):
+            text = f"the options {options[first].name} and {options[second].name} are swapped"
+            yield text, _swapped_options(first, second)
+    if choices:
+        return
+    for name, is_part in _parts(program).items():
+        yield (
+            f"the action {name} has the other sign",
+            _negated(np.where(is_part, -1.0, 1.0)),
+        )
+    for first, second in combinations(range(len(names)), 2) if len(names) <= _MAX_SINGLE else ():
+        order = np.arange(len(names))
+        order[[first, second]] = second, first
+        yield (
+            f"the actions {names[first]} and {names[second]} are swapped",
+            _ordered(order),
+        )
+
+
+def action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]]]:
+    """Yield, for each part of an action of ranges, its name and a function that returns the change of the
+    action by a gain."""
+    if program.agent.choices:
+        return
+    # The value of an action is its middle plus a share of its half width, so a gain also moves the share
+    # where the middle is not 0.
+    middles = np.array(
+        [
+            (interval.high + interval.low) / (interval.high - interval.low)
+            for interval in program.agent.ranges
+            for _ in interval.names
+        ]
+    )
+    for name, is_part in _parts(program).items():
+        yield f"the action {name}", partial(_scaled, is_part, middles)
+
+
+def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
+    """Return, by name, each range, and each component of a vector unless there are many, as a mask over the
+    numbers of an action."""
+    names = program.agent.range_names
+    parts = {
+        interval.name: np.array([name in interval.names for name in names])
+        for interval in program.agent.ranges
+    }
+    components = {name: np.array([name == other for other in names]) for name in names}
+    return parts | components if len(names) <= _MAX_SINGLE else parts
+
+
+def without_amount(act: Act, _: float) -> Act:
+    """Return the change of an action for any amount."""
+    return act
+
+
+def _swapped_options(first: int, second: int) -> Act:
+    return lambda action: {first: second, second: first}.get(int(action), action)
+
+
+def _negated(signs: Array) -> Act:
+    return lambda action: np.asarray(action * signs, action.dtype)
+
+
+def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Act:
+    factors = np.where(is_part, factor, 1.0)
+    return lambda action: np.asarray(
+        np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype
+    )
+
+
+def _ordered(order: Any) -> Act:
+    return lambda action: action[order]
+
 
 EPISODES, MAX_STEPS = 6, 100
 """The number of compared episodes, and the largest number of steps of each if all end alike. A small
@@ -65,12 +247,18 @@ _UNITS = {
 
 class EngineWorld(NamedTuple):
     """A scenario and the engine in which it runs. `columns` are the values that are kept of it; by default
-    all."""
+    all. `recorder` is the world itself if it is built already."""
 
     program: Program
     engine: str | None
     permissions: Permissions = Permissions()
     columns: Sequence[ValueColumn] | None = None
+    recorder: TraceRecorder | None = None
+
+    def build(self) -> TraceRecorder:
+        watch = instrument_program(self.program, include_observation=True)
+        world = api.build(watch.program, engine=self.engine, permissions=self.permissions)
+        return TraceRecorder(world, watch)
 
 
 @dataclass(frozen=True)
@@ -114,7 +302,7 @@ class ValueColumn(NamedTuple):
 
 
 def columns_of(watch: InstrumentedProgram) -> list[ValueColumn]:
-    """Return the columns of the values that `RecordingWrapper` keeps."""
+    """Return the columns of the values of a world that keeps its endings and observations."""
     signals = _kept_signals(watch)
     return [
         *(
@@ -142,64 +330,20 @@ def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
     return {name: signal for name, signal in watch.observed_signals.items() if name != "previous_action"}
 
 
-class RecordingWrapper(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that records the actions of an episode, and its values: those of the observation in SI units,
-    the reward terms, and the conditions of the successes (1 or 0). `act` changes the actions."""
-
-    def __init__(self, world: EngineWorld) -> None:
-        self._watch = instrument_program(world.program, include_observation=True)
-        self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=world.permissions)
-        super().__init__(self._supervisor)
-        self.actions: list[Any] = []
-        self.act: Act = lambda action: action
-        self._conditions = _success_conditions(self._watch)
-        own = columns_of(self._watch)
-        self._kept = [own.index(column) for column in world.columns or own]
-        self._rows: list[list[float]] = []
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        self.actions, self._rows = [], []
-        try:
-            outcome = self.env.reset(seed=seed, options=options)
-        except EvaluationError:  # an ending is true already, such as by a wrong sensor
-            self._note()
-            raise
-        self._note()
-        return outcome
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        outcome = self.env.step(self.act(action))
-        self.actions.append(action)
-        self._note()
-        return outcome
-
-    def _note(self) -> None:
-        values = self._watch.read(self._supervisor)
-        terms = (
-            self._supervisor.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
-        )
-        self._rows.append(
-            [
-                *(number for name in _kept_signals(self._watch).values() for number in values[name]),
-                *terms.values(),
-                *(float(measure(leaf, values).holds) for leaf in self._conditions),
-            ]
-        )
-
-    @property
-    def _terms(self) -> list[str]:
-        return [term.name for term in self._watch.program.agent.reward]
-
-    @property
-    def values(self) -> Array:
-        """The values, of shape (moments, columns)."""
-        return np.array(self._rows, float)[:, self._kept]
-
-
-World = EngineWorld | RecordingWrapper
-"""A world to build, or one that exists."""
+def _values(recorder: TraceRecorder, columns: Sequence[ValueColumn] | None) -> Array:
+    """Return columns of an episode that was recorded: the observation in SI units, the reward terms, and the
+    conditions of the successes (1 or 0), of shape (moments, columns)."""
+    watch = recorder.instrumented
+    own, signals, conditions = columns_of(watch), _kept_signals(watch).values(), _success_conditions(watch)
+    rows = [
+        [
+            *(number for name in signals for number in values[name]),
+            *terms.values(),
+            *(float(measure(leaf, values).holds) for leaf in conditions),
+        ]
+        for values, terms in recorder.moments()
+    ]
+    return np.array(rows, float)[:, [own.index(column) for column in columns or own]]
 
 
 @dataclass
@@ -209,21 +353,20 @@ class ChangeEffect:
 
     texts: list[str]
     values: list[Array]
-    world: Callable[[], tuple[World, Act | None]] | None = None
+    world: Callable[[], tuple[EngineWorld, Act | None]] | None = None
 
 
 @contextmanager
-def _recorder(world: World, act: Act | None) -> Iterator[RecordingWrapper]:
-    """Yield the recorder of a world, and close it if it is built here."""
-    recorder = RecordingWrapper(world) if isinstance(world, EngineWorld) else world
-    recorder.act = act or (lambda action: action)
-    with closing(recorder) if recorder is not world else nullcontext():
+def _opened(world: EngineWorld, act: Act | None) -> Iterator[TraceRecorder]:
+    """Yield the recorder of a world, in which `act` changes the actions, and close it if it is built here."""
+    with nullcontext(world.recorder) if world.recorder else closing(world.build()) as recorder:
+        recorder.act = act or (lambda action: action)
         yield recorder
 
 
 def record_episodes(
     run: Run,
-    world: World,
+    world: EngineWorld,
     model: ModelName,
     starts: Iterable[Start],
     *,
@@ -231,29 +374,32 @@ def record_episodes(
     max_steps: int | None = None,
 ) -> list[RecordedEpisode]:
     """Return episodes of the policy of a run in a world, of at most `max_steps` steps."""
-    from deepbots_cli.learning.evaluation import load_model
+    from deepbots_cli.learning.policy import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     recorded = []
-    with torch_settings(), _recorder(world, act) as recorder:
+    with torch_settings(), _opened(world, act) as recorder:
         driver = PolicyDriver(load_model(run, model, recorder), recorder, deterministic=True)
         for start in starts:
             *_, step = islice(steps(recorder, driver, start), None if max_steps is None else max_steps + 1)
             is_success = bool(step.info.get("is_success"))
-            recorded.append(RecordedEpisode(start, recorder.actions, recorder.values, is_success))
+            values = _values(recorder, world.columns)
+            recorded.append(RecordedEpisode(start, recorder.actions, values, is_success))
     return recorded
 
 
-def repeat_episodes(world: World, recorded: Sequence[RecordedEpisode], act: Act | None = None) -> list[Array]:
+def repeat_episodes(
+    world: EngineWorld, recorded: Sequence[RecordedEpisode], act: Act | None = None
+) -> list[Array]:
     """Return the values of each episode with its start and actions in a world; `act` changes the actions."""
     values = []
-    with _recorder(world, act) as recorder:
+    with _opened(world, act) as recorder:
         for episode in recorded:
             again = steps(recorder, sequence_driver(episode.actions), episode.start)
             with suppress(EvaluationError):  # an ending is true at the reset
                 for _ in islice(again, len(episode.actions) + 1):
                     pass
-            values.append(recorder.values)
+            values.append(_values(recorder, world.columns))
     return values
 
 

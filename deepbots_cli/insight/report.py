@@ -31,14 +31,17 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.diagnosis import causes_after, causes_of
-from deepbots_cli.insight.linted import LintedScenario, linted_scenario
-from deepbots_cli.insight.statements import Statement
-from deepbots_cli.insight.templates import render_template
+from deepbots_cli.insight.scenario_facts import LintedScenario, linted_scenario
+from deepbots_cli.insight.statements import Statement, render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.comparison import GroupResult
-from deepbots_cli.learning.runs.draws import draw_labels, drawn_effects
-from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
+from deepbots_cli.learning.runs.evaluations import (
+    EvaluationResult,
+    draw_labels,
+    drawn_effects,
+    in_parentheses,
+)
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
@@ -46,12 +49,12 @@ from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
-from deepbots_cli.view import pictures, training_logs, trajectories
+from deepbots_cli.view import pictures, training_logs
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.pictures import Moving, Positions
+from deepbots_cli.view.replay import open_player
 from deepbots_cli.view.training_logs import TrainingLog
-from deepbots_cli.view.trajectories import Moving, Positions
 from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
@@ -188,7 +191,7 @@ class Report:
         try:
             self.agents = [
                 ReportAgent(
-                    member, [training_logs.read_agent_log(entry.run.path, member) for entry in self.runs]
+                    member, [training_logs.read_run(entry.run.path, member=member) for entry in self.runs]
                 )
                 for member in self.runs[0].run.program.members.values()
             ]
@@ -328,7 +331,7 @@ class Report:
                 for episode in group:
                     frames = player.episode(shown.evaluation.seed, episode.number)
                     first = next(frames)
-                    episode.positions = trajectories.read_positions(
+                    episode.positions = pictures.read_positions(
                         player.reader.layout,
                         chain((first,), _recording_actions(player, frames, episode.actions)),
                     )
@@ -347,7 +350,7 @@ class Report:
                         self._film(player, episode)
                     on_episode(ordered.index(episode) + 1, len(episodes))
         self.outlines = _standing(player, episodes)
-        self.moving = trajectories.find_moving(
+        self.moving = pictures.find_moving(
             player.program, player.env.world, [episode.positions for episode in episodes]
         )
 
@@ -407,8 +410,8 @@ class Report:
 
     def agent_figures(self, agent: ReportAgent, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Yield name, caption and figure of each figure of an agent, as `figures` does."""
-        yield "returns", _MEANS_CAPTION, figures.returns(agent.logs, theme)
-        yield "successes", _MEANS_CAPTION, figures.successes(agent.logs, theme)
+        yield "returns", _MEANS_CAPTION, figures.scores(agent.logs, theme, "mean_return")
+        yield "successes", _MEANS_CAPTION, figures.scores(agent.logs, theme, "success_rate")
         yield "shares", _SHARES_CAPTION, figures.shares(agent.logs, theme)
         actions = [action for episode in self.episodes for action in episode.actions]
         caption = f"What the policy does in {len(self.episodes)} evaluation episodes; numbers from -1 to 1."
@@ -435,8 +438,12 @@ class Report:
             if any(log.evaluation for log in logs)
             else ""
         )
-        yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
-        yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
+        yield "returns", f"{mean}{seeds}{diamond}", figures.scores(logs, theme, "mean_return")
+        yield (
+            "successes",
+            f"{mean}{seeds}{diamond if defined else ''}",
+            figures.scores(logs, theme, "success_rate"),
+        )
         lessons = (
             "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
         )
@@ -464,7 +471,7 @@ class Report:
 
     def _trajectories_caption(self, world: WorldModel) -> str:
         names, targets = (
-            list(dict.fromkeys(trajectories.describe(world, part) for part in parts))
+            list(dict.fromkeys(pictures.describe(world, part) for part in parts))
             for parts in (self.moving.parts, self.moving.targets)
         )
         others = f"; dotted: {', '.join(names[1:])}" if names[1:] else ""

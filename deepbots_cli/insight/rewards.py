@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
@@ -10,13 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.insight.conditions import comparisons_in, measure
+from deepbots_cli.analysis.returns import break_even
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
-from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.trace import Trace, comparisons_in, measure
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
+    commonest_ending,
+    last_quarter,
     mean_return,
     return_trend,
     success_trend,
@@ -40,7 +41,7 @@ def _per_step(traces: Sequence[Trace]) -> float:
 )
 def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
     names = [term.name for term in evidence.program.agent.reward]
-    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in evidence.random)) for name in names}
+    sums = {name: sum(trace.sums[name] for trace in evidence.random) for name in names}
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
         return None
@@ -48,7 +49,7 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
     share, other_sum = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in evidence.random if trace.steps)
     others = [
-        fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
+        fmean(trace.returns - trace.sums[name] for trace in traces)
         for traces in (evidence.random, evidence.policy or evidence.random)
     ]
     # The policy earns the other terms all the same.
@@ -72,13 +73,13 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
     advice="{remedy}",
 )
 def reward_exploited(evidence: TrainingEvidence) -> Numbers | None:
-    for example in _examples(evidence):
-        outcome = _exploiting_outcome(evidence, example)
-        if outcome is not None:
-            break
-    else:
+    pairs = ((example, _exploiting_outcome(evidence, example)) for example in _examples(evidence))
+    example, outcome = next((pair for pair in pairs if pair[1] is not None), (None, None))
+    if example is None or outcome is None:
         return None
-    terms = _term_means(evidence)
+    terms = {
+        name: float(curve[int(0.75 * len(curve)) :].mean()) for name, curve in evidence.term_curves.items()
+    }
     extra = {name: value - example.terms.get(name, 0.0) for name, value in terms.items()}
     term = max(extra, key=lambda name: extra[name], default="")
     paying, term_text = "", "the term that pays for it"
@@ -128,20 +129,13 @@ def _examples(evidence: TrainingEvidence) -> list[_Example]:
         return []
     names = [term.name for term in evidence.program.agent.reward]
     examples = []
-
-    def successes(name: str) -> list[float]:
-        return [float(trace.outcome == "success") for trace in evidence.scripts[name]]
-
-    played = [name for name, traces in evidence.scripts.items() if len(traces) >= MIN_EPISODES]
+    played = {name: traces for name, traces in evidence.scripts.items() if len(traces) >= MIN_EPISODES}
     if played:
-        best = max(played, key=lambda name: sum(successes(name)))
-        traces = evidence.scripts[best]
-        terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in traces) for name in names}
-        returns = [trace.returns for trace in traces]
-        name = f"the script '{best}'"
-        examples.append(
-            _Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True)
-        )
+        script, traces = max(played.items(), key=lambda entry: SuccessRate.of(entry[1])["successes"])
+        terms = {name: fmean(trace.sums[name] for trace in traces) for name in names}
+        returns, successes = [trace.returns for trace in traces], [trace.is_success for trace in traces]
+        name = f"the script '{script}'"
+        examples.append(_Example(name, f"an episode of {name}", returns, successes, terms, is_script=True))
     succeeded = (
         [episode for episode in evidence.final_episodes if episode.is_success]
         if evidence.is_last_stage
@@ -163,7 +157,7 @@ def _exploiting_outcome(evidence: TrainingEvidence, example: _Example) -> _Outco
     aimed, expected = SuccessRate(example.successes), fmean(example.returns)
     for outcome in _policy_outcomes(evidence):
         policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
-        error = 2 * float(np.hypot(_error_of_mean(outcome.returns), _error_of_mean(example.returns)))
+        error = _error_of_difference(outcome.returns, example.returns)
         if policy.high < aimed.low and gained - expected > max(error, _CLEARLY_MORE * abs(expected)):
             return outcome
     return None
@@ -180,18 +174,14 @@ class _Outcome(NamedTuple):
 def _policy_outcomes(evidence: TrainingEvidence) -> list[_Outcome]:
     """Return the results of the policy at the end of the training: without exploration, with exploration, and
     of the kept model."""
-    begin = evidence.first_step + 0.75 * evidence.stage_steps
-    late = [
-        evaluation
-        for evaluation in evidence.evaluations
-        if "steps" in evaluation and evaluation["steps"] > begin
-    ]
-    returns = [float(value) for evaluation in late for value in evaluation["returns"]]
-    successes = [float(value) for evaluation in late for value in evaluation["successes"]]
-    episodes = evidence.episodes_between(0.75, 1.0)[-100:]
+    late, episodes = evidence.late_evaluations, evidence.episodes_between(0.75, 1.0)[-100:]
     final = evidence.final_episodes if evidence.is_last_stage else ()
     outcomes = [
-        _Outcome("its last evaluations", returns, successes),
+        _Outcome(
+            "its last evaluations",
+            [float(value) for evaluation in late for value in evaluation["returns"]],
+            [float(value) for evaluation in late for value in evaluation["successes"]],
+        ),
         _Outcome("the last episodes of the training", episodes.returns, episodes.successes),
         _Outcome(
             "the evaluation of the kept model",
@@ -202,17 +192,9 @@ def _policy_outcomes(evidence: TrainingEvidence) -> list[_Outcome]:
     return [outcome for outcome in outcomes if len(outcome.returns) >= MIN_EPISODES]
 
 
-def _error_of_mean(values: Sequence[float]) -> float:
-    return float(np.std(values) / np.sqrt(len(values)))
-
-
-def _term_means(evidence: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
-    """Return the mean of each reward term per episode, after a share of the present stage; without those that
-    were not logged."""
-    curves = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
-    return {
-        name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)
-    }
+def _error_of_difference(first: Sequence[float], second: Sequence[float]) -> float:
+    """Return the half width of the 95 % interval of the difference of two means."""
+    return 2 * float(np.hypot(*(np.std(values) / np.sqrt(len(values)) for values in (first, second))))
 
 
 @statement(
@@ -272,25 +254,20 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
     late = evidence.episodes_between(0.75, 1.0)[-100:]
     if len(evidence.episodes) < 10 * MIN_EPISODES:
         return None
-    name, count = Counter(late.endings).most_common(1)[0]
+    name, share = commonest_ending(late)
     before, now = float(first.lengths.mean()), float(late.lengths.mean())
-    error = 2 * float(np.hypot(_error_of_mean(first.lengths), _error_of_mean(late.lengths)))
+    error = _error_of_difference(first.lengths, late.lengths)
     gain = float(late.returns.mean() - first.returns.mean())
     if (
         name not in evidence.program.failures
-        or count < 0.95 * len(late)
+        or share < 0.95
         or not now < min(before - error, 0.85 * before)
         or gain <= 0
     ):
         return None
-    curves = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
     ends = {
-        term: (
-            float(curve[: max(1, len(curve) // 20)].mean()),
-            float(curve[-max(1, len(curve) // 4) :].mean()),
-        )
-        for term, curve in curves.items()
-        if len(curve)
+        term: (float(curve[: max(1, len(curve) // 20)].mean()), float(last_quarter(curve).mean()))
+        for term, curve in evidence.term_curves.items()
     }
     saved = {term: after - start for term, (start, after) in ends.items() if start < after <= 0}
     if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
@@ -303,7 +280,7 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
         ]
     )
     return {
-        "sooner": f" '{name}' ends {rate_text(count / len(late))} of them after {now:.0f} steps on"
+        "sooner": f" '{name}' ends {rate_text(share)} of them after {now:.0f} steps on"
         " average; the first episodes"
         f" of the training lasted {before:.0f}.",
         "saving": f" The shorter episodes save costs: {costs}.",
@@ -315,11 +292,10 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
 def _going_on(evidence: TrainingEvidence) -> Numbers:
     """Return the mean returns of failing, lasting until the time limit and succeeding, and the success rate
     from which going on pays."""
-    failed = evidence.episodes.returns[np.isin(evidence.episodes.endings, list(evidence.program.failures))]
-    won = evidence.episodes.returns[evidence.episodes.successes > 0]
-    lasted = evidence.episodes.returns[
-        np.isin(evidence.episodes.endings, _LIMITS) & (evidence.episodes.successes == 0)
-    ]
+    episodes = evidence.episodes
+    failed = episodes.returns[np.isin(episodes.endings, list(evidence.program.failures))]
+    won = episodes.returns[episodes.successes > 0]
+    lasted = episodes.returns[np.isin(episodes.endings, _LIMITS) & (episodes.successes == 0)]
     if min(len(failed), len(lasted)) < 3:
         return {"going_on": ""}
     fail, last = float(failed.mean()), float(lasted.mean())
@@ -329,7 +305,7 @@ def _going_on(evidence: TrainingEvidence) -> Numbers:
     )
     returns = {"failing": fail, "lasting": last}
     if len(won) and (win := float(won.mean())) > fail > last:
-        returns |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
+        returns |= {"succeeding": win, "break_even": break_even(last, fail, win)}
         text += (
             f"; for a success it is {number_text(win, 3)}, so continuing pays only if at least"
             f" {returns['break_even']:.0%} of such episodes succeed"
@@ -352,9 +328,8 @@ def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
     ):
         return None
     still, policy = _per_step(evidence.idle), _per_step(evidence.policy or evidence.random)
-    outcomes = [
-        trace.outcome for trace in evidence.idle
-    ]  # where standing still fails soon, it pays until then only
+    outcomes = [trace.outcome for trace in evidence.idle]
+    # Where standing still fails soon, it pays until then only.
     if (
         still <= 0
         or "success" in outcomes
@@ -416,10 +391,7 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
         or (evidence.idle and _per_step(evidence.idle) >= 0.8 * _per_step(evidence.policy))
     ):
         return None
-    name, longest = (
-        max(paid, key=lambda term: paid[term]),
-        evidence.program.truncation.max_episode_steps(evidence.program.period),
-    )
+    name = max(paid, key=lambda term: paid[term])
     stayed = float(late.returns[at_limit].mean())
     compared = f"Of {len(won):,} episodes of the training, {int(won.sum()):,} succeeded."
     gained = None
@@ -437,8 +409,8 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
         "share": Percentage(float(at_limit.mean())),
         "term": name,
         "per_step": paid[name],
-        "whole": paid[name] * longest,
-        "steps": longest,
+        "whole": paid[name] * evidence.longest,
+        "steps": evidence.longest,
         "return_of_success": gained,
         "return_of_staying": stayed,
         "compared": compared,
@@ -488,7 +460,7 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
         else f" '{term[0]}' rises most, from {number_text(term[1], 3)} to {number_text(term[2], 3)} per"
         " episode."
     )
-    error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
+    error = _error_of_difference(won, lost)
     numbers = {
         "return_of_success": float(won.mean()),
         "return_without": float(lost.mean()),
@@ -524,11 +496,10 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
 def rising_term(evidence: TrainingEvidence) -> tuple[str, float, float] | None:
     """Return the reward term that rises most in the present stage, with its mean per episode in the first and
     in the last quarter."""
-    ends = []
-    for term in evidence.program.agent.reward:
-        if len(curve := evidence.curve(f"reward/{term.name}")):
-            quarter = max(1, len(curve) // 4)
-            ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
+    ends = [
+        (name, float(curve[: max(1, len(curve) // 4)].mean()), float(last_quarter(curve).mean()))
+        for name, curve in evidence.term_curves.items()
+    ]
     rising = max(ends, key=lambda end: end[2] - end[1], default=None)
     return rising if rising is not None and rising[2] > rising[1] else None
 
@@ -539,8 +510,8 @@ _CEILING = 0.01
 
 @statement(
     "return_at_ceiling",
-    "The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}), it no"
-    " longer grows, and no episode of the training returned more than {most}.{bounded}{asked}",
+    "The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}),"
+    " {grown}and no episode of the training returned more than {most}.{bounded}{asked}",
     advice="{remedy}",
 )
 def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
@@ -560,7 +531,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     if (
         mean <= 0
         or (required is not None and mean >= required)
-        or return_trend(evidence).direction == "rises"
+        or (trend := return_trend(evidence).direction) == "rises"
         or (evidence.program.defines_success and late.successes.mean() < 0.8)
     ):
         return None
@@ -576,7 +547,6 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     has_grown = mean_return(evidence, 0.0, 0.1) < 0.9 * mean
     if not is_near and (stands or not is_same or not has_grown):
         return None
-    steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
     remedy = (
         "Pay more for what the policy should still improve, or accept the policy: more steps cannot"
         " raise this return."
@@ -598,7 +568,10 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "what": sample,
         "bound": bound if bound < np.inf else None,
         "required": required,
-        "bounded": f" The reward allows at most {number_text(bound)} in {steps:,} steps." if is_near else "",
+        "grown": "it no longer grows, " if trend else "",
+        "bounded": f" The reward allows at most {number_text(bound)} in {evidence.longest:,} steps."
+        if is_near
+        else "",
         "asked": "" if required is None else f" `solved` asks for {required:g}.",
         "remedy": remedy,
     }

@@ -25,9 +25,7 @@ from deepbots_cli.codegen.robot import sampled_sensors
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State
-from deepbots_cli.insight.export.actuators import output
-from deepbots_cli.insight.export.readings import Reading, Readings
-from deepbots_cli.insight.export.recording import Watch, with_probes
+from deepbots_cli.insight.export.devices import Reading, Readings, Watch, output, with_probes
 from deepbots_cli.program import Program, generated, identity
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.topics import mapping

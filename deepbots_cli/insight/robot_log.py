@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, Run
-from deepbots_cli.rollout.robot_logs import EVENT_PREFIXES
+from deepbots_cli.rollout.recordings import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest and the largest number of steps of a log that are compared."""
@@ -203,7 +203,7 @@ def compare_log(
     """
     try:
         from deepbots_cli.insight.export.control import ControlStep
-        from deepbots_cli.insight.export.recording import recorded_steps
+        from deepbots_cli.insight.export.devices import recorded_steps
         from deepbots_cli.learning import policy
         from deepbots_cli.learning.sb3.algorithms import torch_settings
         from deepbots_cli.rollout.policies import PolicyDriver

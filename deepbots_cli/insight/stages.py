@@ -4,32 +4,52 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from statistics import fmean
+from dataclasses import dataclass
+from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
+from deepbots_cli.insight.statements import (
+    Numbers,
+    Percentage,
+    SuccessRate,
+    list_text,
+    quantity_text,
+    statement,
+)
+from deepbots_cli.insight.trace import (
+    SIGN_OF_OPERATOR,
+    Comparison,
+    Trace,
+    inner_comparisons,
+    measure,
+    missed_success,
+    nearest_moment,
+)
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     MIN_QUARTER,
     TrainingEvidence,
     Trend,
+    last_quarter,
     return_trend,
     success_trend,
 )
-from deepbots_cli.learning.runs.draws import DrawnPart, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.evaluations import DrawLabel
+from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.program.task import SUCCESS, Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
+
 
 _RARE = 0.03  # a success rate that is as good as none
 _MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
@@ -200,7 +220,7 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
     if until.metric == "success_rate" and late.high < until.threshold:
         return None  # the stage asks for more
     final, value = (
-        SuccessRate([episode.is_success for episode in evidence.final_episodes]),
+        SuccessRate.of(evidence.final_episodes),
         criterion_value(evidence),
     )
     task = (
@@ -347,8 +367,8 @@ def plateau(evidence: TrainingEvidence) -> Trend | None:
     success is rare, or nearly certain, and in the first half of the planned steps."""
     if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    trend, late = success_trend(evidence), evidence.episodes_by_steps(0.5, 1.0)
-    if trend == Trend() or trend.direction == "rises" or _rate(late) > 0.9:
+    trend = success_trend(evidence)
+    if trend == Trend() or trend.direction == "rises" or _rate(evidence.episodes_by_steps(0.5, 1.0)) > 0.9:
         return None
     return trend
 
@@ -429,9 +449,9 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         "observed": observed,
         "drawn": name,
         "worst": _range(worst, label),
-        "failing": _part_rate(worst),
+        "failing": str(SuccessRate.counted(worst.successes, worst.episodes)),
         "best": _range(best, label),
-        "succeeding": _part_rate(best),
+        "succeeding": str(SuccessRate.counted(best.successes, best.episodes)),
         "source": source,
         "parts": shares,
         "bins": rates,
@@ -443,9 +463,8 @@ def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Epis
     ones of the present stage."""
     if evidence.is_last_stage and len(evidence.final_episodes) >= 40:
         return "the evaluation", evidence.final_episodes
-    late = evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
     episodes = []
-    for row in late:
+    for row in evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]:
         try:
             drawn = json.loads(row.drawn) if row.drawn else {}
         except ValueError:
@@ -482,43 +501,25 @@ def _range(part: DrawnPart, label: DrawLabel) -> str:
     return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
 
 
-def _part_rate(part: DrawnPart) -> str:
-    low, high = part.success_interval
-    interval = f"{rate_text(low)} to {rate_text(high)}"
-    return f"{rate_text(part.success_rate)} ({interval}) of {part.episodes:,} episodes"
-
-
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late evaluations and of late episodes of the training, if exploration hides
     most of the success."""
-    explored, without = (
-        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
-        evidence.late_success,
-    )
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(
-        0.5, explored.rate + 0.3
-    ):
-        return None
-    return without, explored
+    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
+    return _far_apart(evidence.late_success, explored)
 
 
 def needs_exploration(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late episodes of the training and of late evaluations, if most of the
     success needs exploration."""
-    explored, without = (
-        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
-        evidence.late_success,
-    )
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(
-        0.5, without.rate + 0.3
-    ):
+    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
+    return _far_apart(explored, evidence.late_success)
+
+
+def _far_apart(better: SuccessRate, worse: SuccessRate) -> tuple[SuccessRate, SuccessRate] | None:
+    """Return both rates if the first one is much higher, and both are of enough episodes."""
+    if min(better.episodes, worse.episodes) < MIN_EPISODES or better.rate < max(0.5, worse.rate + 0.3):
         return None
-    return explored, without
-
-
-def _late_mean(curve: NDArray[np.float64]) -> float:
-    """Return the mean of the last quarter of a curve."""
-    return float(curve[-max(1, len(curve) // 4) :].mean())
+    return better, worse
 
 
 @statement(
@@ -532,8 +533,8 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         return None
     flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
     names = evidence.program.agent.success or ("goal_reached",)
-    late = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
-    paid = {name: max(0.0, _late_mean(curve)) for name, curve in late.items() if len(curve)}
+    late = {name: float(last_quarter(curve).mean()) for name, curve in evidence.term_curves.items()}
+    paid = {name: max(0.0, mean) for name, mean in late.items()}
     name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
     though, remedy, terms = (
@@ -542,13 +543,11 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         evidence.facts.terms_towards_success,
     )
     if terms:
-        others = sum(_late_mean(curve) for term, curve in late.items() if len(curve) and term != terms[0])
+        others = sum(mean for term, mean in late.items() if term != terms[0])
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
-        if len(late[terms[0]]):
-            mean = _late_mean(late[terms[0]])
-            remedy += (
-                f" (per late episode it gives {number_text(mean, 3)}, and they give {number_text(others, 3)})"
-            )
+        if terms[0] in late:
+            mean, rest = number_text(late[terms[0]], 3), number_text(others, 3)
+            remedy += f" (per late episode it gives {mean}, and they give {rest})"
         remedy += " and raise it,"
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
@@ -578,5 +577,137 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         "term": name if whole else None,
         "term_share": share,
         "though": though,
+        "remedy": remedy,
+    }
+
+
+_MIN_EPISODES = 3
+_COMMON = 0.75
+"""The share of the episodes that miss a condition most from which it is common to them."""
+_SELDOM, _OFTEN = 0.25, 0.1
+"""The limits of a condition that prevents a success: it is true in less than `_SELDOM` times as many moments
+as each other one, and each other one is true in `_OFTEN` of all moments."""
+_CLOCKS = re.compile(r"\s*(?:time|step)\s*")
+
+
+@dataclass(frozen=True)
+class MissedCondition:
+    """A condition of a success in episodes without this success.
+
+    Attributes:
+        ending: The success.
+        condition: The condition, one of several.
+        true: The number of moments in which it is true; `moments` is the number of all moments.
+        nearest: The median, over the episodes, of the value that is nearest to the threshold, in SI units;
+            None for a truth value.
+        bound: The threshold, in SI units.
+        others: The number of moments in which each other condition is true, by its text.
+        episodes: The number of episodes that miss it most; `of` is the number of all episodes.
+    """
+
+    ending: str
+    condition: Comparison
+    true: int
+    moments: int
+    nearest: float | None
+    bound: float | None
+    others: Mapping[str, int]
+    episodes: int
+    of: int
+
+
+def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
+    """Return the success condition that all episodes without success miss, None if they differ."""
+    misses = [(trace, *missed_success(trace)) for trace in traces]
+    missed = [
+        (trace, name, inner_comparisons(condition))
+        for trace, name, condition in misses
+        if condition is not None
+    ]
+    if len(missed) < _MIN_EPISODES:
+        return None
+    ending = Counter(name for _, name, _ in missed).most_common(1)[0][0]
+    pairs = [(trace, _without_clocks(leaves)) for trace, name, leaves in missed if name == ending]
+    leaves = pairs[0][1]
+    if len(leaves) < 2 or len(pairs) < _MIN_EPISODES:
+        return None
+    counts = [
+        [sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in pairs
+    ]
+    worst = Counter(row.index(min(row)) for row in counts)
+    index, episodes = worst.most_common(1)[0]
+    moments = sum(len(trace.values) for trace, _ in pairs)
+    totals = [sum(row[k] for row in counts) for k in range(len(leaves))]
+    others = {
+        leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != index
+    }
+    fewest = min(others.values(), default=0)
+    if episodes < _COMMON * len(pairs) or fewest < _OFTEN * moments or totals[index] > _SELDOM * fewest:
+        return None
+    leaf = leaves[index]
+    values = [nearest_moment(trace, leaf)[1] for trace, _ in pairs]
+    bounds = [comparison.bound for comparison in values if comparison.bound is not None]
+    return MissedCondition(
+        ending=ending,
+        condition=leaf,
+        true=totals[index],
+        moments=moments,
+        nearest=median(comparison.value for comparison in values) if bounds else None,
+        bound=median(bounds) if bounds else None,
+        others=others,
+        episodes=episodes,
+        of=len(pairs),
+    )
+
+
+def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
+    """Return the comparisons without those of the time, which are true at the end of each long episode."""
+    return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
+
+
+@statement(
+    "missed_condition",
+    "Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is"
+    " true least often, in {true} of {moments} moments{nearest}. {others}.",
+    advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these"
+    " episodes.",
+)
+def missed_condition(evidence: TrainingEvidence) -> Numbers | None:
+    failed = evidence.failed or [
+        trace for trace in evidence.policy if trace.outcome in ("failure", "time limit")
+    ]
+    miss = common_miss(failed)
+    if miss is None or not evidence.is_mature:
+        return None
+    leaf, unit = miss.condition, evidence.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
+    near = ""
+    if miss.nearest is not None and miss.bound is not None:
+        value, bound = (quantity_text(number, unit, 3) for number in (miss.nearest, miss.bound))
+        near = f"; the nearest value is {value} in the median, and the threshold {bound}"
+    terms = evidence.facts.terms_about(leaf.text)
+    aim = (
+        f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold"
+        if leaf.bound
+        else f"`{leaf.text}`"
+    )
+    remedy = f"Reward what brings {aim} where the other conditions hold"
+    if terms:
+        names = list_text([f"'{term}'" for term in terms])
+        remedy = f"Raise what {names} pays for {aim}"
+    sentences = [f"`{text}` is true in {count:,}" for text, count in miss.others.items()]
+    return {
+        "likelihood": 0.69,
+        "ending": miss.ending,
+        "condition": leaf.text,
+        "episodes": miss.episodes,
+        "of": miss.of,
+        "true": miss.true,
+        "moments": miss.moments,
+        "nearest": near,
+        "nearest_value": miss.nearest,
+        "threshold": miss.bound,
+        "unit": leaf.unit,
+        "others": list_text(sentences),
+        "terms": list(terms),
         "remedy": remedy,
     }

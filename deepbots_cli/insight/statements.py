@@ -1,4 +1,4 @@
-"""Sentences with their evidence: the form of every row in the two tables.
+"""Sentences with their evidence, the form of every row in the two tables, and the templates of pages.
 
 A row is a sentence with fields for numbers, and the function that finds these numbers. There is no sentence
 without its numbers.
@@ -89,6 +89,15 @@ class SuccessRate(dict[str, Any]):
         interval = wilson(count, episodes) if episodes else (0.0, 1.0)
         super().__init__(successes=count, episodes=episodes, rate=count / max(1, episodes), interval=interval)
 
+    @staticmethod
+    def of(episodes: Sequence[Any]) -> SuccessRate:
+        """Return the rate of episodes, run again or of an evaluation, by their `is_success`."""
+        return SuccessRate([episode.is_success for episode in episodes])
+
+    @staticmethod
+    def counted(successes: int, episodes: int) -> SuccessRate:
+        return SuccessRate([1.0] * successes + [0.0] * (episodes - successes))
+
     @property
     def rate(self) -> float:
         return float(self["rate"])
@@ -172,3 +181,24 @@ def sentence(words: str) -> str:
 def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
     """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than `limit`."""
     return sentence_list([*parts[:limit], *([f"{len(parts) - limit} more"] if len(parts) > limit else [])])
+
+
+_ENTITIES = {ord(sign): f"&#{ord(sign)};" for sign in "\\`*{}[]<>#!|~&"}
+"""The characters with a meaning in Markdown or HTML, as HTML writes them."""
+
+
+def plain_markdown(text: str) -> str:
+    """Return a text from an untrusted file as one line of Markdown without markup, links and HTML."""
+    return " ".join(text.split()).translate(_ENTITIES)
+
+
+def render_template(template: str, *, html: bool = False, **values: Any) -> str:
+    """Return the text of a template of this package."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("deepbots_cli.insight", "."), undefined=StrictUndefined, autoescape=html,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters["plain"] = plain_markdown
+    return environment.get_template(template).render(**values)

@@ -29,7 +29,8 @@ _MAX_SUGGESTIONS = 4
 _PLAIN = re.compile(
     r"((?:urdf \* )?[-+]?)(\d+(?:_\d+)*(?:\.\d+(?:_\d+)*)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
 )
-"""A number with its unit, or a factor of the value in the robot file. Formulas and draws are not multiplied."""
+"""A number with its unit, or a factor of the value in the robot file. Formulas and draws are not
+multiplied."""
 _UNITS = {
     "m": ("length", 1.0),
     "cm": ("length", 0.01),
@@ -229,8 +230,8 @@ def _parts(checked: CheckedScenario, words: set[str], change: _Change | None) ->
 
 
 def _value_of_link(link: Link, key: str, written: str, words: set[str], change: _Change) -> str:
-    """Return the changed `mass` or `scale` of a link, along its longest side or, of a `larger` link, along all
-    sides. It is empty if the words name no size, or the link has no longest side."""
+    """Return the changed `mass` or `scale` of a link, along its longest side or, of a `larger` link, along
+    all sides. It is empty if the words name no size, or the link has no longest side."""
     if key == "mass":
         return f"{change.amount:.6g} kg" if change.unit else _multiplied(written or "urdf * 1", change.amount)
     ratio, axes = change.amount, {0, 1, 2}

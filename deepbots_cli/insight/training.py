@@ -1,35 +1,53 @@
-"""The evidence about a training: its logs, and a few short episodes of its policy and of random actions.
+"""The evidence about a training: its logs, and a few short episodes of its policy, of random and constant
+actions and of scripts.
 
-Logs are `monitor.csv`, the TensorBoard files and the evaluations during the training. Nothing is written.
+Logs are `monitor.csv`, the TensorBoard files and the evaluations during the training. Nothing is
+written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from shlex import quote
 from typing import Any, Literal
 
 import numpy as np
 
+from deepbots_cli import api
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_source
-from deepbots_cli.insight.scenario_facts import ScenarioFacts
+from deepbots_cli.insight.scenario_facts import LintedScenario, ScenarioFacts, linted_scenario, named_source
 from deepbots_cli.insight.statements import EvaluationRate
-from deepbots_cli.insight.trace import Array, Trace
-from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
-from deepbots_cli.learning.runs.changes import ChangedValue, nearest_solved
-from deepbots_cli.learning.runs.decline import Decline, find_decline
+from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, instrument_program, trace_episodes
+from deepbots_cli.learning.environments import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import RunVerdict, logged_episodes_meet, quoted_episodes, run_verdict
+from deepbots_cli.learning.runs.verdict import (
+    ChangedValue,
+    Decline,
+    RunVerdict,
+    find_decline,
+    logged_episodes_meet,
+    nearest_solved,
+    quoted_episodes,
+    run_verdict,
+)
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import CurriculumStage, Member, Program
-from deepbots_cli.program.task import AdaptiveRate, Schedule
-from deepbots_cli.rollout import Episode
+from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
+from deepbots_cli.rollout import Driver, Episode, Start, steps
+from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
 from deepbots_cli.rollout.episode import own_episode
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.training_logs import logs_of, scalars_of
 
 MIN_EPISODES = 8
@@ -190,19 +208,32 @@ class TrainingEvidence:
         low, high = (self.first_step + share * self.stage_steps for share in (first, last))
         return self.episodes[(self.episodes.steps > low) & (self.episodes.steps <= high)]
 
+    @property
+    def late_evaluations(self) -> list[Mapping[str, Any]]:
+        """The evaluations during the last quarter of the present stage.
+
+        The quoted evaluation after the training is not one of the last quarter: it may be of an earlier
+        policy.
+        """
+        begin = self.first_step + 0.75 * self.stage_steps
+        return [evaluation for evaluation in self.evaluations if evaluation.get("steps", 0) > begin]
+
+    @property
+    def longest(self) -> int:
+        """The largest number of steps of an episode in the present stage."""
+        return self.program.truncation.max_episode_steps(self.program.period)
+
     @cached_property
     def late_success(self) -> EvaluationRate:
         """The success in the evaluations during the last quarter of the present stage; if there is none, in
         the last evaluation.
 
-        The quoted evaluation after the training is not one of the last quarter: it may be of an earlier
-        policy. The rate has no episodes if the scenario defines no success or nothing was evaluated.
+        The rate has no episodes if the scenario defines no success or nothing was evaluated.
         """
         if not self.program.defines_success:
             return EvaluationRate([])
-        begin = self.first_step + 0.75 * self.stage_steps
-        late = [evaluation for evaluation in self.evaluations if evaluation.get("steps", 0) > begin]
-        return EvaluationRate([evaluation["successes"] for evaluation in late or self.evaluations[-1:]])
+        evaluations = self.late_evaluations or self.evaluations[-1:]
+        return EvaluationRate([evaluation["successes"] for evaluation in evaluations])
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
@@ -276,6 +307,17 @@ class TrainingEvidence:
             return np.zeros(0)
         steps, values = self.scalars[tag]
         return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
+
+    @property
+    def term_curves(self) -> dict[str, Array]:
+        """The mean of each reward term per episode over the present stage; without terms that were not
+        logged."""
+        curves = {term.name: self.curve(f"reward/{term.name}") for term in self.program.agent.reward}
+        return {name: curve for name, curve in curves.items() if len(curve)}
+
+
+def last_quarter(curve: Array) -> Array:
+    return curve[-max(1, len(curve) // 4) :]
 
 
 def mean_return(evidence: TrainingEvidence, first: float, last: float) -> float:
@@ -380,6 +422,12 @@ def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
     }
 
 
+def commonest_ending(episodes: Any) -> tuple[str, float]:
+    """Return the most frequent ending of episodes of a log, and its share of them."""
+    name, count = Counter(episodes.endings).most_common(1)[0]
+    return name, count / len(episodes)
+
+
 def latest_failure(run: Path) -> Path | None:
     """Return the file of the last episode that raised an error."""
     return max((run / FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
@@ -468,3 +516,181 @@ def read_training(run: Run) -> TrainingEvidence:
     return TrainingEvidence(
         run, episodes, evaluations, scalars_of(run.tensorboard), failure, final_episodes, verdict, running
     )
+
+
+_PROBE_EPISODES, _PROBE_STEPS, _CONSTANT_ACTION_STEPS = 4, 300, 40
+"""The number of short episodes of each driver (policy, random actions, no commands), the largest number of
+their steps, and the number of steps of an episode with a constant action."""
+_MAX_OPTIONS, _MAX_RANGES = 4, 8
+"""The options of each choice, and the ranges, that have an episode with a constant action."""
+_SCRIPT_EPISODES = 8
+"""The number of whole episodes of each script. If all 8 succeed, the lower end of the 95 % interval (Wilson)
+of the success rate is 68 %."""
+_FAILED_EPISODES = 6
+"""The number of episodes without success of the quoted evaluation that are repeated."""
+
+
+def run_probes(
+    evidence: TrainingEvidence,
+    *,
+    permissions: Permissions = Permissions(),
+    on_episode: Callable[[int, int], object] | None = None,
+    seconds: float = math.inf,
+) -> None:
+    """Run the short episodes of a training, all from the same starts, and put them into its evidence. No
+    episode continues after `seconds`."""
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
+
+    probes = _Probes(evidence, time.monotonic() + seconds, permissions, on_episode)
+    with torch_settings(), closing(probes.world):
+        probes.play()
+    evidence.failed = _repeat_failed(evidence, probes.deadline, permissions)
+
+
+class _Probes:
+    """The short episodes of a training.
+
+    Args:
+        evidence: Takes their traces.
+        deadline: The end by the monotonic clock, in s; no episode continues after it.
+        permissions: The permissions of the scenario.
+        on_episode: Called after each episode with the number so far and in total.
+    """
+
+    def __init__(
+        self,
+        evidence: TrainingEvidence,
+        deadline: float,
+        permissions: Permissions,
+        on_episode: Callable[[int, int], object] | None,
+    ) -> None:
+        self._evidence, self.deadline, self._on_episode = evidence, deadline, on_episode
+        run, watch = evidence.run, instrument_program(evidence.program, include_observation=True)
+        program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
+        self.world = TraceRecorder(program, watch, run.compiled.units)
+        self._done, self._total = 0, 0
+
+    def play(self) -> None:
+        evidence, world = self._evidence, self.world
+        constant, idle = _constant_actions(world.world), self._idle_action()
+        policy, scripts = self._policy_driver(), _scripts_to_play(evidence)
+        kinds = 1 + (idle is not None) + (policy is not None)
+        self._total = _PROBE_EPISODES * kinds + sum(map(len, constant.values()))
+        self._total += _SCRIPT_EPISODES * len(scripts)
+        seeds = self._seeds(_PROBE_EPISODES)
+        random, played, still = list[Trace](), list[Trace](), list[Trace]()
+        # One of each kind in turn, so that there are some of every kind after a few seconds.
+        for seed in seeds:
+            random += self._episode(seed, random_driver(world))
+            if policy is not None:
+                played += self._episode(seed, policy())
+            if idle is not None:
+                still += self._episode(seed, constant_driver(world.world.make_action(*idle)))
+        evidence.random, evidence.policy, evidence.idle = random, played, still
+        for part, actions in constant.items():
+            traces = {
+                name: self._episode(seeds[0], constant_driver(action), _CONSTANT_ACTION_STEPS)
+                for name, action in actions.items()
+            }
+            evidence.constant_actions[part] = {
+                name: action_traces[0] for name, action_traces in traces.items() if action_traces
+            }
+        for name in scripts:
+            episodes = [
+                trace
+                for seed in self._seeds(_SCRIPT_EPISODES)
+                for trace in self._episode(seed, named_driver(world, name), evidence.longest)
+            ]
+            # Episodes that the deadline has cut are left out.
+            evidence.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]
+
+    def _seeds(self, count: int) -> list[int]:
+        seed = self._evidence.run.record.seed
+        return [derive_seed(seed, "diagnosis", number) for number in range(count)]
+
+    def _idle_action(self) -> Any:
+        """Return the action that commands zeros; None where a range has no zero."""
+        agent = self._evidence.program.agent
+        has_zeros = all(interval.low <= 0.0 <= interval.high for interval in agent.ranges)
+        return idle_action(agent.action) if has_zeros else None
+
+    def _policy_driver(self) -> Callable[[], Driver] | None:
+        """Make a driver of the last policy; None before there is one."""
+        from deepbots_cli.learning.policy import load_model
+        from deepbots_cli.rollout.policies import PolicyDriver
+
+        run = self._evidence.run
+        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
+        return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
+
+    def _episode(self, seed: int, driver: Driver, count: int = _PROBE_STEPS) -> list[Trace]:
+        """Return the trace of an episode of at most `count` steps, in a list; empty after the deadline."""
+        if time.monotonic() > self.deadline:
+            return []
+        error = ""
+        try:
+            for _ in islice(steps(self.world, driver, Start(seed)), count + 1):
+                if time.monotonic() > self.deadline:
+                    break
+        except DeepbotsError as failed:
+            error = str(failed)
+        self._done += 1
+        if self._on_episode is not None:
+            self._on_episode(self._done, self._total)
+        return [self.world.trace("a short episode", error=error)]
+
+
+def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
+    """Repeat the first episodes without success of the quoted evaluation, until the deadline."""
+    quoted = (
+        quoted_episodes(evidence.run)
+        if evidence.final_episodes and evidence.run.program.defines_success
+        else None
+    )
+    if quoted is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
+        return []
+    numbers = [number for number, episode in enumerate(evidence.final_episodes) if not episode.is_success]
+    numbers = numbers[:_FAILED_EPISODES]
+    traces = []
+    try:
+        for trace in trace_episodes(evidence.run, numbers, **quoted.replay_options, permissions=permissions):
+            traces.append(trace)
+            if time.monotonic() > deadline:
+                break
+    except DeepbotsError:  # its model is missing, for example
+        pass
+    return traces
+
+
+def _scripts_to_play(evidence: TrainingEvidence) -> list[str]:
+    """Return the script that teaches the policy, or else those that could teach it; empty if no success
+    allows a comparison."""
+    agent = evidence.program.agent
+    if (
+        evidence.agent
+        or not evidence.program.defines_success
+        or agent.copies is not None
+        or agent.training is None
+    ):
+        return []
+    if agent.training.teacher is not None:
+        return [agent.training.teacher.script]
+    return [script.name for script in agent.scripts]
+
+
+def _constant_actions(env: Supervisor) -> dict[str, dict[str, Any]]:
+    """Return, for each part of the action, constant actions in which it alone differs: the first options of a
+    choice, both ends of a range."""
+    agent = env.scenario.agent
+    picks = {
+        choice.name: {option.name: n for n, option in enumerate(choice.options[:_MAX_OPTIONS])}
+        for choice in agent.choices
+    }
+    values: dict[str, Mapping[str, float]] = {
+        **picks,
+        **{name: {"-1": -1.0, "1": 1.0} for name in agent.range_names[:_MAX_RANGES]},
+    }
+    return {
+        name: {word: action_from_values(env, {name: value}) for word, value in by_name.items()}
+        for name, by_name in values.items()
+    }

@@ -1,33 +1,82 @@
-"""The transfer of a policy to another world: its evaluations in both, the comparison of the worlds, and the
-requirements that it meets.
+"""The transfer of a policy to another world: its evaluations in both, the requirements that it meets, and
+the differences between the worlds with their causes.
+
+The worlds are two engines, or a simulation and one with another mass. The policy plays some episodes in the
+world of its training, and the other world repeats their starts and actions. The difference of each number
+of the observation and of each reward term then comes from the world, not from other actions. `causes` are
+changes of the first world that make it more like the second one: another order, sign, unit or age of a
+number, or another latency, mass, friction, strength, gain, lag or order of motors. Changes of the physics
+are simulated, each with the same starts and actions.
+
+Most kinds of changes explain nothing. Therefore the first round simulates a small, a medium and a large
+amount of each kind, in two episodes, until the differences have grown. The second round simulates all
+amounts of the likely kinds. The third round searches between the amounts of the best kinds. Finally, the
+best amount of each kind is simulated in all episodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import inf
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil, exp, floor, inf, log
 from pathlib import Path
-from typing import Any, NamedTuple
+from statistics import fmean
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from scipy.optimize import minimize_scalar
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.document import Permissions
-from deepbots_cli.insight.recorded_worlds import EPISODES, EngineWorld
-from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
+from deepbots_cli.document import Document, MappingNode, Permissions
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.insight.recorded_worlds import (
+    EPISODES,
+    MAX_STEPS,
+    REWARD,
+    Act,
+    Array,
+    ChangeEffect,
+    Difference,
+    EngineWorld,
+    RecordedEpisode,
+    ValueColumn,
+    ValueComparison,
+    action_gains,
+    changed_actions,
+    columns_of,
+    command_plans,
+    doubled_times,
+    friction_plans,
+    latency_plans,
+    record_episodes,
+    repeat_episodes,
+    torque_limits,
+    without_amount,
+)
+from deepbots_cli.insight.trace import instrument_program
 from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.robustness import (
+    DELAY,
+    FACTOR,
+    MASS,
     SHARE_OF_NOMINAL,
+    Plan,
     Robustness,
     base_document,
+    changed_program,
     evaluate_robustness,
+    masses,
+    plans,
 )
 from deepbots_cli.learning.runs.episodes import check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
-from deepbots_cli.rollout.episode import Episode
+from deepbots_cli.rollout import Episode, Start
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.words import beside
@@ -235,3 +284,405 @@ def worlds_that_work(
         return (None, None), ""
     first, second = (solved.is_met(result.mean_return, result.success_rate) for result in results)
     return (first, second), f"`solved` of the scenario ({solved.description})"
+
+
+T = TypeVar("T")
+
+_LEAST_EXPLAINED = 0.3
+"""The smallest share of the squared differences that a cause must explain."""
+_REFINED = 8
+"""The number of kinds of changes that are simulated with all amounts in these episodes, and with the best one
+in all episodes."""
+_SEARCHED = 6
+"""The number of kinds whose amount is searched between the amounts beside the best one."""
+_SEARCH_STEPS = 7
+"""The number of simulations of such a search."""
+_EXPLAINS_ALL = 0.9995
+"""The share from which no better amount is searched."""
+_MAX_LINKS = 12
+"""The largest number of links whose mass is changed."""
+_MAX_JOINED = 3
+"""The number of changes with the same effect that are named; more are counted."""
+_PHASE, _LATEST, _CLEARLY_APART, _MOST_APART = 50, 1_000, 0.1, 6
+"""The steps before outcomes part that are compared, the latest step at which they may part, and, of the means
+in this phase, the least difference as a share of the width, and the number that is kept."""
+_CHECKED, _CHECKED_EPISODES, _LEAST_SUCCESS = 3, 20, 0.2
+"""The causes whose effect on the success is evaluated, the episodes of each evaluation, and the difference of
+the success rates from which they are."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A change of the first world that makes it more like the other one.
+
+    `explained` is the share of the squared differences that it removes. `success` is the success rate of the
+    policy in the first world with this change, and `explained_success` the share of the difference between
+    the success rates in the two worlds that it makes; None where this was not evaluated.
+    """
+
+    text: str
+    explained: float
+    success: float | None = None
+    explained_success: float | None = None
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The steps before the outcomes of the policy part: `episodes` of `of` end in another way in the other
+    world. `steps` is the range of these steps, and `differences` the largest ones of their means."""
+
+    episodes: int
+    of: int
+    steps: tuple[int, int]
+    differences: tuple[Difference, ...]
+
+
+@dataclass(frozen=True)
+class WorldComparison:
+    """The result of a comparison: `differences` in the order in which they begin, `causes` from the one that
+    explains most.
+
+    A cause explains numbers of the observation, so there is none if only reward terms differ. `success` holds
+    the success rates in both worlds, in the episodes in which causes are evaluated by it.
+    """
+
+    episodes: int
+    steps: int
+    differences: tuple[Difference, ...]
+    causes: tuple[Cause, ...]
+    parting: Parting | None = None
+    success: tuple[float, float] | None = None
+
+    @property
+    def observation_differs(self) -> bool:
+        return any(not difference.name.startswith(REWARD) for difference in self.differences)
+
+
+def compare_worlds(
+    run: Run,
+    first: EngineWorld,
+    second: EngineWorld,
+    document: Document,
+    *,
+    seed: int,
+    model: ModelName = "best",
+    episodes: int = EPISODES,
+    outcomes: Sequence[tuple[Episode, Episode]] = (),
+    on_world: Callable[[int, int], object] = lambda count, planned: None,
+) -> WorldComparison:
+    """Compare two worlds by the actions of a policy, up to the step in which its outcomes part.
+
+    Args:
+        run: The run of the policy.
+        first: The world in which the policy acts. deepbots changes it to find causes.
+        second: The world that repeats its actions.
+        document: The scenario of `first`, from `robustness.base_document`.
+        seed: Root seed of the starts.
+        outcomes: The episodes of the evaluations with this seed, in both worlds.
+        on_world: Called in each of four rounds, with the number of kinds of changes done, and of all.
+
+    Raises:
+        UsageError: The scenario has copies of a robot.
+    """
+    if first.program.agent.copies is not None:
+        raise UsageError(
+            f"{first.program.name} has copies of a robot, whose worlds cannot be compared step by step"
+        )
+    columns, others = (
+        columns_of(instrument_program(world.program, include_observation=True)) for world in (first, second)
+    )
+    columns = [column for column in columns if column in others]
+    first, second = (world._replace(columns=columns) for world in (first, second))
+    ends = [[(one.is_success, one.ended_by) for one in pair] for pair in outcomes]
+    parting_steps = [min(one.length for one in pair) for pair in outcomes]
+    parted = [number for number, (here, there) in enumerate(ends) if here != there]
+    late = [number for number in parted if parting_steps[number] <= _LATEST][:episodes]
+    numbers = [*late, *(number for number in range(episodes) if number not in late)][:episodes]
+    longest = max([MAX_STEPS, *(parting_steps[number] for number in late)])
+
+    def record(
+        numbers: Iterable[int], max_steps: int | None, world: EngineWorld, act: Act | None = None
+    ) -> list[RecordedEpisode]:
+        starts = (Start.of_evaluation(seed, number) for number in numbers)
+        return record_episodes(run, world, model, starts, act=act, max_steps=max_steps)
+
+    recorded = record(numbers, longest, first)
+    comparison = ValueComparison(columns, recorded, repeat_episodes(second, recorded))
+    parting = None
+    if late:
+        pairs = [*zip(recorded, record(late, longest, second), strict=False)]
+        parting = Parting(len(parted), len(outcomes), *_phase(columns, pairs))
+    size = len(recorded), max(len(episode.actions) for episode in recorded)
+    result = WorldComparison(*size, tuple(comparison.differences()), (), parting=parting)
+    if not result.observation_differs:
+        return result
+    rows = [*comparison.measured_causes()]
+    with closing(first.build()) as recorder:
+        kinds = [*_kinds(first, first._replace(recorder=recorder), document)]
+        for row in _simulated_causes(comparison, kinds, on_world):
+            duplicate = next(
+                (other for other in rows if comparison.all_same([other.values], [row.values])), None
+            )
+            if duplicate is None:
+                rows.append(row)
+            else:
+                duplicate.texts.extend(row.texts)
+                duplicate.world = duplicate.world or row.world
+        explained = [(comparison.explained(row.values), row) for row in rows]
+        likely = [(share, row) for share, row in explained if share >= _LEAST_EXPLAINED]
+        likely.sort(key=lambda pair: -pair[0])  # stable
+        causes = [Cause(_either(row.texts), share) for share, row in likely]
+        checked = outcomes[:_CHECKED_EPISODES] if first.program.defines_success else ()
+        rates = [fmean(one.is_success for one in world) for world in zip(*checked, strict=True)]
+        if not rates or abs(rates[0] - rates[1]) < _LEAST_SUCCESS:
+            return replace(result, causes=tuple(causes))
+        for index, (_, row) in enumerate(likely[:_CHECKED]):
+            if row.world is not None:
+                with suppress(DeepbotsError):  # of another start, such as an ending that holds at its reset
+                    rate = fmean(one.is_success for one in record(range(len(checked)), None, *row.world()))
+                    share = (rates[0] - rate) / (rates[0] - rates[1])
+                    causes[index] = replace(causes[index], success=rate, explained_success=share)
+    return replace(result, causes=tuple(causes), success=(rates[0], rates[1]))
+
+
+def _phase(
+    columns: Sequence[ValueColumn], pairs: Sequence[tuple[RecordedEpisode, RecordedEpisode]]
+) -> tuple[tuple[int, int], tuple[Difference, ...]]:
+    """Return the first and the last step of the phase in which the outcomes of pairs of episodes part, and
+    the columns whose means in it differ most."""
+    lasts = [min(len(episode.actions) for episode in pair) for pair in pairs]
+    here, there = (
+        np.vstack([episode.values[max(0, last - _PHASE + 1) : last + 1] for episode, last in parts])
+        for parts in (zip(world, lasts, strict=True) for world in zip(*pairs, strict=True))
+    )
+    width = np.ptp(np.vstack([one.values for pair in pairs for one in pair]), axis=0) + 1e-9
+    means = here.mean(axis=0), there.mean(axis=0)
+    shares = np.abs(means[1] - means[0]) / width
+    order = [index for index in np.argsort(-shares, kind="stable") if shares[index] >= _CLEARLY_APART]
+    return (max(0, min(lasts) - _PHASE + 1), max(lasts)), tuple(
+        Difference(
+            columns[index].name,
+            columns[index].unit,
+            0,
+            0,
+            float(means[0][index]),
+            float(means[1][index]),
+            float(shares[index]),
+        )
+        for index in order[:_MOST_APART]
+    )
+
+
+def _either(texts: Sequence[str]) -> str:
+    more = len(texts) - _MAX_JOINED
+    return " or ".join([*texts[:_MAX_JOINED], *([f"{more} more"] if more > 0 else [])])
+
+
+def _simulated(comparison: ValueComparison, kind: Kind, amount: float) -> list[Array] | None:
+    """Return the values with a change; None if the change does not fit this scenario."""
+    try:
+        world, act = kind.changed(amount)
+        values = repeat_episodes(world, comparison.recorded, act)
+    except DeepbotsError:
+        return None
+    return values if all(np.isfinite(array).all() for array in values) else None
+
+
+def _simulated_causes(
+    comparison: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
+) -> list[ChangeEffect]:
+    """Return the changes that explain most of a few short episodes, with the share that they explain of
+    all."""
+    probe = comparison.probed()
+    scores = _Scores(probe)
+    groups = _groups(probe, kinds, on_world)
+    likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
+    for group in _announced(likely, on_world):
+        for amount in group.first.amounts:
+            scores.of(group.first, amount)
+    likely.sort(key=lambda group: -scores.of(group.first, scores.best_amount(group.first)))
+    for group in _announced(likely[:_SEARCHED], on_world):
+        _search(group.first, scores.best_amount(group.first), scores.of)
+    effects = []
+    for group in _announced(likely, on_world):
+        amount = scores.best_amount(group.first)
+        values = _simulated(comparison, group.first, amount)
+        if values is not None:
+            texts = [kind.text(amount) for kind in group.kinds]
+            effects.append(ChangeEffect(texts, values, partial(group.first.changed, amount)))
+    return effects
+
+
+def _announced(items: Sequence[T], on_world: Callable[[int, int], object]) -> Iterator[T]:
+    """Yield the items of a round; after each, `on_world` gets the number of those done, and of all."""
+    for number, item in enumerate(items, 1):
+        yield item
+        on_world(number, len(items))
+
+
+class _Scores:
+    """How much of a few short episodes the amounts of changes explain; each is simulated once."""
+
+    def __init__(self, probe: ValueComparison) -> None:
+        self._probe = probe
+        self._scores: dict[tuple[Kind, float], float] = {}
+
+    def of(self, kind: Kind, amount: float) -> float:
+        """Return the explained share, at least -1; -1 for a change that does not fit the scenario."""
+        if (kind, amount) not in self._scores:
+            values = _simulated(self._probe, kind, amount)
+            score = -1.0 if values is None else max(self._probe.explained(values), -1.0)
+            self._scores[kind, amount] = score
+        return self._scores[kind, amount]
+
+    def best_amount(self, kind: Kind) -> float:
+        """Return the amount of a kind that explains most, among those with a score."""
+        return max(
+            (amount for scored_kind, amount in self._scores if scored_kind is kind),
+            # Rounded, so that the last bits do not choose among amounts with the same effect.
+            key=lambda amount: (round(self._scores[kind, amount], 9), amount),
+        )
+
+
+def _groups(
+    probe: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
+) -> list[_Group]:
+    """Return the kinds of changes with an effect like the observed one; those with the same effect are one
+    group."""
+    groups: list[_Group] = []
+    for kind in _announced(kinds, on_world):
+        effects = [
+            values for amount in kind.probes if (values := _simulated(probe, kind, amount)) is not None
+        ]
+        likeness = max(
+            (probe.likeness(values) if kind.form else probe.explained(values) for values in effects),
+            default=0.0,
+        )
+        if likeness <= 0.0:
+            continue
+        duplicates = (
+            group
+            for group in groups
+            if group.first.probes == kind.probes and probe.all_same(group.effects, effects)
+        )
+        duplicate = next(duplicates, None)
+        if duplicate is None:
+            groups.append(_Group([kind], effects, likeness))
+        else:
+            duplicate.kinds.append(kind)
+    return groups
+
+
+def _search(kind: Kind, amount: float, score: Callable[[Kind, float], float]) -> None:
+    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one
+    digit up and down.
+
+    A latency of a part of a timestep has the effect of a whole one, so for a time, the next number of
+    timesteps is scored too.
+    """
+    if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
+        return
+    # One more amount at either end, at the ratio of the two that are next to it.
+    scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
+    index = scale.index(amount)
+    best = minimize_scalar(
+        lambda x: -score(kind, float(f"{exp(x):.2g}")),
+        bounds=(log(scale[index - 1]), log(scale[index + 1])),
+        method="bounded",
+        options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
+    )
+    digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
+    amount = float(f"{exp(best.x):.2g}")
+    for step in (-digit, digit):
+        while scale[index - 1] < (beside := float(f"{amount + step:.2g}")) < scale[index + 1] and score(
+            kind, beside
+        ) > score(kind, amount):
+            amount = beside
+    if kind.form == DELAY:
+        timestep = kind.amounts[0]
+        score(kind, timestep * ceil(exp(best.x) / timestep))
+
+
+@dataclass
+class _Group:
+    """Kinds whose changes have the same effect, and the likeness of this effect to the difference, regardless
+    of its amount."""
+
+    kinds: list[Kind]
+    effects: list[list[Array]]
+    likeness: float
+
+    @property
+    def first(self) -> Kind:
+        return self.kinds[0]
+
+
+# Changes of the first world
+
+_FACTORS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.25, 0.5, 0.8, 1.25, 2.0, 4.0, 8.0)
+"""Factors on a value. Motors are often much stronger than needed, so only a small share of their strength has
+an effect."""
+_PROBED_FACTORS = (0.003, 0.5, 2.0)
+_MASS_FACTORS = tuple(factor for factor in _FACTORS if factor >= 0.1)
+_PROBED_MASSES = (0.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """A kind of change of the first world.
+
+    Attributes:
+        name: Its name, which an amount follows.
+        changed: Returns the world with an amount of it.
+        amounts: The amounts that are tried, sorted.
+        probes: The amounts that are simulated first.
+        form: The format of an amount; empty if the change has none.
+    """
+
+    name: str
+    changed: Callable[[float], tuple[EngineWorld, Act | None]]
+    amounts: tuple[float, ...] = (1.0,)
+    probes: tuple[float, ...] = (1.0,)
+    form: str = ""
+
+    def text(self, amount: float) -> str:
+        return f"{self.name} {self.form.format(amount)}".rstrip()
+
+
+def _kinds(world: EngineWorld, unchanged: EngineWorld, document: Document) -> Iterator[Kind]:
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, built for other
+    actions."""
+
+    def with_actions(act: Callable[[float], Act]) -> Callable[[float], tuple[EngineWorld, Act | None]]:
+        return lambda amount: (unchanged, act(amount))
+
+    def with_plan(plan: Plan) -> Callable[[float], tuple[EngineWorld, Act | None]]:
+        return lambda amount: (world._replace(program=changed_program(document, plan.change(amount))), None)
+
+    for name, act in changed_actions(world.program):
+        yield Kind(name, with_actions(partial(without_amount, act)))
+    for name, scaled in action_gains(world.program):
+        yield Kind(name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
+    root, program = document.root, world.program
+    assert isinstance(root, MappingNode)
+    times = doubled_times(program.world.timestep)
+    for plan in (
+        *(plan for plan in plans(root, program) if plan.family != MASS),
+        *masses(root, program, _MAX_LINKS),
+        *friction_plans(root, program),
+        *latency_plans(root, program),
+        *command_plans(root, program),
+    ):
+        if plan.form == DELAY:
+            yield Kind(plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY)
+        elif plan.form == FACTOR:
+            amounts, probes = (
+                (_MASS_FACTORS, _PROBED_MASSES) if plan.family == MASS else (_FACTORS, _PROBED_FACTORS)
+            )
+            yield Kind(plan.name, with_plan(plan), amounts, probes, FACTOR)
+    for plan, largest in torque_limits(program):
+        limits, first = (
+            tuple(factor * largest for factor in factors if factor < 1.0)
+            for factors in (_FACTORS, _PROBED_FACTORS)
+        )
+        yield Kind(plan.name, with_plan(plan), limits, first, plan.form)

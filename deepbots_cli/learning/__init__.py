@@ -1,36 +1,29 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
-training.py              train and resume: joins all of the below
+training.py              train and resume: joins all of the below; the speed with several shards
 training_loop.py         a training from its last checkpoint to its end
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
-callbacks.py             the callback of a training, when to stop, and the scalars that it logs
-training_evaluations.py  the evaluations of a training, their confirmations, and the choice of its best model
-checkpoints.py           the whole state of a training, from which it continues to the bit
-checkpoint_files.py      the files of a checkpoint, and their valid content
-model_files.py           the files of models: their archive, and the steps after which they were saved
+callbacks.py             the callback of a training: evaluations, confirmations, the best model, when to stop
+checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
 report.py                the progress of a training and of a group
-signals.py               Ctrl-C and SIGTERM
 
-environments.py          the creation of worlds: one by one, or as a batch
+environments.py          the worlds of a training or an evaluation, held-out episodes, failures of an episode
 shards.py                the worlds of a training, and shards of them with a copy of the policy
-executor.py              executors of work: in this process, or on workers
-calls.py                 calls of a function, and their watchers
-failures.py              failures of an episode, kept to be reproduced
-limits.py                checks that a training fits into the memory
-scaling.py               the speed of a training with several numbers of shards
+executor.py              executors of work, in this process or on workers; Ctrl-C and SIGTERM
 
-evaluation.py            evaluate: a policy on held-out starts, with intervals; loads the model of a run
-held_out.py              held-out episodes: the worlds that play them, and their starts in a training
-keeping.py               the best model of a run, chosen again on new starts or by hand
+evaluation.py            evaluate: a policy on held-out starts, with intervals; the best model chosen again
 comparison.py            compare: groups of runs on the same starts; a group as one
 robustness.py            a policy under changed conditions
-policy.py                a trained policy as an object to call
+policy.py                the policies of runs: loaded, as objects to call, beside other agents
+teaching.py              teachers: scripts, recordings and other policies
 scenario_tests.py        the tests of a scenario
+
+multi_agent.py           the learner of several agents: one for each of them
+self_play.py             one policy for two equal agents, against itself and a pool of its past versions
+matches.py               policies and scripts of two agents against each other
 
 runs/                    the directory of a run, and what follows from its files alone
 campaigns/               several trainings of one scenario: groups, studies, and how they are listed
-agents/                  several agents: their learners, and matches between them
-teaching/                teachers: scripts, recordings and other policies
 sb3/                     the learner of the built-in algorithms
 
 The names below are imported on first use, because torch alone takes a second. For the same reason, commands
@@ -45,7 +38,6 @@ from typing import TYPE_CHECKING
 from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.agents.matches import MatchTable, play_matches
     from deepbots_cli.learning.campaigns.group import resume_group, train_group
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
     from deepbots_cli.learning.evaluation import (
@@ -54,6 +46,7 @@ if TYPE_CHECKING:
         evaluate_cases,
         evaluate_trained,
     )
+    from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
@@ -64,7 +57,7 @@ _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
     "evaluation": ("evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
     "campaigns.group": ("resume_group", "train_group"),
-    "agents.matches": ("MatchTable", "play_matches"),
+    "matches": ("MatchTable", "play_matches"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "runs.evaluations": ("EvaluationResult",),

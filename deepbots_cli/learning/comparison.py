@@ -16,12 +16,10 @@ from deepbots_cli.analysis.changes import Change, Meanings, compared_meanings
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import evaluate, until_enough
-from deepbots_cli.learning.executor import SERIAL, Executor, results
-from deepbots_cli.learning.runs.changes import written_scenario
+from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import check_common_measure
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
@@ -35,7 +33,7 @@ from deepbots_cli.learning.runs.statistics import (
     interquartile_mean,
     mean_interval,
 )
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import run_verdict, written_scenario
 from deepbots_cli.program.identity import timing_differences
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition

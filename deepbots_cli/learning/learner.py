@@ -21,7 +21,7 @@ import numpy as np
 
 from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.checkpoint_files import (
+from deepbots_cli.learning.checkpoints import (
     Array,
     ArraySpec,
     CheckpointState,
@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.runs.records import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
-    from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-    from deepbots_cli.learning.teaching.teacher import Demonstrations, Plan
+    from deepbots_cli.learning.teaching import Demonstrations, Plan, PolicyTeacher
 
 # By whether the algorithm is on-policy; imported when it is used.
 _SB3_LEARNERS = {
@@ -51,8 +50,8 @@ _SB3_LEARNERS = {
 }
 # By whether agents share a policy that plays against itself.
 _MULTI_AGENT_LEARNERS = {
-    False: "deepbots_cli.learning.agents.multi_agent:MultiAgentLearner",
-    True: "deepbots_cli.learning.agents.self_play:SelfPlayLearner",
+    False: "deepbots_cli.learning.multi_agent:MultiAgentLearner",
+    True: "deepbots_cli.learning.self_play:SelfPlayLearner",
 }
 
 
@@ -340,8 +339,6 @@ class ArrayLearner(Learner):
         fragment = collector.collect(actor, self.fragment_steps, on_step, with_masks=self.takes_masks)
         if fragment is None:
             return False
-        if self.setup.training.staleness and isinstance(collector, ShardedCollector):
-            collector.ask_ahead(self.actor(), self.fragment_steps, with_masks=self.takes_masks)
         self.fragment = fragment
         self._monitor.on_collected()
         statistics = self._monitor.active.statistics
@@ -376,7 +373,7 @@ class ArrayLearner(Learner):
         _overwrite(self.memory(), arrays)
 
 
-class _ArrayActor:
+class _ArrayActor(PolicyActor):
     """The actor of an `ArrayLearner` whose actions depend on its weights only."""
 
     def __init__(self, learner: ArrayLearner) -> None:
@@ -385,20 +382,11 @@ class _ArrayActor:
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         return self._learner.act(observations, starts, masks)
 
-    def begin(self) -> None:
-        """The actor does nothing before a fragment."""
-
     def parameters(self) -> Mapping[str, Any]:
         return self._learner.weights()
 
-    def memory(self) -> Mapping[str, Array]:
-        return {}
-
     def load(self, parameters: Mapping[str, Any]) -> None:
         _overwrite(self._learner.weights(), parameters)
-
-    def remember(self, memory: Mapping[str, Array]) -> None:
-        """The policy has no memory between two fragments."""
 
 
 def class_of(training: Training) -> type[Learner]:

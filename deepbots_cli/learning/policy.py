@@ -1,22 +1,27 @@
-"""A trained policy as an object to call, without a simulator and without a training."""
+"""The policies of runs: loaded for a world, as an object to call, and as the other agents beside the one that
+is trained or evaluated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.evaluation import load_model
-from deepbots_cli.learning.learner import Learner
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.environments import random_numbers_kept
+from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
-from deepbots_cli.learning.shards import random_numbers_kept
-from deepbots_cli.program import Program
+from deepbots_cli.program import Others, Program
 from deepbots_cli.program.task import ActionRange, Choices
+from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import Observer, action_space, observation_space
 from deepbots_cli.words import unit_text
 
@@ -177,3 +182,84 @@ def _values(part: Choices | ActionRange) -> list[ActionValue]:
     if isinstance(part, Choices):
         return [ActionValue(part.name, tuple(option.name for option in part.options))]
     return [ActionValue(name, (), unit_text(part.unit), part.low, part.high) for name in part.names]
+
+
+def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None) -> Learner:
+    """Load the model of a run: built from its scenario for the spaces of `world`, with the weights of
+    `models/agent/<name>.zip`.
+
+    Raises:
+        RunError: The file is missing, damaged, or fits another policy.
+    """
+    training = run.program.agent.training
+    if training is None:
+        raise RunError(f"{run.path} contains a scenario without a `train` section")
+    agent = run.program.with_critic.agent
+    columns = agent.policy_columns
+    if world is None or columns is not None:
+        spaces = observation_space(agent), action_space(agent)
+    else:
+        player = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
+        spaces = player.observation_space, player.action_space
+    loaded = learners.create(Setup(training, *spaces, policy_columns=columns, program=run.program))
+    others = run.program.others
+    if others is None:
+        loaded.load(run.model(name))
+        return loaded
+    with model_of(run.model(name), others.agent) as file:
+        loaded.load(file)
+    return loaded
+
+
+def load_rival(others: Others, agent: str) -> Learner:
+    """Load the policy of an agent that acts beside the one of a program. Its `train` has the algorithm and
+    the layers.
+
+    Raises:
+        UsageError: The scenario has no `train` for the agent, or the model has other layers, or is one of
+            another scenario.
+        RunError: The model is damaged.
+    """
+    program = others.world.members[agent].program
+    path = others.models[agent]
+    training = program.agent.training
+    critic_agent = program.with_critic.agent
+    if training is None:
+        raise UsageError(
+            f"`{agent}` has no `train`, so the layers of its policy in {path} are unknown; write it as in the"
+            " scenario of that run"
+        )
+    with random_numbers_kept():
+        policy = learners.create(
+            Setup(
+                replace(training, device="cpu"),
+                observation_space(critic_agent),
+                action_space(critic_agent),
+                policy_columns=critic_agent.policy_columns,
+                program=program,
+            )
+        )
+        with model_of(path, agent) as file:
+            try:
+                policy.load(file)
+            except RunError as error:
+                error.add_note(
+                    f"the policy of `{agent}` needs the observation, the action and the `train` of the"
+                    " scenario that it was trained in"
+                )
+                raise
+    return policy
+
+
+@contextmanager
+def model_of(path: Path, agent: str) -> Iterator[Path]:
+    """Context with the file of the model of an agent: `path` itself, or the part of a model of all agents.
+
+    Raises:
+        RunError: The model is one of other agents.
+    """
+    if not has_agents(path):
+        yield path
+        return
+    with own_model(path, agent) as file:
+        yield file

@@ -8,18 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from typing import NamedTuple, TextIO
 
 from deepbots_cli.display import Display
-from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
 from deepbots_cli.words import rate_text
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 LINE_INTERVAL_S = 30.0
 """The time in s after a line without a terminal until the next one."""
@@ -78,6 +75,10 @@ class TrainingProgress:
     level: str = ""
     agents: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def steps_text(self) -> str:
+        return f"{self.steps:,} of {self.total_steps:,} steps"
+
     def seconds_left(self, first_step: int, elapsed: float) -> float | None:
         """Return the longest time until the training ends, in s, after `elapsed` s since `first_step`; None
         before a step was timed."""
@@ -108,7 +109,7 @@ class Reporter:
 
 
 class ProgressReporter(Reporter):
-    """A table on a terminal, which is refreshed in place.
+    """On a terminal, a bar and the values of the training, refreshed in place.
 
     Elsewhere there is a line for every tenth of the way, for an evaluation, and at least every 30 s.
     """
@@ -126,9 +127,8 @@ class ProgressReporter(Reporter):
         self._display.print(f"note: {text}")
 
     def start(self, progress: TrainingProgress) -> None:
-        self._began = time.perf_counter()
+        self._began = self._shown = time.perf_counter()
         self._timed = None
-        self._shown = self._began
         self._tenth = 10 * progress.steps // progress.total_steps
 
     def update(self, progress: TrainingProgress) -> None:
@@ -137,37 +137,29 @@ class ProgressReporter(Reporter):
             self._timed = (now, progress.steps)
         timed_at, first_step = self._timed
         speed = (progress.steps - first_step) / max(1e-9, now - timed_at)
-        seconds_left = progress.seconds_left(first_step, now - timed_at)
+        values = progress_values(progress, speed, progress.seconds_left(first_step, now - timed_at))
         if self._display.is_terminal:
             is_urgent = progress.steps >= progress.total_steps or progress.activity is not None
-            elapsed = now - self._began
-            self._display.show(
-                lambda _height: _table(progress, speed, elapsed, seconds_left), at_once=is_urgent
-            )
+            text = _lines(progress, values, speed, now - self._began)
+            self._display.show(text, progress.steps, progress.total_steps, at_once=is_urgent)
             return
         tenth = 10 * progress.steps // progress.total_steps
         since = now - self._shown
         if progress.activity:
-            if progress.activity.name != self._activity or since >= ACTIVITY_INTERVAL_S:
-                self._display.print(
-                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity.text} ..."
-                )
-                self._activity = progress.activity.name
-                self._shown = now
-            return
-        evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
-        if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
-            values = progress_values(progress, speed, seconds_left)
-            values.pop("episodes", None)
-            if progress.evaluations == self._evaluations:  # an earlier line has reported it
-                values = {name: value for name, value in values.items() if not value.is_evaluation}
-            self._tenth = tenth
-            self._evaluations = progress.evaluations
+            is_due = progress.activity.name != self._activity or since >= ACTIVITY_INTERVAL_S
+            self._activity = progress.activity.name
+            parts = [f"{progress.activity.text} ..."]
+        else:
+            evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
+            is_due = tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S
+            # An earlier line may have reported the evaluation.
+            left_out = ("episodes", *(_OF_EVALUATION if progress.evaluations == self._evaluations else ()))
+            parts = _named({name: text for name, text in values.items() if name not in left_out})
+        if is_due:
             self._shown = now
-            parts = [
-                value.text if value.is_clear else f"{name} {value.text}" for name, value in values.items()
-            ]
-            self._display.print("  ".join([f"{progress.steps:,} of {progress.total_steps:,} steps", *parts]))
+            self._display.print("  ".join([progress.steps_text, *parts]))
+        if is_due and not progress.activity:
+            self._tenth, self._evaluations = tenth, progress.evaluations
 
     def stop(self) -> None:
         self._display.close()
@@ -184,8 +176,8 @@ class GroupReporter(Watcher):
 
 
 class GroupProgressReporter(GroupReporter):
-    """A table of all trainings on a terminal, which is refreshed in place; elsewhere a line for each end, and
-    one every 30 s.
+    """A bar for each training and one for all on a terminal, refreshed in place; elsewhere a line for each end,
+    and one every 30 s.
 
     Args:
         group: The folder of the group.
@@ -202,13 +194,14 @@ class GroupProgressReporter(GroupReporter):
         self._notes: set[str] = set()
         self._is_stopping = False
         self._began = self._shown = time.perf_counter()
+        self._show(*range(len(seeds)))
 
     def on_report(self, item: int, value: object) -> None:
         if isinstance(value, TrainingProgress) and self._states[item] in ("waiting", "training"):
             self._first.setdefault(item, value.steps)
             self._states[item] = "training"
             self._progress[item] = value
-            self._show()
+            self._show(item)
 
     def on_note(self, item: int, text: str) -> None:
         if text not in self._notes:  # all trainings may have the same
@@ -231,11 +224,8 @@ class GroupProgressReporter(GroupReporter):
             self._progress[item] = replace(latest, **final)
         self._states[item] = state
         if outcome is not None and not self._display.is_terminal:
-            row = self._row(item)
-            self._display.print(
-                "  ".join(value if name == "state" else f"{name} {value}" for name, value in row.items())
-            )
-        self._show(at_once=True)
+            self._display.print("  ".join(self._texts(item)))
+        self._show(item, at_once=True)
 
     def stop(self) -> None:
         if not self._is_stopping:
@@ -248,26 +238,32 @@ class GroupProgressReporter(GroupReporter):
         self._show(at_once=True)
         self._display.close()
 
-    def _show(self, *, at_once: bool = False) -> None:
+    def _show(self, *items: int, at_once: bool = False) -> None:
+        """Show trainings that have changed, and the sum of all."""
         now = time.perf_counter()
         if self._display.is_terminal:
-            self._display.show(self._table, at_once=at_once)
+            for item in items:
+                head, *values = self._texts(item)
+                progress = self._progress.get(item)
+                done, total = (progress.steps, progress.total_steps) if progress else (0, 1)
+                text = f"{head}\n  {'  '.join(values)}".rstrip()
+                self._display.show(text, done, total, task=item)
+            planned = max(1, self._total * len(self._seeds))
+            self._display.show(self._summary(), planned - self._left, planned, at_once=at_once)
         elif now - self._shown >= LINE_INTERVAL_S:
             self._display.print(self._summary())
             self._shown = now
 
-    def _row(self, item: int) -> dict[str, str]:
-        """Return the values that the training has reached, beside those that `solved` requires."""
-        cells = {"seed": f"{self._seeds[item]}", "state": self._states[item]}
+    def _texts(self, item: int) -> list[str]:
+        """Return the state of a training and the values that it has reached, beside those that `solved`
+        requires."""
+        state = f"seed {self._seeds[item]}  {self._states[item]}"
         progress = self._progress.get(item)
         if progress is None:
-            return cells
+            return [state]
         values = progress_values(progress)
-        cells |= {
-            "steps": f"{progress.steps:,} of {progress.total_steps:,}",
-            "episodes": values["episodes"].text,
-        }
-        return cells | {name: values[name].text for name in ("return", "success") if name in values}
+        names = [name for name in ("episodes", "return", "success") if name in values]
+        return [f"{state}  {progress.steps_text}", *_named({name: values[name] for name in names})]
 
     def _summary(self) -> str:
         """Return the trainings by their state, the steps of all, and the remaining time."""
@@ -279,44 +275,29 @@ class GroupProgressReporter(GroupReporter):
                 if states[name]
             )
         ]
-        steps = sum(progress.steps for progress in self._progress.values())
-        total = max((progress.total_steps for progress in self._progress.values()), default=0)
         elapsed = time.perf_counter() - self._began
+        steps = sum(progress.steps for progress in self._progress.values())
         speed = (steps - sum(self._first.values())) / max(1e-9, elapsed)
-        left = sum(
-            total - (self._progress[item].steps if item in self._progress else 0)
-            for item, state in enumerate(self._states)
-            if state in ("waiting", "training")
-        )
         if speed >= 1.0:
             parts.append(f"{speed:,.0f} steps/s")
         parts.append(f"{duration(elapsed)} so far")
-        if speed > 0.0 and left and not self._is_stopping:
-            parts.append(f"{duration(left / speed)} to go")
+        if speed > 0.0 and self._left and not self._is_stopping:
+            parts.append(f"{duration(self._left / speed)} to go")
         return "  ".join(parts)
 
-    def _table(self, height: int) -> Group:
-        """Return a row for each training, or as many as fit, those at work first; and the summary."""
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
+    @property
+    def _total(self) -> int:
+        """The planned steps of a training; 0 before one has begun."""
+        return max((progress.total_steps for progress in self._progress.values()), default=0)
 
-        seeds = range(len(self._seeds))
-        room = max(1, height - 4)
-        by_state = sorted(seeds, key=lambda item: self._states[item] != "training")
-        listed = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
-        names = [
-            name
-            for name in ("seed", "state", "steps", "episodes", "return", "success")
-            if any(name in row for row in listed)
-        ]
-        rows = Table.grid(padding=(0, 2))
-        for name in names:
-            rows.add_column(no_wrap=True, justify="left" if name in ("seed", "state") else "right")
-        rows.add_row(*(Text(name, style="dim") for name in names))
-        for row in listed:
-            rows.add_row(*(Text(row.get(name, "")) for name in names))
-        return Group(rows, Text(self._summary(), style="dim"))
+    @property
+    def _left(self) -> int:
+        """The steps of all trainings that have not ended."""
+        return sum(
+            self._total - (self._progress[item].steps if item in self._progress else 0)
+            for item, state in enumerate(self._states)
+            if state in ("waiting", "training")
+        )
 
 
 def reporter(progress: bool | Reporter) -> Reporter:
@@ -326,54 +307,58 @@ def reporter(progress: bool | Reporter) -> Reporter:
     return ProgressReporter() if progress else Reporter()
 
 
-class ProgressValue(NamedTuple):
-    """A row of the display.
-
-    `is_evaluation`: it stays the same until the next evaluation. `is_clear`: the text needs no name, such as
-    `589 steps/s`.
-    """
-
-    text: str
-    is_evaluation: bool = False
-    is_clear: bool = False
+_WITHOUT_NAME = ("stage", "level", "speed", "remaining")
+"""The values whose texts need no name, such as `589 steps/s`."""
+_OF_EVALUATION = ("last evaluation", "best evaluation")
+"""The values that stay the same until the next evaluation."""
 
 
 def progress_values(
     progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None
-) -> dict[str, ProgressValue]:
-    """Return the rows of the display by name, with the values that `solved` requires."""
+) -> dict[str, str]:
+    """Return the values of the display by name, with those that `solved` requires."""
     solved = progress.solved
-    rows: dict[str, ProgressValue] = {}
+    values: dict[str, str] = {}
     if progress.success_rate is not None:
         goal = (
             f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
         )
-        rows["success"] = ProgressValue(f"{rate_text(progress.success_rate)}{goal}")
+        values["success"] = f"{rate_text(progress.success_rate)}{goal}"
     if progress.agents:
-        rows["return"] = ProgressValue(agents_text(progress.agents))
+        values["return"] = agents_text(progress.agents)
     elif progress.mean_return is not None:
         goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
-        rows["return"] = ProgressValue(f"{progress.mean_return:.1f}{goal}")
+        values["return"] = f"{progress.mean_return:.1f}{goal}"
     has_common_measure = not progress.agents or progress.success_rate is not None
     if progress.evaluated is not None and has_common_measure:
-        rows["last evaluation"] = ProgressValue(
-            progress.evaluated.score(progress.measure), is_evaluation=True
-        )
+        values["last evaluation"] = progress.evaluated.score(progress.measure)
     if progress.best is not None and has_common_measure:
-        score = f"{progress.best.score(progress.measure)} at {progress.best.steps:,} steps"
-        rows["best evaluation"] = ProgressValue(score, is_evaluation=True)
-    if progress.activity:
-        rows["now"] = ProgressValue(progress.activity.text)
-    if progress.stage:
-        rows["stage"] = ProgressValue(progress.stage, is_clear=True)
-    if progress.level:
-        rows["level"] = ProgressValue(progress.level, is_clear=True)
-    rows["episodes"] = ProgressValue(f"{progress.episodes:,}")
-    if speed >= 1.0:
-        rows["speed"] = ProgressValue(f"{speed:,.0f} steps/s", is_clear=True)
-    if seconds_left is not None:
-        rows["remaining"] = ProgressValue(f"at most {duration(seconds_left)} to go", is_clear=True)
-    return rows
+        values["best evaluation"] = (
+            f"{progress.best.score(progress.measure)} at {progress.best.steps:,} steps"
+        )
+    texts = {
+        "now": progress.activity.text if progress.activity else "",
+        "stage": progress.stage,
+        "level": progress.level,
+        "episodes": f"{progress.episodes:,}",
+        "speed": f"{speed:,.0f} steps/s" if speed >= 1.0 else "",
+        "remaining": "" if seconds_left is None else f"at most {duration(seconds_left)} to go",
+    }
+    return values | {name: text for name, text in texts.items() if text}
+
+
+def _named(values: Mapping[str, str]) -> list[str]:
+    return [text if name in _WITHOUT_NAME else f"{name} {text}" for name, text in values.items()]
+
+
+def _lines(progress: TrainingProgress, values: dict[str, str], speed: float, elapsed: float) -> str:
+    """Return the display of a terminal beside its bar: the steps, and a line for each value."""
+    share = rate_text(progress.steps / progress.total_steps)
+    time_text = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
+    if "speed" in values and progress.period:
+        values["speed"] += f", {speed * progress.period:,.0f} times real time"
+    lines = [f"{name:<17}{text}" for name, text in {**values, "time": time_text}.items()]
+    return "\n".join([f"{share}  {progress.steps_text}", *lines])
 
 
 def longer_goal(steps: int) -> int:
@@ -390,30 +375,3 @@ def duration(seconds: float) -> str:
     return (
         f"{total // 60}:{total % 60:02} min" if total < 3600 else f"{total // 3600}:{total % 3600 // 60:02} h"
     )
-
-
-def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_left: float | None) -> Group:
-    """Return the display of a terminal: a bar, and a row for each value."""
-    from rich.console import Group
-    from rich.progress_bar import ProgressBar as Bar
-    from rich.table import Table
-    from rich.text import Text
-
-    values = {name: value.text for name, value in progress_values(progress, speed, seconds_left).items()}
-    values["time"] = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
-    if "speed" in values and progress.period:
-        values["speed"] += f", {speed * progress.period:,.0f} times real time"
-    head = Table.grid(padding=(0, 1))
-    head.add_row(
-        Bar(progress.total_steps, progress.steps, width=30),
-        Text(
-            f"{progress.steps / progress.total_steps:4.0%}  {progress.steps:,} of {progress.total_steps:,}"
-            " steps"
-        ),
-    )
-    rows = Table.grid(padding=(0, 2))
-    rows.add_column(no_wrap=True)
-    rows.add_column(no_wrap=True, overflow="ellipsis", max_width=60)
-    for name, value in values.items():
-        rows.add_row(Text(name, style="dim"), Text(value))
-    return Group(head, rows)

@@ -21,7 +21,7 @@ from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -38,9 +38,8 @@ from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.parser import parse as parse_expression
 from deepbots_cli.expressions.syntax import Binary, Redrawn
 from deepbots_cli.expressions.types import walk
-from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.evaluation import evaluate
-from deepbots_cli.learning.executor import SERIAL, Executor, results
+from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.order import Measure, measure_of
@@ -96,6 +95,8 @@ class Side:
 
     `name` is `smaller` or `larger`, or empty if the condition has only one direction.
     """
+
+    derived: ClassVar = ("verdict", "holds_up_to", "fails_from")
 
     name: str
     levels: tuple[RobustnessLevel, ...]
@@ -194,6 +195,8 @@ class Robustness:
     task. `nominal` is the evaluation without any change. `bar` is None if no score is
     required, and the policy never succeeds without any change. `conditions` are then empty.
     """
+
+    derived: ClassVar = ("nominal_holds", "nominal_certain")
 
     run: Path
     scenario: str

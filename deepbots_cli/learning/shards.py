@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from time import perf_counter
@@ -22,9 +22,14 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
-from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
-from deepbots_cli.learning.held_out import EvaluationWorlds
+from deepbots_cli.learning.environments import (
+    BatchFailureRecorder,
+    EvaluationWorlds,
+    FailureRecorder,
+    WorldFactory,
+    random_numbers_kept,
+    reasons_against_batch,
+)
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.run import Run
@@ -32,7 +37,6 @@ from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import LIMITS, SUCCESS, Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
@@ -42,7 +46,14 @@ from deepbots_cli.rollout.collector import (
     RunningEpisode,
     ShardResult,
 )
-from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, Array, SingleWorlds, Worlds, WorldsOptions
+from deepbots_cli.rollout.worlds import (
+    ENDED_BY_ANOTHER_COPY,
+    Array,
+    BatchWorlds,
+    SingleWorlds,
+    Worlds,
+    WorldsOptions,
+)
 from deepbots_cli.runtime.streams import derive_seed
 
 
@@ -50,8 +61,8 @@ from deepbots_cli.runtime.streams import derive_seed
 class WorldPlan:
     """The worlds of a training to create: those with these `numbers`, each in a stage of the curriculum.
 
-    `stages` changes when a world begins an episode of another stage, which is `present()` then. In a
-    curriculum of levels, `stages` are the levels.
+    `stages` changes when a world begins an episode of another stage, which is `present()` then, or of another
+    level.
     """
 
     run: Run
@@ -88,7 +99,6 @@ def make_worlds(
     curriculum = Curriculum(run.program, run.record.first_stage)
     engine = run.record.engine
     seeds = [world_seed(run, number) for number in plan.numbers]
-    levels = run.program.levels
     outcomes: list[list[str]] = [[] for _ in seeds]
 
     def guarded(stage: int) -> FailureRecorder:
@@ -98,23 +108,22 @@ def make_worlds(
         )
 
     def end(world: int, episode: Episode) -> None:
-        if levels is not None:
-            outcomes[world] += outcomes_of(episode)
+        outcomes[world] += outcomes_of(episode)
         on_episode(world, episode, stages[world], env.drawn[world])
 
     def options(world: int) -> Mapping[str, Any] | None:
-        return None if levels is None else levels.settings(plan.numbers[world], stages[world])
+        return curriculum.options(plan.numbers[world], stages[world])
 
     def next_seed(world: int) -> int | None:
-        """Move a world into the present stage, or into its next level. Returns the seed with which it begins
-        in another stage, else None."""
-        if levels is not None:
-            stages[world] = levels.next(stages[world], outcomes[world], lambda: _level_draw(plan, env, world))
-            outcomes[world].clear()
+        """Move a world into its next stage. Returns the seed with which it begins in another scenario, else
+        None."""
+        before = stages[world]
+        stages[world] = curriculum.following(
+            before, plan.present(), outcomes[world], lambda: _level_draw(plan, env, world)
+        )
+        outcomes[world].clear()
+        if not curriculum.begins_anew(before, stages[world]):
             return None
-        if stages[world] == plan.present():
-            return None
-        stages[world] = plan.present()
         return derive_seed(run.record.seed, "environment", plan.numbers[world], "stage", stages[world])
 
     def next_world(world: int) -> tuple[FailureRecorder, int] | None:
@@ -129,7 +138,7 @@ def make_worlds(
         env = BatchWorlds(
             lambda stage: build_batch(curriculum.scenario_of(stage).with_critic, len(seeds), engine=engine),
             seeds,
-            stages if levels is None else None,
+            None if run.program.levels else stages,
             next_seed=next_seed,
             recorder=recorder,
             **shared,
@@ -292,18 +301,6 @@ class Shard:
     def close(self) -> None:
         self._stack.close()
         self._evaluation.close()
-
-
-@contextmanager
-def random_numbers_kept() -> Iterator[None]:
-    """Context after which the generators of this process continue as if nothing had been drawn in it."""
-    states = torch.get_rng_state(), np.random.get_state(), random.getstate()
-    try:
-        yield
-    finally:
-        torch.set_rng_state(states[0])
-        np.random.set_state(states[1])
-        random.setstate(states[2])
 
 
 class LocalShards:

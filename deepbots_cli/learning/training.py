@@ -1,4 +1,8 @@
-"""Training: one scenario, one seed, one run directory."""
+"""Training: one scenario, one seed, one run directory; and the speed of a training with several numbers of
+shards.
+
+A measurement trains for a few seconds in a temporary folder, and leaves nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +10,33 @@ import hashlib
 import platform
 import re
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning import limits
-from deepbots_cli.learning.agents.rivals import model_of
 from deepbots_cli.learning.callbacks import OnEvaluation
-from deepbots_cli.learning.checkpoint_files import latest_checkpoint
-from deepbots_cli.learning.checkpoints import Checkpoints
-from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
+from deepbots_cli.learning.checkpoints import Checkpoints, latest_checkpoint
+from deepbots_cli.learning.environments import (
+    EVALUATION_EPISODES,
+    WorldFactory,
+    evaluation_seeds,
+    play_script,
+    supervisor_factory,
+)
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds, play_script
-from deepbots_cli.learning.model_files import steps_of
+from deepbots_cli.learning.policy import model_of
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.directories import new_directory, run_lock
@@ -42,15 +50,14 @@ from deepbots_cli.learning.runs.records import (
     timestamp,
     versions,
 )
-from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER, ModelRef, Run
-from deepbots_cli.learning.sb3 import algorithms, plugins
-from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher, copy_teacher
-from deepbots_cli.learning.teaching.teacher import demonstrate, read_recording
-from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
+from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER, ModelRef, Run, steps_of
+from deepbots_cli.learning.sb3 import algorithms, logs
+from deepbots_cli.learning.teaching import PolicyTeacher, copy_teacher, demonstrate, read_recording
+from deepbots_cli.learning.training_loop import Iteration, OnIteration, TrainingProcess, create_learner
 from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
-from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.collector import CollectTimes, LocalCollector
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
@@ -97,7 +104,7 @@ def train(
         total_timesteps: Number of steps, summed over all rows of the environment; by default that of the
             scenario. On-policy algorithms complete their current rollout, so they may take a few more steps.
         stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and
-            a confirmation on new starts shows it (`learning.confirmation_rule`).
+            a confirmation on new starts shows it (`learning.runs.statistics.Confirmation`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and
             the last one.
@@ -254,7 +261,7 @@ def checked_settings(
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
     Curriculum(program, options.get("stage"))
-    plugins.check(callbacks, loggers)
+    logs.check_plugins(callbacks, loggers)
     if (demonstrations := options.get("demonstrations")) is not None:
         if training.agents:
             raise UsageError(
@@ -270,7 +277,12 @@ def checked_settings(
         if teacher is None:
             read_recording(demonstrations, program)
         else:
-            _check_taught_by_policy(training)
+            model = ALGORITHMS[training.algorithm]
+            if not (model.on_policy and model.imitates):
+                raise UsageError(
+                    f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of"
+                    " that policy as teacher"
+                )
             PolicyTeacher(teacher, program)
     source = options.get("initialize_from")
     return training, None if source is None else ModelRef.open(source)
@@ -281,20 +293,6 @@ def _teaching_run(demonstrations: str | Path | None) -> ModelRef | None:
     if demonstrations is None or _teacher_copy(demonstrations) == DEMONSTRATIONS_NAME:
         return None
     return ModelRef.open(demonstrations)
-
-
-def _check_taught_by_policy(training: Training) -> None:
-    """Check that a policy can teach a training.
-
-    Raises:
-        UsageError: The algorithm is not on-policy.
-    """
-    model = ALGORITHMS[training.algorithm]
-    if not (model.on_policy and model.imitates):
-        raise UsageError(
-            f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of that"
-            " policy as teacher"
-        )
 
 
 def resume(
@@ -341,7 +339,7 @@ def resume(
         callbacks = record.callbacks if callbacks is None else tuple(callbacks)
         loggers = record.loggers if loggers is None else tuple(loggers)
         try:
-            plugins.check(callbacks, loggers)
+            logs.check_plugins(callbacks, loggers)
         except UsageError as error:
             error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
             raise
@@ -372,7 +370,6 @@ def resume(
             "total_timesteps": training.total_timesteps,
             "stop_when_solved": stop_when_solved and not record.stopped_as_solved,
             "quoted": None,  # of an earlier model
-            "task": record.task or _task(resumed.program, None),
             "callbacks": callbacks,
             "loggers": loggers,
         }
@@ -418,7 +415,7 @@ def training_of(program: Program, total_timesteps: int | None, callbacks: Sequen
             "callbacks work only with the built-in algorithms; leave out --callback to train with"
             f" {training.algorithm}"
         )
-    limits.check_memory(training.environments)
+    algorithms.check_memory(training.environments)
     return training
 
 
@@ -480,3 +477,150 @@ def _check_teacher(
     )
     problem += f" (mean return {number_text(Summary.of_episodes(played).mean_return, 3)}, ended by {ends})"
     raise UsageError(f"{problem}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")
+
+
+MEASURED_SECONDS = 4.0
+"""The time of a measurement in s, after the first iteration, in which workers start."""
+_MIN_ITERATIONS = 3
+_LEARNING_STARTS = 200
+"""The number of steps before the first update of an off-policy algorithm, if it permits so few."""
+
+
+@dataclass(frozen=True)
+class ShardTiming:
+    """The speed of a training with a number of shards. Times are in us by the clock, per step of one world.
+
+    Attributes:
+        shards: The number of shards.
+        workers: Number of processes that have these shards; 0 for the process of the training.
+        steps_per_second: Steps of all worlds per second, with the updates and without evaluations.
+        speedup: `steps_per_second` divided by that of the first measurement.
+        efficiency: `speedup` per process.
+        start_s: Time from the start of the training to the end of its first iteration.
+        worlds_us: Steps of the worlds, divided by the number of processes.
+        policy_us: The rest of collecting: actions of the policy, and counting steps and episodes.
+        transfer_us: Orders to the shards, and their answers.
+        waiting_us: The time by which the slowest process is slower than the mean.
+        update_us: Learning.
+    """
+
+    shards: int
+    workers: int
+    steps_per_second: float
+    speedup: float
+    efficiency: float
+    start_s: float
+    worlds_us: float
+    policy_us: float
+    transfer_us: float
+    waiting_us: float
+    update_us: float
+
+
+def measure_shards(
+    scenario: str,
+    shards: Sequence[int],
+    workers: Executor,
+    *,
+    overrides: Sequence[str] = (),
+    permissions: Permissions = Permissions(),
+    seed: int = 0,
+    folder: Path | None = None,
+    seconds: float = MEASURED_SECONDS,
+    on_measured: Callable[[int, int], object] | None = None,
+) -> list[ShardTiming]:
+    """Train for some seconds with each number of shards; a single shard belongs to this process.
+
+    Args:
+        scenario: The path of a file, or the name of a shipped scenario.
+        shards: The numbers of shards.
+        workers: Where several shards run.
+        folder: Where a temporary folder is made; workers on other machines must see it.
+        on_measured: Called with the number of measurements that are done and that of all.
+    """
+    timings: list[ShardTiming] = []
+    show = on_measured or (lambda finished, total: None)
+    for number, count in enumerate(shards):
+        show(number, len(shards))
+        executor = workers if count > 1 else SERIAL
+        with TemporaryDirectory(prefix="deepbots-", dir=folder) as path:
+            times = _Times(seconds)
+            train(
+                _with_shards(scenario, count, overrides, permissions),
+                run=Path(path) / "run",
+                seed=seed,
+                total_timesteps=MAX_STEPS,
+                stop_when_solved=False,
+                executor=executor,
+                on_iteration=times.note,
+            )
+        processes = 0 if executor.is_here else min(count, executor.workers)
+        timings.append(times.timing(count, processes, timings[0].steps_per_second if timings else None))
+    show(len(shards), len(shards))
+    return timings
+
+
+def _with_shards(scenario: str, shards: int, overrides: Sequence[str], permissions: Permissions) -> Compiled:
+    changed = [*overrides, f"train.shards={shards}"]
+    try:
+        return api.compile(
+            scenario,
+            overrides=[*changed, f"train.learning_starts={_LEARNING_STARTS}"],
+            permissions=permissions,
+        )
+    except ScenarioError:  # an on-policy algorithm, or one that needs a longer start
+        return api.compile(scenario, overrides=changed, permissions=permissions)
+
+
+class _Times:
+    """Adds up the times of iterations after the first one."""
+
+    def __init__(self, seconds: float) -> None:
+        self._limit = seconds
+        self._began = time.perf_counter()
+        self._first: tuple[Iteration, float] | None = None
+        self._last: Iteration | None = None
+        self._collect = self._update = 0.0
+        self._count = 0
+
+    def note(self, iteration: Iteration) -> str | None:
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = iteration, now
+            return None
+        self._last = iteration
+        self._collect += iteration.collect - iteration.evaluations
+        self._update += iteration.update
+        self._count += 1
+        return (
+            "the measurement"
+            if self._count >= _MIN_ITERATIONS and now - self._first[1] >= self._limit
+            else None
+        )
+
+    def timing(self, shards: int, workers: int, first: float | None) -> ShardTiming:
+        if self._first is None or self._last is None:
+            raise RuntimeError("the training ended before the measurement")
+        steps = self._last.steps - self._first[0].steps
+        spent = _difference(self._last.collecting, self._first[0].collecting)
+        rate = steps / (self._collect + self._update)
+        scale = 1e6 / steps
+        return ShardTiming(
+            shards=shards,
+            workers=workers,
+            steps_per_second=rate,
+            speedup=rate / (first or rate),
+            efficiency=rate / (first or rate) / max(1, workers),
+            start_s=self._first[1] - self._began,
+            worlds_us=spent.worlds * scale,
+            policy_us=max(0.0, self._collect - spent.worlds - spent.waiting - spent.transfer) * scale,
+            transfer_us=spent.transfer * scale,
+            waiting_us=spent.waiting * scale,
+            update_us=self._update * scale,
+        )
+
+
+def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
+    return CollectTimes(
+        after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer
+    )

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
 from deepbots_cli.errors import DeepbotsError, PluginError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
-from deepbots_cli.learning.callbacks import OnEvaluation, TrainingCallback
-from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
-from deepbots_cli.learning.checkpoints import Checkpoints
-from deepbots_cli.learning.environments import WorldFactory, stepping_text
+from deepbots_cli.learning.callbacks import (
+    UNLIMITED_SHARE,
+    ActiveTraining,
+    Confirmed,
+    OnEvaluation,
+    TrainingCallback,
+)
+from deepbots_cli.learning.checkpoints import Checkpoints, damage_explained, latest_checkpoint
+from deepbots_cli.learning.environments import Evaluator, WorldFactory, stepping_text
 from deepbots_cli.learning.evaluation import confirmation_result
-from deepbots_cli.learning.executor import Executor
-from deepbots_cli.learning.held_out import Evaluator
+from deepbots_cli.learning.executor import Executor, signals_handled
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
-from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, agent_returns
+from deepbots_cli.learning.runs.episodes import Statistics, agent_returns
 from deepbots_cli.learning.runs.records import (
     BestModel,
     ChosenBy,
@@ -38,17 +41,13 @@ from deepbots_cli.learning.runs.records import (
     write_record,
 )
 from deepbots_cli.learning.runs.run import ModelRef, Run
-from deepbots_cli.learning.sb3 import algorithms, plugins
+from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.defaults import longest_episode
-from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.signals import signals_handled
-from deepbots_cli.learning.teaching.policy_teacher import PolicyTeacher
-from deepbots_cli.learning.teaching.teacher import Demonstrations, Teaching, demonstrate
-from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE, ActiveTraining, Confirmed
+from deepbots_cli.learning.sb3.logs import PluginCallback, TrainingLog
+from deepbots_cli.learning.teaching import Demonstrations, PolicyTeacher, Teaching, demonstrate
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
-from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.collector import Answer, Collector, CollectTimes, LocalCollector, ShardedCollector
+from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -100,9 +99,7 @@ class TrainingProcess:
         copies = run.program.agent.copies
         worlds = training.environments, copies.count if copies else 1
         self._statistics = Statistics(run.program.period, run.program.agent.solved, *worlds)
-        self._curriculum = Curriculum(
-            run.program, run.record.first_stage, *worlds, world_levels=self.checkpoints.stages
-        )
+        self._curriculum = Curriculum(run.program, run.record.first_stage, *worlds)
         self._restore_counts()
         self._first_step = self._statistics.steps
         if self.before is not None:
@@ -127,22 +124,18 @@ class TrainingProcess:
         if self.checkpoints.state is not None:
             self._callback.restore(self.checkpoints.state.callback)
         self._status: Status = "failed"
-        self._followers: list[plugins.PluginCallback] = []
+        self._followers: list[PluginCallback] = []
         self._weights_digest = ""
         self._ratings: tuple[Rating, ...] = ()
         self._pool_games: tuple[PoolGames, ...] = ()
         self._evaluation_seconds = 0.0
 
     def _restore_counts(self) -> None:
-        state, stages = self.checkpoints.state, self.checkpoints.stages
+        state = self.checkpoints.state
         if state is None:
             return
         with damage_explained(self.run, latest_checkpoint(self.run)):
-            self._curriculum.restore(state.curriculum)
-            levels = self.run.program.levels
-            last = self._curriculum.index if levels is None else levels.count - 1
-            if len(stages) != self.training.environments or max(stages) > last:
-                raise ValueError(f"{len(stages)} worlds, in stage {max(stages, default=0)}")
+            self._curriculum.restore(state.curriculum, state.stages)
             self._statistics.restore(state.statistics)
 
     def train(self) -> TrainingResult:
@@ -180,7 +173,7 @@ class TrainingProcess:
         reporter.start(callback.progress())
         stack.callback(reporter.stop)
         try:
-            self._followers.extend(map(plugins.PluginCallback, self.run.record.callbacks))
+            self._followers.extend(map(PluginCallback, self.run.record.callbacks))
             self._status = self._learn_until_done(learner, collector)
             # A confirmation has chosen the model of a solved task already.
             if self._status == "finished" and not callback.is_solved:
@@ -198,10 +191,9 @@ class TrainingProcess:
         checkpoints = self.checkpoints
         stack.enter_context(algorithms.torch_settings())
         stack.callback(self._evaluator.close)
-        episode_log = EpisodeLog(run.monitor, run.program.name, run.program.members)
-        checkpoints.on_restored.append(episode_log.open)
-        stack.callback(episode_log.close)
-        collector = self._make_collector(stack, TrainingCounter(callback, episode_log))
+        checkpoints.on_restored.append(callback.episode_log.open)
+        stack.callback(callback.episode_log.close)
+        collector = self._make_collector(stack)
         self._evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
         policy_seed = derive_seed(run.record.seed, "policy")
         learner = create_learner(
@@ -216,31 +208,32 @@ class TrainingProcess:
             learner.initialize(run.model("initial"))
         return learner, collector, log
 
-    def _make_collector(self, stack: ExitStack, counter: TrainingCounter) -> Collector:
+    def _make_collector(self, stack: ExitStack) -> Collector:
         """Create the worlds of a training, in shards if it has several; all closed with `stack`."""
         run = self.run
         training = self.training
-        stages = self.checkpoints.stages
-        if not stages:
-            levels = run.program.levels
-            first = self._curriculum.index
-            # In place, because the worlds and the checkpoints share this list.
-            stages.extend(
-                first if levels is None else levels.first(world) for world in range(training.environments)
-            )
+        stages = self._curriculum.world_stages
         if training.shards > 1:
             agents = stack.enter_context(closing(self.build(run.program.with_critic)))
             pool = self.executor.shards(stack, run, training, self.build, self.reporter.note)
             sizes = [len(numbers) for numbers in shards.world_numbers(training)]
             seeds = [shards.world_seed(run, world) for world in range(training.environments)]
-            return ShardedCollector(pool, seeds, stages, sizes, SingleWorlds([agents], [0]).agents, counter)
+            return ShardedCollector(
+                pool,
+                seeds,
+                stages,
+                sizes,
+                SingleWorlds([agents], [0]).agents,
+                self._callback,
+                is_ahead=bool(training.staleness),
+            )
         worlds = shards.make_worlds(
             stack,
             shards.WorldPlan(
                 run, self.build, range(training.environments), stages, lambda: self._curriculum.index
             ),
-            on_step=counter.on_row,
-            on_episode=counter.on_episode,
+            on_step=self._callback.on_row,
+            on_episode=self._callback.on_episode,
             next_episode=lambda: self._statistics.next_episode,
             note=self.reporter.note,
         )
@@ -386,37 +379,6 @@ class TrainingProcess:
                     mode="json"
                 )
             )
-
-
-class TrainingCounter:
-    """Counts the steps and episodes of a training, and writes the log of its episodes."""
-
-    def __init__(self, callback: TrainingCallback, log: EpisodeLog) -> None:
-        self._callback = callback
-        self._statistics = callback.active.statistics
-        self._curriculum = callback.active.curriculum
-        self._log = log
-
-    def present(self) -> tuple[int, int, int]:
-        return self._statistics.steps, self._statistics.next_episode, self._curriculum.index
-
-    def on_row(self) -> None:
-        self._statistics.steps += 1
-
-    def on_episode(self, world: int, episode: Episode, stage: int, draws: Mapping[str, Any]) -> None:
-        statistics, curriculum = self._statistics, self._curriculum
-        is_present = curriculum.has_levels or stage == curriculum.index
-        statistics.add(episode, world, present=is_present)
-        self._log.write(episode, statistics, curriculum.name_of(stage), draws)
-        if not is_present or self._callback.is_taught:
-            return
-        if curriculum.add(episode, statistics.steps, statistics.episodes, world):
-            self._callback.begin_stage()
-
-    def on_answer(self, answer: Answer) -> None:
-        self._statistics.cpu_seconds_before += answer.cpu_seconds
-        for note in answer.notes:
-            self._callback.active.reporter.note(note)
 
 
 def create_learner(

@@ -11,24 +11,21 @@ names.py         places left to the author, unused definitions, equality of     
 robots.py        commands, actuators, wheels that slip, robots that topple           DB312 to DB315, DB317,
                                                                                      DB319, DB322, DB324,
                                                                                      DB325
-rays.py          rays of sensors that meet nothing                                   DB615
+geometry.py      rays of sensors that meet nothing, mirror images of joints          DB615, DB618
 world.py         objects out of scale, means of engines, how episodes begin          DB309, DB310, DB316,
                                                                                      DB323, DB507, DB809,
                                                                                      DB812
-observations.py  what the policy sees; saturation.py values at the end of their      DB6
-                 range; mirrors.py mirror images
-rewards.py       the size of the reward; shaping.py its direction; incentives.py     DB7, DB810
-                 what pays
-rivals.py        rewards of several agents together                                  DB718
+observations.py  what the policy sees                                                DB6
+rewards.py       the size of the reward; incentives.py what it pays for              DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                     DB8
 exploits.py      rewards that pay for something other than success                   DB712 to DB715, DB717
 
 pages.py         the pages of findings, of which `rule_pages` contains the texts
-run.py           runs the rules, with and without a simulation; cascade.py findings that follow from others
+run.py           runs the rules, with and without a simulation; drops what follows from other findings
 context.py       the code of a rule, and what a rule is given: the scenario, its analysis, places in its text,
                  the report of its simulation
-simulation.py    plan and process of a simulation; report.py its report; simulation_process.py, rollouts.py,
-                 watches.py and search.py run in that process
+simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py, watches.py and
+                 search.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
 

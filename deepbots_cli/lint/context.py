@@ -6,15 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar, cast
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Finding, Span, Versions
-from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
-from deepbots_cli.lint.simulation import simulation_plan
+from deepbots_cli.diagnostics import Finding, Fix, Label, Span, Versions
+from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
 from deepbots_cli.program import generated
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.task import Observation
@@ -210,27 +209,59 @@ C = TypeVar("C")
 F = TypeVar("F")
 
 
+class Match:
+    """A place where a rule applies: the fields of its sentences, and what its finding shows beside them."""
+
+    def __init__(
+        self,
+        span: Span,
+        *,
+        labels: tuple[Label, ...] = (),
+        notes: tuple[str, ...] = (),
+        fix: Fix | None = None,
+        **fields: object,
+    ) -> None:
+        self.span, self.labels, self.notes, self.fix, self.fields = span, labels, notes, fix, fields
+
+
 @dataclass(frozen=True)
 class LintRule(Generic[C, F]):
-    """A rule: the code of its findings, the generator that yields them, the versions of a scenario that it
-    judges (see `diagnostics.Versions`), and whether it judges a simulation."""
+    """A rule.
+
+    Attributes:
+        code: The code of its findings.
+        check: The generator that yields them, or their matches.
+        headline: The headline of a match, with its fields in braces.
+        help: What to write instead, with the same fields.
+        versions: The versions of a scenario that it judges (see `diagnostics.Versions`).
+        simulated: Whether it judges a simulation.
+    """
 
     code: str
-    check: Callable[[C], Iterator[F]]
+    check: Callable[[C], Iterator[F | Match]]
+    headline: str = ""
+    help: str = ""
     versions: Versions = "each"
     simulated: bool = False
 
     def __call__(self, context: C) -> Iterator[F]:
-        return self.check(context)
+        for result in self.check(context):
+            # Only rules of findings yield matches.
+            yield cast("F", self._finding(result)) if isinstance(result, Match) else result
+
+    def _finding(self, match: Match) -> Finding:
+        headline, help = (text.format(**match.fields) for text in (self.headline, self.help))
+        return Finding(self.code, match.span, headline, help or None, match.labels, match.notes, match.fix)
 
 
 def rule(
-    code: str, *, versions: Versions = "each", simulated: bool = False
-) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
-    """Return a decorator that makes a generator of findings the rule of this code."""
+    code: str, headline: str = "", help: str = "", *, versions: Versions = "each", simulated: bool = False
+) -> Callable[[Callable[[C], Iterator[F | Match]]], LintRule[C, F]]:
+    """Return a decorator that makes a generator the rule of this code. It yields matches if all its findings
+    have one sentence, else findings."""
 
-    def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
-        return LintRule(code, check, versions, simulated)
+    def with_code(check: Callable[[C], Iterator[F | Match]]) -> LintRule[C, F]:
+        return LintRule(code, check, headline, help, versions, simulated)
 
     return with_code
 

@@ -22,7 +22,7 @@ from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
@@ -225,8 +225,13 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     return names | {f"{part.function}()" for part in nodes if isinstance(part, EngineRead)}
 
 
-@rule("DB805", versions="training")
-def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB805",
+    "`{ending}` depends only on the time, which the policy does not observe",
+    "limit the episode under `truncation`: {limits}",
+    versions="training",
+)
+def timeout_as_termination(context: RuleContext) -> Iterator[Match]:
     """Report an ending that depends only on the time, which the agent does not observe."""
     analysis = context.analysis
     observed_names = {
@@ -243,13 +248,10 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
                 and names <= _CLOCK_NAMES
                 and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single
             ):
-                headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
                 limits = " or ".join(
                     f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
                 )
-                yield Finding(
-                    "DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}"
-                )
+                yield Match(ending.span, ending=ending.name, limits=limits)
 
 
 @rule("DB806")
@@ -329,22 +331,19 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB808", span, headline, notes=(simulation.when(), stop.text))
 
 
-@rule("DB811", versions="every")
-def after_the_end(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB811",
+    "{event} at least {time}, but no episode lasts longer than {end}",
+    "write a shorter time, or allow longer episodes under `truncation`",
+    versions="every",
+)
+def after_the_end(context: RuleContext) -> Iterator[Match]:
     """Report a push, a reading or a message that would come only after the end of every episode."""
     end = context.analysis.last_step * context.analysis.period  # s
     for subject, time, path in _delays(context.analysis):
         if time >= end:
-            headline = (
-                f"{subject} at least {with_unit(time, TIME)}, but no episode lasts longer than"
-                f" {with_unit(end, TIME)}"
-            )
-            yield Finding(
-                "DB811",
-                context.values.span(path),
-                headline,
-                "write a shorter time, or allow longer episodes under `truncation`",
-            )
+            delay, last = with_unit(time, TIME), with_unit(end, TIME)
+            yield Match(context.values.span(path), event=subject, time=delay, end=last)
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:

@@ -12,7 +12,7 @@ from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.diagnostics import Finding, Fix, Span
 from deepbots_cli.diagnostics.findings import FILL_IN
-from deepbots_cli.document.edits import removal_fix
+from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.document.load import setting_path, settings_in
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE

@@ -1,27 +1,33 @@
-"""The observation of the policy (family DB6)."""
+"""The observation of the policy (family DB6): values outside of their range, at its end before a failure
+(DB603) and in ordinary operation (DB611), that never change, or that show too much."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from itertools import groupby
+from math import isnan, nan
 from typing import NamedTuple
 
+from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
-from deepbots_cli.compiler.robots import joint_dimension, joint_interval
+from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
+from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
+from deepbots_cli.compiler.robots import joint_dimension, joint_interval, rigid_root
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document.edits import removal_fix
-from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.intervals import Interval, hull
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.document.layout import removal_fix
+from deepbots_cli.expressions.dimensions import ACCELERATION, Dimension
+from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval, hull
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.expressions.types import TypedNode, walk
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.robots import kinematics
 
 _RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
@@ -108,8 +114,13 @@ def replace_range(
     )
 
 
-@rule("DB614", versions="training")
-def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB614",
+    "`{name}` depends on `{source}`, as the goal does, but hindsight replay replaces only `desired`",
+    "remove it from the observation: the policy already sees `achieved` and `desired`",
+    versions="training",
+)
+def goal_in_observation(context: RuleContext) -> Iterator[Match]:
     """Report an entry of the observation that depends on the goal, with hindsight replay."""
     program = context.program
     if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
@@ -125,13 +136,8 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     for entry in program.agent.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = (
-                f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight"
-                " replay replaces only `desired`"
-            )
-            help = "remove it from the observation: the policy already sees `achieved` and `desired`"
             also = (Label(program.agent.goal.desired.span, f"the goal depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, help, labels=also)
+            yield Match(entry.value.span, labels=also, name=entry.value.name, source=min(shared))
 
 
 class Linear(NamedTuple):
@@ -141,8 +147,13 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
 
-@rule("DB616")
-def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB616",
+    "`{name}` has noise, and the policy sees its exact value in `{exact}`",
+    "declare the noise once, under `augment`, as `{{value: ..., noise: ...}}`, and use this name in both"
+    " places",
+)
+def noise_without_effect(context: RuleContext) -> Iterator[Match]:
     """Report a value with noise whose exact value the policy sees elsewhere."""
     program, analysis = context.program, context.analysis
     if not any(
@@ -166,20 +177,8 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
         )
         if exact_number is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
-            headline = (
-                f"`{number.name}` has noise, and the policy sees its exact value in `{exact_number.name}`"
-            )
-            help = (
-                "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this"
-                " name in both places"
-            )
-            yield Finding(
-                "DB616",
-                noises[0].std.span,
-                headline,
-                help,
-                labels=(Label(exact_number.entry.value.span, "exact value"),),
-            )
+            labels = (Label(exact_number.entry.value.span, "exact value"),)
+            yield Match(noises[0].std.span, labels=labels, name=number.name, exact=exact_number.name)
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -289,8 +288,12 @@ def _shows(exact_number: RangedNumber, exact: Linear, noisy: RangedNumber, hidde
     return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
 
-@rule("DB601")
-def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB601",
+    "`{name}` is not clipped to its range, and can be arbitrarily large",
+    "remove `clip: false`, or `clamp` the value under `augment`",
+)
+def observation_unbounded(context: RuleContext) -> Iterator[Match]:
     """Report an entry of the observation that is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
     unclipped = [
@@ -299,15 +302,8 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
         if not number.entry.clip and not analysis.ranges.of(number.node).is_finite
     ]
     for entry in {id(number.entry): number.entry for number in unclipped}.values():
-        headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
-        yield Finding(
-            "DB601",
-            context.range_span(entry),
-            headline,
-            "remove `clip: false`, or `clamp` the value under `augment`",
-            fix=fix,
-        )
+        yield Match(context.range_span(entry), fix=fix, name=entry.value.name)
 
 
 @rule("DB602")
@@ -415,8 +411,13 @@ def _number_in_units(simulation: Simulation, number: RangedNumber) -> float:
     return value if abs(value) > number.slack else 0.0
 
 
-@rule("DB611", simulated=True)
-def often_saturated(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB611",
+    "`{name}` is at the end of its range, {end}, in most of the simulated steps",
+    "widen the range so that it covers the usual values",
+    simulated=True,
+)
+def often_saturated(simulation: Simulation) -> Iterator[Match]:
     """Report a number that under every policy is at the same end of its range in most steps, and could lie
     beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
@@ -439,23 +440,18 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
             }
             if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
-                at = with_unit(end, number.dimension)
-                headline = (
-                    f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
-                )
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                yield Finding(
-                    "DB611",
-                    simulation.range_span(entry),
-                    headline,
-                    "widen the range so that it covers the usual values",
-                    notes=notes,
-                )
+                at = with_unit(end, number.dimension)
+                yield Match(simulation.range_span(entry), notes=notes, name=number.full_name, end=at)
                 break
 
 
-@rule("DB318")
-def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB318",
+    "`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {own}",
+    "observe each joint by itself, as in `{name}.{joint}: auto`",
+)
+def range_of_other_parts(context: RuleContext) -> Iterator[Match]:
     """Report the range `auto` of several joints that is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span = context.range_span(entry)
@@ -464,18 +460,12 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in limits]
         if shares and min(shares) < _MIN_RANGE_SHARE:
             narrowest = shares.index(min(shares))
-            joint = entry.value.components[narrowest]
-            own_range = range_text(limits[narrowest], dimension)
-            whole_range = range_text(Interval(entry.low[0], entry.high[0]), dimension)
-            headline = (
-                f"`auto` uses one range for all joints, {whole_range},"
-                f" but `{joint}` moves only within {own_range}"
-            )
-            yield Finding(
-                "DB318",
+            yield Match(
                 span,
-                headline,
-                f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`",
+                whole=range_text(Interval(entry.low[0], entry.high[0]), dimension),
+                joint=entry.value.components[narrowest],
+                own=range_text(limits[narrowest], dimension),
+                name=entry.value.name,
             )
 
 
@@ -530,3 +520,283 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             replacement = None if suggestion in supplied else suggestion
             fix = Fix.replacing(span, key, replacement, safe=False) if replacement else None
             yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
+
+
+_RANGE_FACTOR = 1.2
+"""The factor by which suggested ranges are larger than needed."""
+_MIN_VISIBLE_SHARE = 0.05
+"""The share of the way to a limit, before the limit, in which the policy must see it come."""
+# 40 halvings leave 1e-12 of the interval.
+_MAX_BISECTIONS = 40
+
+
+@rule("DB603", versions="base")  # a stage may have wider limits on purpose
+def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
+    """Report a value that leaves its range in the observation before it ends the episode."""
+    analysis = context.analysis.ideal
+    ranges = analysis.ranges
+    parts_by_number = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
+    met = set()
+    for ending in context.program.endings:
+        if ending.name in context.program.agent.success or ending in context.analysis.shadowed:
+            continue
+        for comparison in comparisons(analysis, ending):
+            reachable = [
+                threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)
+            ]
+            for view in _blind(parts_by_number, reachable, ranges):
+                if (id(view.number.entry), ending.name) not in met:
+                    met.add((id(view.number.entry), ending.name))
+                    yield _unseen(context, analysis, view, ending, comparison)
+
+
+class BlindNumber(NamedTuple):
+    """A number of the observation, and the value of a threshold's quantity from which on the number is
+    constant; NaN if it never is."""
+
+    number: RangedNumber
+    threshold: Threshold
+    edge: float
+
+
+def _parts(analysis: Analysis, node: Scalar) -> set[int]:
+    """Return the identities of a value and of everything that it is made of."""
+    return set(map(analysis.identity, analysis.walk_definitions(node)))
+
+
+def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
+    interval = ranges.of(threshold.quantity)
+    return interval.high > threshold.limit if threshold.above else interval.low < threshold.limit
+
+
+def _blind(
+    parts_by_number: list[tuple[RangedNumber, set[int]]], reachable: list[Threshold], ranges: Ranges
+) -> Iterator[BlindNumber]:
+    """Yield for each threshold of a comparison that no number shows the first number that should."""
+    views = []
+    for threshold in reachable:
+        quantity = ranges.analysis.identity(threshold.quantity)
+        numbers = [
+            BlindNumber(number, threshold, _edge(number, threshold, ranges))
+            for number, parts in parts_by_number
+            if quantity in parts
+        ]
+        views.append((quantity, numbers))
+    for quantity, blind in views:
+        # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
+        other_views = [
+            view
+            for other_quantity, views_there in views
+            if other_quantity != quantity
+            for view in views_there
+        ]
+        if blind and not any(isnan(view.edge) for view in (*blind, *other_views)):
+            yield blind[0]
+
+
+def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
+    """Return the end of the range of the quantity itself; for a value that depends on it, the point where it
+    stops changing."""
+    analysis = ranges.analysis
+    bound = threshold.bound
+    limit = threshold.limit
+    interval = ranges.of(threshold.quantity)
+    quantity = analysis.identity(threshold.quantity)
+    if not number.entry.clip:
+        return nan
+    if quantity == analysis.identity(number.node):
+        slack = _RELATIVE_ROUNDING * max(abs(bound.low), abs(bound.high))
+        edge = number.high if threshold.above else number.low
+        is_short = edge < limit - slack if threshold.above else edge > limit + slack
+        return edge if is_short and not number.is_outside(interval) else nan
+
+    def is_constant(start: float) -> bool:
+        """Return whether the number is constant from `start` to the limit."""
+        visible = ranges.where(quantity, Interval(min(start, limit), max(start, limit))).of(number.node)
+        return min(max(visible.low, number.low), number.high) == min(
+            max(visible.high, number.low), number.high
+        )
+
+    safe = -1.0 if threshold.above else 1.0
+    far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
+    far = min(max(far, interval.low), interval.high)
+    visible = limit + _MIN_VISIBLE_SHARE * (far - limit)
+    if not is_constant(visible) or is_constant(far):
+        return nan
+    for _ in range(_MAX_BISECTIONS):
+        half = (visible + far) / 2.0
+        visible, far = (half, far) if is_constant(half) else (visible, half)
+    return visible
+
+
+def _unseen(
+    context: RuleContext,
+    analysis: Analysis,
+    view: BlindNumber,
+    ending: Expression,
+    comparison: ConditionComparison,
+) -> Finding:
+    number = view.number
+    name = view.number.name
+    limit = view.threshold.limit
+    help = (
+        f"widen the range of `{name}`, or the bounds of a `clamp` in its value, so that it still changes at"
+        f" the limit of `{ending.name}`"
+    )
+    fix = None
+    if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
+        end = "high" if view.threshold.above else "low"
+        headline = (
+            f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but"
+            f" the episode fails only at {with_unit(limit, number.dimension)}"
+        )
+        beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
+        opposite = -beyond if number.low == -number.high else beyond
+        wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
+        help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
+        fix = replace_range(context, number, wide, number.dimension)
+    elif (dimension := view.threshold.dimension) is not None:
+        part = _part_of(comparison, analysis, view.threshold.quantity)
+        quantity_text = (
+            f"`{comparison.value.text[part.start : part.end]}`"
+            if part
+            else f"the value that `{ending.name}` compares"
+        )
+        headline = (
+            f"`{name}` does not change while {quantity_text} goes from {with_unit(view.edge, dimension)} to"
+            f" {with_unit(limit, dimension)}, the limit of `{ending.name}`"
+        )
+    else:
+        headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
+    limit_span = ending.span
+    label = f"`{ending.name}` ends the episode here"
+    if comparison.value.owner:
+        limit_span = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
+        label = label if comparison.value.name == ending.name else f"the limit of `{ending.name}`"
+    also = (Label(limit_span, label),)
+    return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
+
+
+def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> TypedNode | None:
+    """Return the part of a comparison that is written for the quantity; None where nothing is."""
+    identity = analysis.identity(quantity)
+    for part in walk(comparison.node):
+        if part is not comparison.node and identity in map(
+            analysis.identity, analysis.lowered(part, comparison.value.owner)
+        ):
+            return part
+    return None
+
+
+@rule("DB611")
+def observation_saturates(context: RuleContext) -> Iterator[Finding]:
+    """Report a value that is at the end of its range in normal operation."""
+    yield from _saturated_at_start(context)
+    yield from _goal_out_of_range(context)
+    yield from _saturated_by_gravity(context)
+
+
+def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
+    analysis = context.analysis
+    for number in first_of_each_clipped(analysis):
+        if number.is_outside(analysis.ranges.of(number.node)):
+            continue  # DB602
+        first = analysis.start.of(number.node)
+        fact = analysis.resolve_aliases(number.node)
+        is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
+        start_range = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
+        if (
+            start_range is not None and start_range.is_finite
+        ):  # exactly what is drawn, not a wider range around it
+            is_beyond = (
+                start_range.high > number.high + number.slack or start_range.low < number.low - number.slack
+            )
+        if is_beyond:
+            verb = "starts" if first.is_single else "can start"
+            headline = (
+                f"`{number.name}` {verb} outside its range: its initial value is"
+                f" {bounds_text(first, number.dimension)}"
+            )
+            yield Finding(
+                "DB611",
+                context.range_span(number.entry),
+                headline,
+                "widen the range, or choose a start within it",
+            )
+
+
+def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
+    """Report a goal that is drawn from more than its range: policy, reward and endings use only the clipped
+    value."""
+    analysis = context.analysis
+    goal = context.program.agent.goal
+    if goal is None:
+        return
+    for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
+        quantity = analysis.resolve_aliases(node)
+        start_range = analysis.start.of(quantity) if isinstance(quantity, Draw) else None
+        start_range = analysis.start.initial(quantity) if isinstance(quantity, EngineRead) else start_range
+        slack = _RELATIVE_ROUNDING * (high - low)
+        if (
+            start_range is not None
+            and start_range.is_finite
+            and (start_range.low < low - slack or start_range.high > high + slack)
+        ):
+            headline = (
+                "`desired` can be outside its range: it is drawn"
+                f" {bounds_text(start_range, goal.desired.typed.type.dimension)}"
+            )
+            yield Finding(
+                "DB611",
+                context.values.span(("goal", "range")),
+                headline,
+                "widen the range of the goal, or draw `desired` from a smaller range",
+            )
+            return
+
+
+def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
+    met = set()
+    for number in ranged_numbers(context.analysis):
+        leaf = context.analysis.resolve_aliases(number.node)
+        reading = _reading_at_rest(context.analysis, leaf)
+        if (
+            reading is None
+            or not number.entry.clip
+            or id(number.entry) in met
+            or number.low <= reading <= number.high
+        ):
+            continue
+        met.add(id(number.entry))
+        axis = leaf.component if isinstance(leaf, Name) else ""
+        size = abs(reading) * _RANGE_FACTOR
+        wide = Interval(min(number.low, -size), max(number.high, size))
+        edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
+        headline = (
+            f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
+            f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
+            f" {with_unit(reading, ACCELERATION)}"
+        )
+        help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
+        fix = replace_range(context, number, wide, ACCELERATION)
+        yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
+
+
+def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
+    """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
+    that is unknown."""
+    reading = analysis.sensor(leaf)
+    if reading is None or reading[1].kind != "accelerometer" or not isinstance(leaf, Name):
+        return None
+    robot, sensor = reading
+    model = analysis.body(robot).model
+    tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
+    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(
+        tilt not in (ZERO, SIGNED_UNIT) for tilt in tilts
+    ):
+        return None
+    link = kinematics.link_frames(model)[sensor.subjects[0]]
+    turn = frames.compose(link, frames.frame(sensor.mount))[1]
+    # An accelerometer at rest measures the reaction to gravity, which points upward.
+    x, y, z = analysis.program.world.gravity
+    return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]

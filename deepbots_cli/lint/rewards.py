@@ -1,10 +1,11 @@
 """The size of the reward: terms without bound, terms that dominate or never pay, and the value of an episode
-(family DB7, DB810)."""
+(family DB7, DB810); rewards of two agents that compete (DB718)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import accumulate
+from collections.abc import Hashable, Iterator, Mapping
+from itertools import accumulate, combinations
+from math import isclose, prod
 from typing import Literal, NamedTuple
 
 from deepbots_cli.analysis import Analysis
@@ -15,9 +16,10 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
-from deepbots_cli.expressions.scalar import Scalar, walk
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
+from deepbots_cli.program import Member
 from deepbots_cli.program.values import Expression
 from deepbots_cli.words import number_text
 
@@ -155,8 +157,14 @@ class _PoleSearch:
 # Too large, too small
 
 
-@rule("DB702", versions="training")
-def term_dominates(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB702",
+    "in an episode up to the time limit, `{term}` adds up to at least {least} in absolute value, but an"
+    " ending gives at most {prize}",
+    "scale `{term}` down, or scale the rewards of the endings up",
+    versions="training",
+)
+def term_dominates(context: RuleContext) -> Iterator[Match]:
     """Report a term that until the time limit adds up to more than a hundred times the payment of any
     ending."""
     reward = context.analysis.reward
@@ -175,19 +183,9 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
-            headline = (
-                f"in an episode up to the time limit, `{term.name}` adds up to at least {number_text(low)} in"
-                " absolute"
-                f" value, but an ending gives at most {number_text(prize)}"
-            )
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding(
-                "DB702",
-                term.span,
-                headline,
-                f"scale `{term.name}` down, or scale the rewards of the endings up",
-                labels=also,
-            )
+            least, most = number_text(low), number_text(prize)
+            yield Match(term.span, labels=also, term=term.name, least=least, prize=most)
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -215,8 +213,13 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     return total
 
 
-@rule("DB702", simulated=True)
-def term_dominated(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB702",
+    "summed over an episode, `{term}` is at least {ratio} times as large as all other terms together",
+    "scale `{term}` down, or the other terms up",
+    simulated=True,
+)
+def term_dominated(simulation: Simulation) -> Iterator[Match]:
     """Report a term that under every policy adds up to more than a hundred times all other terms and
     endings."""
     if not simulation.is_complete or not simulation.measured:
@@ -242,17 +245,7 @@ def term_dominated(simulation: Simulation) -> Iterator[Finding]:
             )
             notes.append(f"{note}, and an ending pays up to {number_text(prize, 3)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
-            headline = (
-                f"summed over an episode, `{term.name}` is at least {number_text(min(ratios), 3)} times as"
-                " large as all other terms together"
-            )
-            yield Finding(
-                "DB702",
-                term.span,
-                headline,
-                f"scale `{term.name}` down, or the other terms up",
-                notes=tuple(notes),
-            )
+            yield Match(term.span, notes=tuple(notes), term=term.name, ratio=number_text(min(ratios), 3))
 
 
 @rule("DB704", versions="every")
@@ -309,8 +302,13 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     return any(map(is_off, children(node)))
 
 
-@rule("DB704", simulated=True)
-def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB704",
+    "`{term}` was zero in all {steps} simulated steps",
+    "correct the term, or add a script under `scripts` in which it is not zero",
+    simulated=True,
+)
+def term_was_zero(simulation: Simulation) -> Iterator[Match]:
     """Report a term without a condition that was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
@@ -324,9 +322,7 @@ def term_was_zero(simulation: Simulation) -> Iterator[Finding]:
         ):
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
-            headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
-            help = "correct the term, or add a script under `scripts` in which it is not zero"
-            yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
+            yield Match(term.span, notes=(simulation.summary,), term=term.name, steps=simulation.steps)
 
 
 def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
@@ -342,16 +338,18 @@ def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
 
-@rule("DB707", simulated=True)
-def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB707",
+    "`{term}` is not finite",
+    "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow, `exp(min(n,"
+    " 3))` for a number",
+    simulated=True,
+)
+def non_finite_reward(simulation: Simulation) -> Iterator[Match]:
     """Report a term that is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = (
-            "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow,"
-            " `exp(min(n, 3))` for a number"
-        )
-        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
+        yield Match(failed.span, notes=failed.notes, term=failed.name)
 
 
 # Returns
@@ -420,3 +418,90 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     for index, stage in enumerate(program.curriculum):
         if stage.until is not None and stage.until.metric == "mean_return":
             yield Analysis(stage.program), stage.until.threshold, ("curriculum", index, "until")
+
+
+class Multiple(NamedTuple):
+    """A value as a number times something; two values with the same something are multiples of each other.
+    It is None for a constant."""
+
+    factor: float
+    of: Hashable
+
+
+@rule("DB718", versions="training")
+def nearly_zero_sum(context: RuleContext) -> Iterator[Finding]:
+    """Two agents get opposite multiples of the same value that do not cancel."""
+    program = context.program
+    if not program.has_rivals:
+        return
+    for member, rival in combinations(program.members.values(), 2):
+        factors, rival_factors = _factors(member), _factors(rival)
+        for quantity in factors.keys() & rival_factors.keys():
+            (factor, term), (rival_factor, rival_term) = factors[quantity], rival_factors[quantity]
+            if factor * rival_factor >= 0.0 or isclose(factor, -rival_factor, rel_tol=1e-9):
+                continue
+            yield Finding(
+                "DB718",
+                rival_term.span,
+                f"`{rival_term.name}` of `{rival.name}` pays {_number(rival_factor)} where `{term.name}` of"
+                f" `{member.name}` pays {_number(factor)}, so the rewards of the two do not add up to zero",
+                f"write {_number(-factor)} here if one agent should gain what the other loses",
+                labels=(Label(term.span, "the same value for the other agent"),),
+            )
+
+
+def _factors(member: Member) -> dict[Hashable, tuple[float, Expression]]:
+    """Return what an agent gets for each quantity, the sum of the factors of its terms, with the first
+    term."""
+    factors: dict[Hashable, tuple[float, Expression]] = {}
+    for multiple, term in _multiples(member):
+        sum_before, first = factors.get(multiple.of, (0.0, term))
+        factors[multiple.of] = sum_before + multiple.factor, first
+    return factors
+
+
+def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
+    """Yield the terms of an agent as multiples, without constant ones; its own names are replaced by their
+    expressions."""
+    expressions: dict[tuple[str, str | None], Scalar] = {}
+    for signal in map(member.names.signal, member.program.signals):
+        parts = signal.components or (None,)
+        expressions |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
+    for term in member.program.agent.reward:
+        if term.foreign is None:
+            multiple = multiple_of(member.names.expression(term, of_agent=False).scalar, expressions)
+            if multiple.of is not None:
+                yield multiple, term
+
+
+def multiple_of(tree: Scalar, signals: Mapping[tuple[str, str | None], Scalar]) -> Multiple:
+    """Return a value as a multiple. `signals` has the expression of each signal."""
+    match tree:
+        case Const(value=value):
+            return Multiple(float(value), None)
+        case Name(name, component) if (name, component) in signals:
+            return multiple_of(signals[name, component], signals)
+        case Op("neg", (value,)):
+            inner = multiple_of(value, signals)
+            return inner._replace(factor=-inner.factor)
+        case Op("mul", args):
+            parts = [multiple_of(part, signals) for part in args]
+            quantities = tuple(part.of for part in parts if part.of is not None)
+            quantity = quantities[0] if len(quantities) == 1 else ("mul", quantities)
+            return Multiple(prod(part.factor for part in parts), quantity if quantities else None)
+        case Op("div", (value, Const(value=divisor))) if divisor:
+            inner = multiple_of(value, signals)
+            return inner._replace(factor=inner.factor / float(divisor))
+        case Op("where", (condition, value, Const(value=0.0))):
+            inner = multiple_of(value, signals)
+            return Multiple(inner.factor, ("where", multiple_of(condition, signals), inner.of))
+        case Op(op, args):
+            return Multiple(1.0, (op, tuple(multiple_of(part, signals) for part in args)))
+        case State(function, args):  # each call has a memory of its own, at a place of its own
+            return Multiple(1.0, (function, tuple(multiple_of(part, signals) for part in args)))
+        case Name() | EngineRead() | Draw():
+            return Multiple(1.0, tree)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"

@@ -20,10 +20,9 @@ from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar,
 from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.rays import SAME_HEIGHT_M
-from deepbots_cli.lint.report import TOPPLING_S, SimulationPosition, UnreachedPose
-from deepbots_cli.lint.simulation import driven_wheels
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
+from deepbots_cli.lint.geometry import SAME_HEIGHT_M
+from deepbots_cli.lint.simulation import TOPPLING_S, SimulationPosition, UnreachedPose, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import RobotBody, whole_timesteps
 from deepbots_cli.robots import kinematics
@@ -64,8 +63,12 @@ _JOINT_KEYS = ("joint", "joints")
 # Commands and actuators
 
 
-@rule("DB312")
-def command_cut_off(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB312",
+    "`{actuator}` receives commands of {commands}, but its limits are {limits}",
+    "change {changed} so that the commands stay within `{limits}`",
+)
+def command_cut_off(context: RuleContext) -> Iterator[Match]:
     """Report that most commands of the agent are beyond the limits of an actuator."""
     analysis = context.analysis
     for robot in context.program.robots:
@@ -86,20 +89,19 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 and used_width < _MIN_SHARE * (command_range.high - command_range.low)
             ):
                 dimension = command.target.typed.type.dimension
-                able = (
-                    f"receives commands of {range_text(command_range, dimension)}, but its limits are"
-                    f" {range_text(limits, dimension)}"
-                )
                 names = [
                     node.symbol.name
                     for node in walk_typed(command.target.typed)
                     if isinstance(node, Reference) and node.symbol.value
                 ]
-                changed = (
-                    " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
+                yield Match(
+                    command.target.span,
+                    actuator=command.actuator.name,
+                    commands=range_text(command_range, dimension),
+                    limits=range_text(limits, dimension),
+                    changed=" or ".join(f"`{name}`" for name in names)
+                    or "the command or the range of the action",
                 )
-                help = f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
-                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
 
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
@@ -136,8 +138,12 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     return True
 
 
-@rule("DB313")
-def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB313",
+    "`{second}` drives the joint `{joint}`, which `{first}` already drives",
+    "drive each joint with only one of the two actuators",
+)
+def joint_driven_twice(context: RuleContext) -> Iterator[Match]:
     """Report two actuators that drive the motor of the same joint, so that the command of the first one is
     lost."""
     for robot in context.program.robots:
@@ -151,14 +157,8 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
                     context.values.span_of_first(("robots", robot.name, "actuators", called), *_JOINT_KEYS)
                     for called in (driving[shared], name)
                 )
-                headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
-                yield Finding(
-                    "DB313",
-                    second,
-                    headline,
-                    "drive each joint with only one of the two actuators",
-                    labels=(Label(first, "driven here"),),
-                )
+                labels = (Label(first, "driven here"),)
+                yield Match(second, labels=labels, second=name, joint=shared, first=driving[shared])
             driving |= dict.fromkeys(joints, name)
 
 
@@ -171,8 +171,12 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
-@rule("DB314")
-def limp_at_start(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB314",
+    "`{motor}` exerts no torque for the first {wait}, and `{joint}` sinks by about {sunk}",
+    "hold the joint with a `position_motor`, or shorten the delay of the first command",
+)
+def limp_at_start(context: RuleContext) -> Iterator[Match]:
     """Report an arm that sinks at the start of an episode, because the first command reaches its torque
     motors late."""
     program = context.program
@@ -205,22 +209,17 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                 continue
             sunk = _sunk(body, positions, joints, program.world.gravity, wait)
             if sunk is not None:
-                by = with_unit(sunk[1], joint_dimension(sunk[0]))
-                headline = (
-                    f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and"
-                    f" `{sunk[0].name}` sinks by about {by}"
-                )
-                help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (
                     (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
                 )
-                yield Finding(
-                    "DB314",
+                yield Match(
                     values.key_span(("robots", robot.name, "actuators", motor.name)),
-                    headline,
-                    help,
                     labels=also,
+                    motor=motor.name,
+                    wait=with_unit(wait, TIME),
+                    joint=sunk[0].name,
+                    sunk=with_unit(sunk[1], joint_dimension(sunk[0])),
                 )
 
 
@@ -422,8 +421,14 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     return Finding("DB315", span, headline, help, notes=notes)
 
 
-@rule("DB322", simulated=True)
-def robot_stays(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB322",
+    "`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm",
+    "let the driven wheels carry the robot: raise its skids and casters, or reduce their friction under"
+    " `links`",
+    simulated=True,
+)
+def robot_stays(simulation: Simulation) -> Iterator[Match]:
     """Report a robot that no action moves or turns, although its wheels turn: they slip, or do not touch the
     ground."""
     if not simulation.is_complete:
@@ -438,41 +443,30 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
             wheels = driven_wheels(
                 next(entry for entry in simulation.program.robots if entry.name == robot), body.model
             )
-            moved = ceil(rolling.distance * 1000)
-            headline = (
-                f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
-            )
-            help = (
-                "let the driven wheels carry the robot: raise its skids and casters, or reduce their"
-                " friction under `links`"
-            )
-            yield Finding(
-                "DB322",
+            yield Match(
                 simulation.values.key_span(("robots", robot)),
-                headline,
-                help,
                 notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
+                robot=robot,
+                moved=ceil(rolling.distance * 1000),
             )
 
 
-@rule("DB324", simulated=True)
-def topples(simulation: Simulation) -> Iterator[Finding]:
+@rule(
+    "DB324",
+    "`{robot}` topples: its base is free, and tilts by {tilt:.0f} deg within {time:g} s of doing nothing",
+    "an arm needs `base: fixed` under `{robot}`, which bolts it to the world; for a robot that has to"
+    " balance, end the episode with `tilt({robot}) > 45 deg`",
+    simulated=True,
+)
+def topples(simulation: Simulation) -> Iterator[Match]:
     """Report a robot with a free base that topples while nothing is done, if the scenario does not measure
     whether it falls."""
     for name, tilt in simulation.report.summary.tilts.items():
         robot = next(entry for entry in simulation.program.robots if entry.name == name)
         if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
             continue
-        headline = (
-            f"`{name}` topples: its base is free, and tilts by {degrees(tilt):.0f} deg within"
-            f" {TOPPLING_S:g} s of doing nothing"
-        )
-        help = (
-            f"an arm needs `base: fixed` under `{name}`, which bolts it to the world; "
-            f"for a robot that has to balance, end the episode with `tilt({name}) > 45 deg`"
-        )
         span = simulation.values.span_of_first(("robots", name), "base", "urdf")
-        yield Finding("DB324", span, headline, help, notes=(simulation.summary,))
+        yield Match(span, notes=(simulation.summary,), robot=name, tilt=degrees(tilt), time=TOPPLING_S)
 
 
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
@@ -525,8 +519,12 @@ def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator
 # Limits of the robot file
 
 
-@rule("DB319")
-def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB319",
+    "`{actuator}` has no limit of {quantity}: the robot file states no effort for {joints}",
+    "write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`",
+)
+def unlimited_motor(context: RuleContext) -> Iterator[Match]:
     """Report a motor without a limit of torque or force."""
     for robot in context.program.robots:
         model = context.analysis.body(robot.name).model
@@ -539,20 +537,25 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             joint_names = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (
                 ", ..." if len(free) > _MAX_NAMES else ""
             )
-            headline = (
-                f"`{actuator.name}` has no limit of {quantity}:"
-                f" the robot file states no effort for {joint_names}"
+            yield Match(
+                context.values.span_of_first(
+                    ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
+                ),
+                notes=('an effort of 0 in a robot file is read as "not stated"',),
+                actuator=actuator.name,
+                quantity=quantity,
+                unit=unit,
+                joints=joint_names,
             )
-            help = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
-            notes = ('an effort of 0 in a robot file is read as "not stated"',)
-            span = context.values.span_of_first(
-                ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
-            )
-            yield Finding("DB319", span, headline, help, notes=notes)
 
 
-@rule("DB317")
-def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB317",
+    "the limits {low:g} and {high:g} rad of joint `{joint}` are {turns:.3g} turns apart",
+    'if they are degrees, write lower="{lower:.5g}" upper="{upper:.5g}" in the robot file, or'
+    " `range: {low:g} .. {high:g} deg` under `joints`",
+)
+def limits_in_degrees(context: RuleContext) -> Iterator[Match]:
     """Report limits of a joint in a robot file that were probably meant in degrees."""
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
@@ -574,17 +577,17 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
         ]
         for joint in suspects[:1]:
             low, high = joint.limit.lower or 0.0, joint.limit.upper or 0.0
-            headline = (
-                f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
-                f" {(high - low) / (2 * pi):.3g} turns apart"
-            )
-            help = (
-                f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
-                f" in the robot file, or `range: {low:g} .. {high:g} deg` under `joints`"
-            )
             names = [other.name for other in suspects[1:]]
-            notes = (f"the same is true of {', '.join(names)}",) if names else ()
-            yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help, notes=notes)
+            yield Match(
+                resolved.file.limit_spans[joint.name],
+                notes=(f"the same is true of {', '.join(names)}",) if names else (),
+                low=low,
+                high=high,
+                joint=joint.name,
+                turns=(high - low) / (2 * pi),
+                lower=radians(low),
+                upper=radians(high),
+            )
 
 
 def _is_in_degrees(joint: Joint) -> bool:

@@ -23,7 +23,11 @@ from numpy.typing import NDArray
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
-from deepbots_cli.lint.report import (
+from deepbots_cli.lint.simulation import (
+    HELD_RANDOM,
+    HOLD_STEPS,
+    IDLE,
+    RANDOM,
     Activity,
     EarlyEnding,
     End,
@@ -31,17 +35,11 @@ from deepbots_cli.lint.report import (
     MeasuredOverlap,
     NumberStatistics,
     PolicyStatistics,
+    Rollout,
     SimulatedEpisode,
     Stop,
     Summary,
     TermStatistics,
-)
-from deepbots_cli.lint.simulation import (
-    HELD_RANDOM,
-    HOLD_STEPS,
-    IDLE,
-    RANDOM,
-    Rollout,
     simulation_plan,
     variant_plan,
 )

@@ -20,9 +20,8 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
-from deepbots_cli.lint.report import Activity, DrivenEpisode, DriverKind, Entry, Stop
 from deepbots_cli.lint.rollouts import episode_result
-from deepbots_cli.lint.simulation import work_per_step
+from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, Entry, Stop, work_per_step
 from deepbots_cli.program import RANDOM, Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps

@@ -16,26 +16,18 @@ import re
 import signal
 import sys
 import traceback
-from io import FileIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.lint.report import Done, Fault, encode
-from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Limits
-
-_MIB = 2**20
+from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Done, Fault, Limits, encode
+from deepbots_cli.processes import limit, line_of, message_streams
 
 
 def main(limits: Limits) -> None:
-    # Without a buffer, each line reaches the parent even if a limit kills this process after it.
-    out = FileIO(os.dup(sys.stdout.fileno()), "wb")
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    # Engines print from C, past `sys.stdout`.
-    for fd in (1, 2):  # whatever engines and scenarios print
-        os.dup2(nowhere, fd)
-    _limit(limits)
-    request = json.loads(sys.stdin.buffer.read())
+    source, out = message_streams()
+    limit(limits.cpu, limits.memory)
+    request = json.loads(line_of(source))
     try:
         _simulate(request, out, limits.step_seconds)
     except (MemoryError, SystemError):  # the latter when a library in C is imported without enough memory
@@ -51,7 +43,7 @@ def main(limits: Limits) -> None:
         out.write(encode(Fault(describe_exception(error), traceback.format_exc())) + b"\n")
 
 
-def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
+def _simulate(request: dict[str, Any], out: IO[bytes], seconds: float) -> None:
     """Simulate, where each line grants further `seconds` of CPU time; after these SIGPROF ends the
     process."""
 
@@ -59,6 +51,7 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
         if sys.platform != "win32":
             signal.setitimer(signal.ITIMER_PROF, seconds)
         out.write(line)
+        out.flush()  # it reaches the parent even if a limit ends this process after it
 
     write(b"")  # the imports below have a limit, too
     from deepbots_cli.lint.rollouts import Simulator, compiled
@@ -73,21 +66,6 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
     )
     simulator.run()
     write(encode(Done()) + b"\n")
-
-
-def _limit(limits: Limits) -> None:
-    """Limit this process and all that it starts."""
-    if sys.platform == "win32":
-        return
-    import resource
-
-    for kind, limit in (
-        (resource.RLIMIT_CPU, limits.cpu),
-        (resource.RLIMIT_AS, limits.memory * _MIB),
-        (resource.RLIMIT_CORE, 0),  # an engine that crashes leaves no file of its memory
-    ):
-        hard = resource.getrlimit(kind)[1]
-        resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 if __name__ == "__main__":

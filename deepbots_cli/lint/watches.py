@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Triple
-from deepbots_cli.lint.report import (
+from deepbots_cli.lint.simulation import (
     ARENA,
     MAX_SINK,
     TOPPLING_S,
@@ -20,8 +20,9 @@ from deepbots_cli.lint.report import (
     Rolling,
     Stop,
     UnreachedPose,
+    casts_rays,
+    driven_wheels,
 )
-from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader, cast_rays
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Cartesian as CartesianActuator

@@ -20,9 +20,9 @@ from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import may_be_noisy
-from deepbots_cli.lint.report import MeasuredOverlap, Stop
+from deepbots_cli.lint.simulation import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust
@@ -56,8 +56,13 @@ up to 0.5 m/s from 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 
 # Objects, robots and engines
 
 
-@rule("DB323")
-def falls_without_end(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB323",
+    "`{robot}` falls without end: its base is free, and no link of its robot file has a <collision>",
+    "write `base: fixed` to bolt it to the world, or give the links that touch the ground a <collision> in"
+    " the robot file",
+)
+def falls_without_end(context: RuleContext) -> Iterator[Match]:
     """Report a robot that falls without end, because its base is free and nothing of it collides with the
     ground."""
     program, values = context.program, context.values
@@ -69,15 +74,7 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
     for body in program.world.robots:
         if body.fixed_base or body.name in lifted or any(link.collisions for link in body.model.links):
             continue
-        headline = (
-            f"`{body.name}` falls without end: its base is free, and no link of its robot file has a"
-            " <collision>"
-        )
-        help = (
-            "write `base: fixed` to bolt it to the world, or give the links that touch the ground a"
-            " <collision> in the robot file"
-        )
-        yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, help)
+        yield Match(values.span_of_first(("robots", body.name), "base", "urdf"), robot=body.name)
 
 
 @rule("DB316")
@@ -442,8 +439,13 @@ def _draws_coordinates(place: Placement) -> bool:
     return any(contains_draw(coordinate.typed) for coordinate in place.coordinates.values())
 
 
-@rule("DB812")
-def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
+@rule(
+    "DB812",
+    "`require` depends on `{drawn}`, which deepbots does not draw again if a start does not meet `require`",
+    "draw `{drawn}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6 .. 20 cm)` (two"
+    " intervals), or replace `{drawn}` with a position that is drawn under `reset.place`",
+)
+def requirement_not_redrawn(context: RuleContext) -> Iterator[Match]:
     """Report `reset.require` that depends only on parameters, which are not drawn again if it does not
     hold."""
     program = context.program
@@ -470,20 +472,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         for subject in fact.subjects
     }
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = (
-            f"`require` depends on `{sources[0]}`, which deepbots does not draw again if a start does"
-            " not meet `require`"
-        )
-        help = (
-            f"draw `{sources[0]}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6"
-            " .. 20 cm)` (two intervals)"
-        )
-        yield Finding(
-            "DB812",
-            require.span,
-            headline,
-            f"{help}, or replace `{sources[0]}` with a position that is drawn under `reset.place`",
-        )
+        yield Match(require.span, drawn=sources[0])
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from lsprotocol.types import (
     CompletionItem,
@@ -20,7 +20,7 @@ from lsprotocol.types import (
 )
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inventory import definition, names_at
+from deepbots_cli.compiler.inventory import action_at, definition, names_at
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
@@ -30,17 +30,14 @@ from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, ValueType
-from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.hover import describe_function, describe_key, describe_shape, describe_symbol, summary
-from deepbots_cli.lsp.lookup import (
-    VALUE_ON_BOARD,
-    Choice,
-    defines,
+from deepbots_cli.lsp.cursor import section_of, shapes_at, value_at
+from deepbots_cli.lsp.hover import (
+    describe_function,
+    describe_key,
+    describe_shape,
+    describe_symbol,
     ignore_finding,
-    names_in_text,
-    section_of,
-    shapes_at,
-    unique,
+    summary,
 )
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
 from deepbots_cli.robots.meshes import MESH_SUFFIXES
@@ -48,12 +45,14 @@ from deepbots_cli.scenario.base import Kinds, MappingOf, Section, section_fields
 from deepbots_cli.scenario.documentation import example_of, section_description
 from deepbots_cli.scenario.fields import (
     COLORS,
+    REFERENCE_KINDS,
     ColorValue,
     FieldType,
     FilePath,
     Flag,
     Pattern,
     Reference,
+    ReferenceKind,
     Word,
 )
 from deepbots_cli.scenario.quantities import MEASURES, Column, Expression, Quantity, Range
@@ -83,6 +82,28 @@ _BODY = "body or link"
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
 """The number of characters before the cursor that are searched for an open bracket."""
+VALUE_ON_BOARD = "value on board"
+"""The kind of the names in expressions of a robot controller, beside those of `REFERENCE_KINDS`."""
+_ON_BOARD = ReferenceKind({("parameters",): "a parameter", ("action",): "an action"}, ("sensors", "receive"))
+_WRITTEN_PARTS = ("sensors", "actuators", "receive")
+"""The sections of a robot whose keys are names, not names or patterns of parts of its file."""
+
+
+class Choice(NamedTuple):
+    """A completion: its text, what it is in a few words (`detail`), and its documentation in Markdown."""
+
+    text: str
+    kind: CompletionItemKind
+    detail: str
+    doc: str = ""
+
+
+def unique(choices: Iterable[Choice]) -> Iterable[Choice]:
+    """Return the first choice of each text."""
+    first: dict[str, Choice] = {}
+    for choice in choices:
+        first.setdefault(choice.text, choice)
+    return first.values()
 
 
 def is_expression(field: FieldType) -> bool:
@@ -313,6 +334,55 @@ def _component_choices(vector: ValueType | None, before: str) -> Iterator[Choice
         yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
 
 
+def names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
+    """Yield the names in `data` that a reference of this kind may name at `path`."""
+    for section in _section_paths(kind, path):
+        value = value_at(data, section)
+        if isinstance(value, dict):
+            yield from (name for name in value if not defines(path, name))
+        elif isinstance(value, list):
+            names = (value_at(item, ("name",)) for item in value)
+            yield from (name for name in names if isinstance(name, str) and name)
+    if kind == "value":
+        yield from _sent(data)
+    if kind == "message field":
+        yield from (name for name in _sent(data) if not name.startswith(f"{path[1]}."))
+    if kind == "letter":
+        cells = dict.fromkeys(str(value_at(data, (*path[:3], "map"))).split())
+        yield from (letter for letter in cells if letter != ".")
+
+
+def defines(path: NodePath, name: str) -> bool:
+    """Return whether `path` is the definition of the name, which cannot refer to itself."""
+    return path[:-1] in REFERENCE_KINDS["value"].sections and path[-1] == name
+
+
+def _sent(data: Any) -> Iterator[str]:
+    """Yield the full names of what robots send."""
+    robots = value_at(data, ("robots",))
+    for robot in robots if isinstance(robots, dict) else ():
+        sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
+        if isinstance(sent, (dict, list)):
+            yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
+
+
+def _section_paths(kind: str, path: NodePath) -> Iterator[NodePath]:
+    if kind in ("choice", "option"):
+        if action := action_at(path):
+            yield ("action", action, "choices")
+        return
+    if kind == "value" and path[:1] == ("observation",):
+        yield ("augment",)
+        return
+    reference = _ON_BOARD if kind == VALUE_ON_BOARD else REFERENCE_KINDS[kind]
+    robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
+    if robot:
+        yield from ((*robot, part) for part in reference.parts if part in _WRITTEN_PARTS)
+    yield from reference.sections
+    if path[:1] == ("agents",) and len(path) > 1:
+        yield from ((*path[:2], *section) for section in reference.sections)
+
+
 _INCLUDE = Choice(
     "include",
     CompletionItemKind.Keyword,
@@ -382,8 +452,11 @@ def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
 
 
 def _section_keys(section: type[Section]) -> Iterator[Choice]:
-    for key in section_fields(section):
-        yield Choice(key, CompletionItemKind.Property, summary(section, key), describe_key(section, key))
+    return (_key(section, key) for key in section_fields(section))
+
+
+def _key(section: type[Section], key: str) -> Choice:
+    return Choice(key, CompletionItemKind.Property, summary(section, key), describe_key(section, key))
 
 
 def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
@@ -392,8 +465,7 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
         yield from _section_keys(section)
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
-    for key, model in shape.models_by_key.items():
-        yield Choice(key, CompletionItemKind.Property, summary(model, key), describe_key(model, key))
+    yield from (_key(model, key) for key, model in shape.models_by_key.items())
 
 
 # Values

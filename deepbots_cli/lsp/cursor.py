@@ -1,4 +1,5 @@
-"""The key or value at the cursor in the text of a scenario, which may be broken YAML during typing.
+"""The key or value at the cursor in the text of a scenario, which may be broken YAML during typing, and what the
+schema allows at its path.
 
 The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner
 fails, the reader replaces one character and scans again. Brackets and blocks need not be closed.
@@ -7,6 +8,7 @@ fails, the reader replaces one character and scans again. Brackets and blocks ne
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import yaml
@@ -16,6 +18,9 @@ from deepbots_cli.document.files import FORBIDDEN_CHARACTERS, MAX_BYTES
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import MAX_DEPTH
 from deepbots_cli.document.syntax_hints import LOADER
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, section_fields
+from deepbots_cli.scenario.fields import FieldType, Reference
+from deepbots_cli.scenario.scenario import Scenario
 
 Role = Literal["key", "value", "aside"]
 
@@ -25,6 +30,7 @@ _PERCENT = re.compile(r"^%", re.MULTILINE)
 _DASHES = re.compile(r" *(?:- *)*")
 _OPENING = ("{", "[", "<block mapping start>", "<block sequence start>")
 _CLOSING = ("}", "]", "<block end>")
+_OPTION = Reference("option")
 
 
 class Cursor(NamedTuple):
@@ -85,6 +91,82 @@ def value_at(data: Any, path: NodePath) -> Any:
         else:
             return ""
     return data
+
+
+# What the schema allows
+
+
+def shapes_at(path: NodePath, data: Any) -> list[Shape]:
+    """Return every shape that the schema allows at `path`; several while the data does not determine the form
+    of a value."""
+    shapes = list(dict.fromkeys(_shapes(Scenario, data, path)))
+    # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema
+    # does not distinguish them.
+    of_test = path[:1] == ("tests",) and path[2:3] == ("actions",) and len(path) in (4, 5)
+    return [_OPTION, *shapes] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else shapes
+
+
+def field_types_at(path: NodePath, data: Any) -> list[FieldType]:
+    """Return the field types that the schema allows at `path`."""
+    return [shape for shape in shapes_at(path, data) if isinstance(shape, FieldType)]
+
+
+def section_of(path: NodePath, data: Any) -> type[Section] | None:
+    """Return the section that defines the last key of `path`; None for a name that the user chose."""
+    if not path or not isinstance(path[-1], str):
+        return None
+    for shape in shapes_at(path[:-1], data):
+        for section in _sections(shape, value_at(data, path[:-1])):
+            if path[-1] in section_fields(section):
+                return section
+    return None
+
+
+def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
+    if isinstance(shape, Forms):
+        for option in _forms(shape, data, bool(path)):
+            yield from _shapes(option, data, path)
+        return
+    if not path:
+        yield shape
+        return
+    step, remaining_path = path[0], path[1:]
+    below = value_at(data, (step,))
+    match shape:
+        case ListOf() if isinstance(step, int):
+            yield from _shapes(shape.item, below, remaining_path)
+        case MappingOf() if isinstance(step, str):
+            yield from _shapes(shape.value, below, remaining_path)
+        case FieldType() if isinstance(step, int) and not remaining_path:
+            yield shape  # a list of names is one value
+        case FieldType() | ListOf() | MappingOf():
+            return
+        case _:
+            for section in _sections(shape, data):
+                if step in section_fields(section):
+                    yield from _shapes(section_fields(section)[str(step)], below, remaining_path)
+
+
+def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
+    """Return the form that the data determines, or all forms if the data determines none."""
+    if isinstance(data, (dict, list)) and data:
+        form = shape.choose(data)
+        if form is not None:
+            return (form,)
+    if isinstance(data, str) and data and not goes_on:
+        return tuple(option for option in shape.options if isinstance(option, FieldType)) or shape.options
+    return shape.options
+
+
+def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
+    """Return the sections whose keys data of this shape may have."""
+    if isinstance(shape, Kinds):
+        section = shape.find(data)
+        return (section,) if section else shape.distinct_models
+    return (shape,) if isinstance(shape, type) else ()
+
+
+# Broken text
 
 
 def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, str, str]:

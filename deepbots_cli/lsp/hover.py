@@ -1,31 +1,36 @@
-"""Hover texts, and the descriptions of keys, functions, types and rules."""
+"""What is under the cursor: hover texts, definitions and uses; the descriptions of keys, functions, types and
+rules."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import NamedTuple
 
 from lsprotocol import types
 
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
+from deepbots_cli.compiler.texts import SourceText
+from deepbots_cli.compiler.values import ScopedExpression
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.document import ScalarNode, descend
-from deepbots_cli.expressions import syntax
+from deepbots_cli.document import MappingNode, ScalarNode, descend, shipped
+from deepbots_cli.document.files import resolve_reference
+from deepbots_cli.document.nodes import NodePath, follow_dotted
+from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.expressions.functions import FUNCTIONS, Function
+from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Symbol, ValueType, shortened_list
+from deepbots_cli.expressions.types import Kind, Symbol, ValueType, shortened_list, walk
 from deepbots_cli.lint.pages import pages_of
-from deepbots_cli.lsp.lookup import (
-    ExpressionNode,
-    KeyOrValue,
-    expression_at,
-    field_types_at,
-    key_or_value_at,
-    section_of,
-    shapes_at,
-)
-from deepbots_cli.lsp.workspace import CursorView
+from deepbots_cli.lsp.cursor import field_types_at, section_of, shapes_at
+from deepbots_cli.lsp.workspace import CursorView, Locator, uri_of
+from deepbots_cli.robots import packages
 from deepbots_cli.scenario.base import (
     Kinds,
     MappingOf,
@@ -37,12 +42,168 @@ from deepbots_cli.scenario.base import (
     unit_of,
 )
 from deepbots_cli.scenario.documentation import default_of, key_description, section_description
-from deepbots_cli.scenario.fields import FieldType, Pattern, Reference
+from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.words import counted
 
 _CODE = re.compile(r"DB\d{3}")
 _MAX_CHARACTERS = 300
 _LONGEST_NOUN = 120
+_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_COLON = re.compile(r"[\"']?[ \t]*:")
+_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
+_START = types.Range(types.Position(0, 0), types.Position(0, 0))
+_ALIAS = re.compile(r"\*([\w-]+)")
+
+
+class ExpressionNode(NamedTuple):
+    """A node of an expression's syntax tree.
+
+    `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part
+    of the world.
+    """
+
+    reading: ScopedExpression
+    cursor: int
+    node: syntax.Node
+    kinds: frozenset[Kind] | None = None
+
+    @property
+    def name(self) -> str | None:
+        """The dotted name under the cursor, up to the word under the cursor."""
+        if not isinstance(self.node, syntax.Name):
+            return None
+        end = self.node.start
+        text = self.reading.text.text
+        for word in self.node.parts:
+            end = text.index(word, end) + len(word)
+            if self.cursor <= end:
+                break
+        return "".join(text[self.node.start : end].split())
+
+    @property
+    def robot(self) -> str | None:
+        """The robot that computes the expression; None for the supervisor."""
+        return _robot_of(self.reading)
+
+    @property
+    def type(self) -> ValueType | None:
+        """The type of the node's value."""
+        for tree in self.reading.trees:
+            for node in walk(tree):
+                if (node.start, node.end) == (self.node.start, self.node.end):
+                    return node.type
+        if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
+            return None
+        typed = check(self.node, self.reading.scope, ignore_finding)
+        return typed.type if typed else None
+
+
+def _robot_of(reading: ScopedExpression) -> str | None:
+    return reading.scope.robot if isinstance(reading.scope, RobotScope) else None
+
+
+class KeyOrValue(NamedTuple):
+    """A key or a value at a path of the scenario; `start` and `end` are offsets in the current text."""
+
+    path: NodePath
+    text: str
+    start: int
+    end: int
+    is_key: bool
+
+
+def expression_at(view: CursorView) -> ExpressionNode | None:
+    """Return the innermost node of the expression under the cursor."""
+    if view.analysis is None or view.source is None or view.known_offset is None:
+        return None
+    readings = [
+        (size, reading)
+        for reading in view.analysis.readings
+        if (size := _size_around(view, reading)) is not None
+    ]
+    if not readings:
+        return None
+    reading = min(readings, key=lambda pair: pair[0])[1]
+    index = _index(reading.text, view.known_offset)
+    text = reading.text.text
+    tree = parser.parse(text, ignore_finding)
+    # A comment is not part of the expression.
+    if (
+        tree is None
+        or not tree.start <= index <= tree.end
+        or "#" in text[text.rfind("\n", 0, index) + 1 : index]
+    ):
+        return None
+    return _innermost(ExpressionNode(reading, index, tree))
+
+
+def key_or_value_at(view: CursorView) -> KeyOrValue | None:
+    """Return the key or the single value under the cursor."""
+    cursor = view.cursor
+    text = view.document.plain
+    if cursor.role == "aside":
+        return None
+    if cursor.role == "key":
+        end = _end(_KEY, text, view.offset)
+        again = view.cursor_at(end)
+        word = text[again.start : end]
+        is_key = _COLON.match(text, end) is not None  # otherwise it may be a value on its own line
+        return KeyOrValue((*again.path, word) if is_key else again.path, word, again.start, end, is_key)
+    end = _end(_VALUE, text, view.offset)
+    return KeyOrValue(cursor.path, text[cursor.start : end].strip("\"'"), cursor.start, end, is_key=False)
+
+
+def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
+    match = pattern.match(text, start)
+    return match.end() if match else start
+
+
+def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
+    """Return the length of the expression's text if it contains the cursor, otherwise None. A default has no
+    text in the file."""
+    text = reading.text
+    then = view.known_offset
+    first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
+    if first.source is not view.source or then is None or not first.start <= then <= last.end:
+        return None
+    is_default = first == last and first.end - first.start > 1
+    return None if is_default else last.end - first.start
+
+
+def _index(text: SourceText, offset: int) -> int:
+    return next(
+        (index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text)
+    )
+
+
+def _innermost(outer: ExpressionNode) -> ExpressionNode:
+    """Return the smallest node that contains the cursor. The end of a name belongs to the name."""
+    node, index = outer.node, outer.cursor
+    if isinstance(node, syntax.Call) and index <= node.name_end:
+        return outer
+    for child, kinds in _inside(node):
+        if child.start <= index <= child.end and not (
+            child.start == index and isinstance(child, syntax.Binary)
+        ):
+            return _innermost(outer._replace(node=child, kinds=kinds))
+    return outer
+
+
+def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
+    """Yield the child nodes, with the allowed kinds for arguments that name a part of the world."""
+    function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
+    for index, child in enumerate(syntax.children(node)):
+        param = (
+            function.params[min(index, len(function.params) - 1)] if function and function.params else None
+        )
+        yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
+
+
+def ignore_finding(*_finding: object, **_more: object) -> None:
+    """Discard a finding, because the analysis reports it."""
+
+
+# Hover texts
 
 
 def hover(view: CursorView) -> types.Hover | None:
@@ -146,7 +307,7 @@ def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
         return describe_key(part, str(target.path[-1]))
     for shape in shapes_at(target.path[:-1], view.data):
         if isinstance(shape, MappingOf):
-            text = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
+            text = _reference_text(view, target) or _defined_name_text(view, target)
             return text or f"`{target.text}`: a name of your choice, for {describe_shape(shape.value)}"
     return None
 
@@ -200,10 +361,8 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
 
 
 def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
-    for field in field_types_at(target.path, view.data):
-        text = _reference_text(view, target, field)
-        if text:
-            return text
+    if text := _reference_text(view, target):
+        return text
     kinds = _kinds(view, target)
     if kinds is not None and target.text in kinds.names:
         return f"`{target.text}`: {section_description(kinds.models[target.text])}"
@@ -219,14 +378,155 @@ def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
     return describe_key(part, str(steps[-1])) if part is not None else None
 
 
-def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> str | None:
-    checked = view.checked
-    if checked is None or not isinstance(field, (Reference, Pattern)):
-        return None
-    match = next(
-        (entry for entry in names_at(checked, field.kind, target.path) if entry.name == target.text), None
-    )
+def _reference_text(view: CursorView, target: KeyOrValue) -> str | None:
+    match = next((entry for entry in _references_to(view, target) if entry.name == target.text), None)
     return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
+
+
+# Definitions and uses
+
+
+def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
+    """Return the definitions of the name, alias or file under the cursor; several for a pattern that matches
+    several names."""
+    anchor = _anchor(view)
+    if anchor is not None:
+        return [anchor]
+    target = key_or_value_at(view)
+    file = _file(view, target, open_uris) if target is not None else None
+    if file is not None:
+        return [file]
+    if view.analysis is None:
+        return []
+    locator = Locator(view.analysis, open_uris)
+    return [
+        locator.location(span) for span in _by_name(view) or (_by_reference(view, target) if target else [])
+    ]
+
+
+def _anchor(view: CursorView) -> types.Location | None:
+    text = view.document.plain
+    begin = text.rfind("\n", 0, view.offset) + 1
+    for alias in _ALIAS.finditer(text, begin, view.offset + 100):
+        if alias.start() <= view.offset <= alias.end():
+            anchors = list(re.finditer(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()]))
+            return (
+                types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span()))
+                if anchors
+                else None
+            )
+    return None
+
+
+def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
+    kinds = [field.kind for field in field_types_at(target.path, view.data) if isinstance(field, FilePath)]
+    if target.is_key or not (kinds or target.path[-1:] in (("include",), ("extends",))):
+        return None
+    if target.path[-1:] == ("extends",):
+        library = shipped.SCENARIOS
+    elif "robot file" in kinds:
+        library = shipped.ROBOTS
+    else:
+        library = None
+    path = _located(view, target.text, library)
+    return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
+
+
+def _located(view: CursorView, reference: str, library: shipped.Library | None) -> Path | None:
+    """Return the file that a reference names; None if no such file exists or the scenario may not read it."""
+    if reference.startswith("package://"):
+        return packages.locate_file(reference, view.document.path.parent, view.roots)
+    path = resolve_reference(reference, view.document.path.parent, view.roots, library)
+    return path if isinstance(path, Path) else None
+
+
+def _by_name(view: CursorView) -> list[Span]:
+    """Return the definition of the name under the cursor in an expression."""
+    node = expression_at(view)
+    if node is None or node.name is None or view.checked is None:
+        return []
+    entry = definition(view.checked, node.name, node.robot)
+    return [entry.span] if entry and entry.span else []
+
+
+def _fields_of(view: CursorView, target: KeyOrValue) -> list[FieldType]:
+    """Return the types that the schema gives a key of a mapping, or a value."""
+    if not target.is_key:
+        return field_types_at(target.path, view.data)
+    above = shapes_at(target.path[:-1], view.data)
+    return [shape.key for shape in above if isinstance(shape, MappingOf)]
+
+
+def _references_to(view: CursorView, target: KeyOrValue) -> list[NameEntry]:
+    """Return the names that a key or value refers to outside of expressions; several for a pattern."""
+    for field in _fields_of(view, target):
+        if view.checked is not None and isinstance(field, (Reference, Pattern)):
+            entries = names_at(view.checked, field.kind, target.path)
+            if fitting := [entry for entry in entries if fnmatchcase(entry.name, target.text)]:
+                return fitting
+    return []
+
+
+def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
+    """Return the definitions of a reference or pattern outside of expressions."""
+    spans = [entry.span for entry in _references_to(view, target) if entry.span]
+    root = view.checked.document.root if view.checked is not None else None
+    kinds = [field.kind for field in _fields_of(view, target) if isinstance(field, Reference)]
+    return _setting(root, target.text) if root is not None and not spans and "setting" in kinds else spans
+
+
+def _setting(root: MappingNode, text: str) -> list[Span]:
+    """Return the key at the dotted path of a setting."""
+    steps, _, unresolved = follow_dotted(root, text)
+    key = descend(root, steps)[1] if steps and not unresolved else None
+    return [key.span] if key else []
+
+
+def references(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
+    """Return the places where expressions use the name under the cursor, or the name that a key under it
+    defines; without its definition."""
+    analysis, checked = view.analysis, view.checked
+    if analysis is None or checked is None:
+        return []
+    span = _definition_span(view, checked)
+    if span is None:
+        return []
+    locator = Locator(analysis, open_uris)
+    return [
+        locator.location(reading.text.part(name.start, name.end))
+        for reading in analysis.readings
+        for name in _names(reading)
+        if _definition_of(name, reading, checked) == span
+    ]
+
+
+def _definition_span(view: CursorView, checked: CheckedScenario) -> Span | None:
+    """Return the place of the definition of the word: of a name in an expression, or of a key that is one."""
+    if spans := _by_name(view):
+        return spans[0]
+    target = key_or_value_at(view)
+    if checked.document.root is None or target is None or not target.is_key:
+        return None
+    _, key, steps = descend(checked.document.root, target.path)
+    return key.span if key is not None and steps == len(target.path) else None
+
+
+def _definition_of(name: syntax.Name, reading: ScopedExpression, checked: CheckedScenario) -> Span | None:
+    entry = definition(checked, name.dotted, _robot_of(reading))
+    return entry.span if entry is not None else None
+
+
+def _names(reading: ScopedExpression) -> Iterator[syntax.Name]:
+    tree = parser.parse(reading.text.text, ignore_finding)
+    nodes: list[syntax.Node] = [] if tree is None else [tree]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, syntax.Name):
+            yield node
+        nodes += syntax.children(node)
+
+
+# Descriptions
 
 
 def summary(part: type[Section], key: str) -> str:

@@ -34,9 +34,7 @@ from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
-from deepbots_cli.lsp.uses import references
+from deepbots_cli.lsp.hover import definitions, hover, references
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -44,7 +42,8 @@ from deepbots_cli.lsp.workspace import (
     Locator,
     Workspace,
     analyze,
-    common_prefix,
+    changed_part,
+    document_symbols,
     path_of,
 )
 
@@ -133,13 +132,29 @@ class Checker:
         self._executor = ThreadPoolExecutor(1, "analysis")
         self._published: dict[str, _Published] = {}
 
+    def put(self, document: Document) -> None:
+        """Take a version of a document, and analyze it soon. An included file is analyzed with the scenarios that
+        read it."""
+        self._workspace.put(document)
+        dependents = self._workspace.dependents(document)
+        self.schedule(*([document.uri] if document.is_scenario or not dependents else []), *dependents)
+
+    def remove(self, uri: str) -> None:
+        """Forget a document with its diagnostics, and analyze those that read it."""
+        document = self._workspace.documents.get(uri)
+        if document is not None:
+            dependents = self._workspace.dependents(document)
+            self._workspace.remove(uri)
+            self._retract(uri)
+            self.schedule(*dependents)
+
     def schedule(self, *uris: str) -> None:
         """Analyze documents soon, before the documents that wait already."""
         self._queue = {**dict.fromkeys(uris), **self._queue}
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._run_queue())
 
-    def retract(self, uri: str) -> None:
+    def _retract(self, uri: str) -> None:
         """Withdraw the diagnostics that a document's analysis published."""
         self._queue.pop(uri, None)
         if uri in self._published:
@@ -152,7 +167,7 @@ class Checker:
     async def _run_queue(self) -> None:
         while self._queue:
             await asyncio.sleep(_DEBOUNCE)
-            # `retract` or `stop` may have emptied the queue during the sleep.
+            # `remove` or `stop` may have emptied the queue during the sleep.
             uri = next(iter(self._queue), None)
             document = self._workspace.documents.get(uri) if uri else None
             if uri is not None:
@@ -386,12 +401,12 @@ def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
     before = document.plain
     if after == before:
         return []
-    start = common_prefix(before, after)
-    end = min(common_prefix(before[::-1], after[::-1]), len(before) - start, len(after) - start)
+    start, end, end_after = changed_part(before, after)
     # No position exists between the two characters of a line end.
     start -= before[max(0, start - 1) : start + 1] == "\r\n"
-    end -= before[len(before) - end - 1 : len(before) - end + 1] == "\r\n"
-    return [types.TextEdit(document.lines.range(start, len(before) - end), after[start : len(after) - end])]
+    if before[max(0, end - 1) : end + 1] == "\r\n":
+        end, end_after = end + 1, end_after + 1
+    return [types.TextEdit(document.lines.range(start, end), after[start:end_after])]
 
 
 # The server and its request handlers
@@ -501,23 +516,14 @@ class Server(LanguageServer):
             )
 
     def _update(self, uri: str, version: int, text: str) -> None:
-        document = Document(uri, version, text, path_of(uri), self.workspace.position_codec)
-        self.scenarios.put(document)
-        dependents = self.scenarios.dependents(document)
-        # An included file is analyzed with the scenarios that read it.
-        self.checker.schedule(*([uri] if document.is_scenario or not dependents else []), *dependents)
+        self.checker.put(Document(uri, version, text, path_of(uri), self.workspace.position_codec))
 
     def _saved(self, _params: object) -> None:
         """Analyze all documents again, because a robot, a mesh or the project's settings may have changed."""
         self.checker.schedule(*self.scenarios.documents)
 
     def _closed(self, params: types.DidCloseTextDocumentParams) -> None:
-        document = self.scenarios.documents.get(params.text_document.uri)
-        if document is not None:
-            dependents = self.scenarios.dependents(document)
-            self.scenarios.remove(document.uri)
-            self.checker.retract(document.uri)
-            self.checker.schedule(*dependents)
+        self.checker.remove(params.text_document.uri)
 
     # Requests
 

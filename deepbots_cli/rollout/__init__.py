@@ -3,17 +3,15 @@
 episode.py            `steps`, an episode of one environment; the result of an episode
 source.py             the resolution of a name, path or object to a scenario
 drivers.py            drivers: a script, random or zero actions, a list of actions, a person
-recordings.py         the episodes in a recording
-robot_logs.py         the episodes in the log of a robot, with its scenario
-worlds.py             worlds that run side by side: what all have, and single worlds
-batch_worlds.py       the worlds of a batch, on arrays
+recordings.py         the episodes in a recording, and in the log of a robot
+worlds.py             worlds that run side by side: single worlds, and the worlds of a batch
 collector.py          fragments of experience, from worlds in this process and from shards
 seats.py              the experience of each of several agents in the same worlds
 policies.py           a trained policy as a driver; evaluations in several worlds at a time
 
 Environments are stepped in `episode.steps`, one at a time, and in `worlds.SingleWorlds` and
-`batch_worlds.BatchEpisodes`, side by side. Outside of this package, wrappers pass `step` on, and benchmarks
-time it.
+`worlds.BatchEpisodes`, side by side. Outside of this package, wrappers pass `step` on, and benchmarks time
+it.
 """
 
 from deepbots_cli.rollout.episode import (

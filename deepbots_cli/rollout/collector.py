@@ -56,25 +56,30 @@ class Lesson(NamedTuple):
     worlds: int
 
 
-class PolicyActor(Protocol):
+class PolicyActor(ABC):
     """An actor with the policy of a learner, of which shards have copies."""
 
+    @abstractmethod
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision: ...
 
-    def begin(self) -> None:
-        """Called before each fragment."""
-
+    @abstractmethod
     def parameters(self) -> Mapping[str, Any]:
         """Return the values that copies in shards must have in common with the actor: weights, and numbers
         such as the rate of exploration."""
 
-    def memory(self) -> Mapping[str, Array]:
-        """Return the memory of the policy between two fragments: arrays with a row for each agent."""
-
+    @abstractmethod
     def load(self, parameters: Mapping[str, Any]) -> None:
         """Take over the parameters of another actor."""
 
-    def remember(self, memory: Mapping[str, Array]) -> None:
+    def begin(self) -> None:  # noqa: B027  # some actors do nothing here
+        """Called before each fragment."""
+
+    def memory(self) -> Mapping[str, Array]:
+        """Return the memory of the policy between two fragments: arrays with a row for each agent. By
+        default, it has none."""
+        return {}
+
+    def remember(self, memory: Mapping[str, Array]) -> None:  # noqa: B027  # of a policy with a memory
         """Take over a memory."""
 
 
@@ -500,8 +505,18 @@ class FetchingCollector(ABC):
         lesson: Lesson | None = None,
     ) -> Fragment | None:
         """Collect a fragment with a `PolicyActor`; see `Collector.collect`."""
-        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
-        return fragment if all(on_step(step) for step in self._replay) else None
+        policy_actor = cast(PolicyActor, actor)
+        fragment = self.fetch(policy_actor, steps, with_masks=with_masks, lesson=lesson)
+        if not all(on_step(step) for step in self._replay):
+            return None
+        self.ask_ahead(policy_actor, steps, with_masks=with_masks)
+        return fragment
+
+    def ask_ahead(  # noqa: B027  # most collectors do nothing here
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False
+    ) -> None:
+        """Called after the steps of a fragment are counted. A collector whose next fragment may have older
+        weights requests it."""
 
 
 class ShardedCollector(FetchingCollector):
@@ -516,6 +531,8 @@ class ShardedCollector(FetchingCollector):
         sizes: The number of worlds of each shard.
         agents: The agents of a world in this process, which computes the rewards of hindsight.
         listener: The training.
+        is_ahead: Whether each fragment is collected during the update before it, with the weights before this
+            update.
     """
 
     def __init__(
@@ -526,8 +543,11 @@ class ShardedCollector(FetchingCollector):
         sizes: Sequence[int],
         agents: Sequence[Any],
         listener: ShardListener,
+        *,
+        is_ahead: bool = False,
     ) -> None:
         self._pool = pool
+        self._is_ahead = is_ahead
         self._listener = listener
         self._sizes = sizes
         self._stages = stages
@@ -584,6 +604,8 @@ class ShardedCollector(FetchingCollector):
     def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
         """Request the next fragment, which `fetch` then returns, with the present weights. Workers collect it
         during the next update."""
+        if not self._is_ahead:
+            return
         parameters = actor.parameters().items()
         # Copies, because the arrays share the memory of the weights, which the update changes.
         self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
@@ -646,7 +668,7 @@ class ShardedCollector(FetchingCollector):
                     np.append(fragment.starts[:, first], fragment.following_starts[first])
                 )
                 self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
-        # The checkpoints of the training write this very list.
+        # In place, because this is the list of the curriculum.
         self._stages[:] = [episode.stage for episode in self.episodes]
 
     def _steps(

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.rollout.batch_worlds import BatchEpisodes
 from deepbots_cli.rollout.episode import (
     Driver,
     Episode,
@@ -25,7 +24,7 @@ from deepbots_cli.rollout.episode import (
     play,
     steps,
 )
-from deepbots_cli.rollout.worlds import Array, has_copies
+from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.streams import derive_seed

@@ -1,13 +1,12 @@
 """The experience of each of several agents in the same worlds.
 
 The worlds of several agents are stepped by one collector, with the actions of all agents in a row. A
-`SeatCollector` has the part of one agent in the last fragment, so that its learner learns from it as from a
-world of its own.
+`SeatCollector` has the part of the agents with one policy in the last fragment, so that their learner learns
+from it as from worlds of its own.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
@@ -53,30 +52,70 @@ class _NoWorld:
         return getattr(self, name)
 
 
-class OfferedCollector(FetchingCollector):
-    """A collector that returns a part of the last fragment of all agents, which is offered to it.
+class SeatCollector(FetchingCollector):
+    """The parts of the agents with one policy in the fragments of all agents, which are offered to it. A row
+    is an agent in a world: first the worlds of the first agent.
 
     Args:
+        seats: The places of these agents, which have equal spaces.
         collector: The collector of the worlds.
-        example: The place of an agent, which has the spaces.
+        worlds: The worlds in which each of them has the policy; by default all.
     """
 
-    def __init__(self, collector: Any, example: SeatLayout) -> None:
+    def __init__(
+        self, seats: Sequence[SeatLayout], collector: Any, worlds: Sequence[Array] | None = None
+    ) -> None:
+        self._seats = seats
         self._collector = collector
+        self._worlds = worlds
+        self.rows = len(seats) * collector.rows if worlds is None else sum(map(len, worlds))
         self.times = CollectTimes()
         self.stale = {}
         self.agents = (_NoWorld(),)
-        self.observation_space, self.action_space = example.observation_space, example.action_space
+        self.observation_space, self.action_space = seats[0].observation_space, seats[0].action_space
         self._fragment: Fragment | None = None
 
     @property
-    @abstractmethod
     def starts(self) -> Array:
         """For each row, whether an episode begins with the observations on which the agent acts next."""
+        starts: Array = self.rows_of([self._collector.starts] * len(self._seats))
+        return starts
 
-    @abstractmethod
+    def begin(self) -> Any:
+        return self.seen(self._collector.begin())
+
+    def rows_of(self, parts: Sequence[Any]) -> Any:
+        """Return the rows of the policy, given those of each agent in all worlds."""
+        worlds = self._worlds
+
+        def rows(*agent_rows: Array) -> Array:
+            if worlds is None:
+                return np.concatenate(agent_rows)
+            return np.concatenate(
+                [part.take(chosen, 0) for part, chosen in zip(agent_rows, worlds, strict=True)]
+            )
+
+        return apply_to_parts(rows, *parts)
+
+    def seen(self, observations: Any) -> Any:
+        """Return the observations of the policy, given those of all agents in all worlds."""
+        return self.rows_of([seat.observation(observations) for seat in self._seats])
+
     def part_of(self, fragment: Fragment) -> Fragment:
         """Return the part of a fragment of all agents."""
+        parts = [_own_part(seat, fragment) for seat in self._seats]
+        if self._worlds is not None:
+            parts = [_in_worlds(part, worlds) for part, worlds in zip(parts, self._worlds, strict=True)]
+        if len(parts) == 1:
+            return parts[0]
+        if all(part.taking_part is None for part in parts):
+            return join(parts)
+        # An agent without rests takes part in every step.
+        taking_part = [
+            np.ones(part.rewards.shape, bool) if part.taking_part is None else part.taking_part
+            for part in parts
+        ]
+        return replace(join(parts), taking_part=np.concatenate(taking_part, axis=1))
 
     def offer(self, fragment: Fragment) -> None:
         """Take the part of a fragment of all agents, which `fetch` then returns."""
@@ -117,74 +156,44 @@ def own_ending(seat: SeatLayout, ending: Ending) -> Ending:
     )
 
 
-class SeatCollector(OfferedCollector):
-    """The part of one agent in the fragments of all agents.
-
-    Args:
-        seat: Its place among the agents.
-        collector: The collector of the worlds.
-    """
-
-    def __init__(self, seat: SeatLayout, collector: Any) -> None:
-        super().__init__(collector, seat)
-        self._seat = seat
-        self.rows = collector.rows
-
-    @property
-    def starts(self) -> Array:
-        starts: Array = self._collector.starts
-        return starts
-
-    def begin(self) -> Any:
-        return self._seat.observation(self._collector.begin())
-
-    def part_of(self, fragment: Fragment) -> Fragment:
-        seat = self._seat
-        name = self._seat.member.name
-        return replace(
-            _own_course(fragment, fragment.agent_phases.get(name)),
-            observations=seat.observation(fragment.observations),
-            actions=seat.actions(fragment.actions),
-            rewards=fragment.agent_rewards[name],
-            columns=own_entries(fragment.columns, name),
-            following=seat.observation(fragment.following),
-            endings=[(number, own_ending(seat, ending)) for number, ending in fragment.endings],
-            agent_rewards={},
-            agent_phases={},
-        )
+def _own_part(seat: SeatLayout, fragment: Fragment) -> Fragment:
+    """Return the part of an agent in a fragment of all agents."""
+    name = seat.member.name
+    return replace(
+        _own_course(fragment, fragment.agent_phases.get(name)),
+        observations=seat.observation(fragment.observations),
+        actions=seat.actions(fragment.actions),
+        rewards=fragment.agent_rewards[name],
+        columns=own_entries(fragment.columns, name),
+        following=seat.observation(fragment.following),
+        endings=[(number, own_ending(seat, ending)) for number, ending in fragment.endings],
+        agent_rewards={},
+        agent_phases={},
+    )
 
 
-class SharedCollector(OfferedCollector):
-    """The parts of several agents with one policy in the fragments of all agents. A row is an agent in a
-    world: first all worlds of the first agent.
+def _in_worlds(fragment: Fragment, worlds: Array) -> Fragment:
+    """Return a fragment with the rows of these worlds alone, without the columns of the actor."""
 
-    Args:
-        seats: The places of these agents.
-        collector: The collector of the worlds.
-    """
+    def rows(array: Array) -> Array:
+        return array.take(worlds, 1)
 
-    def __init__(self, seats: Sequence[SeatLayout], collector: Any) -> None:
-        super().__init__(collector, seats[0])
-        self._seats = [SeatCollector(seat, collector) for seat in seats]
-        self.rows = len(seats) * collector.rows
-
-    @property
-    def starts(self) -> Array:
-        return np.concatenate([seat.starts for seat in self._seats])
-
-    def begin(self) -> Any:
-        return apply_to_parts(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
-
-    def part_of(self, fragment: Fragment) -> Fragment:
-        parts = [seat.part_of(fragment) for seat in self._seats]
-        if all(part.taking_part is None for part in parts):
-            return join(parts)
-        # An agent without rests takes part in every step.
-        taking_part = [
-            np.ones(part.rewards.shape, bool) if part.taking_part is None else part.taking_part
-            for part in parts
-        ]
-        return replace(join(parts), taking_part=np.concatenate(taking_part, axis=1))
+    places = {int(world): row for row, world in enumerate(worlds)}
+    return replace(
+        fragment,
+        observations=apply_to_parts(rows, fragment.observations),
+        actions=rows(fragment.actions),
+        rewards=rows(fragment.rewards),
+        starts=rows(fragment.starts),
+        columns={},
+        following=apply_to_parts(lambda array: array.take(worlds, 0), fragment.following),
+        following_starts=fragment.following_starts.take(worlds),
+        endings=[
+            (number, ending._replace(row=places[ending.row]))
+            for number, ending in fragment.endings
+            if ending.row in places
+        ],
+    )
 
 
 def _own_course(fragment: Fragment, phases: Array | None) -> Fragment:
@@ -204,7 +213,7 @@ def _own_course(fragment: Fragment, phases: Array | None) -> Fragment:
     )
 
 
-class MultiAgentActor:
+class MultiAgentActor(PolicyActor):
     """Acts for several agents in the same worlds, each with its own actor.
 
     Args:

@@ -1,4 +1,6 @@
-"""The text editor of the page: CodeMirror, which NiceGUI brings, with `editor.js`.
+"""The text editor of the page, and the list of findings below it, with their explanations and fixes.
+
+The editor is CodeMirror, which NiceGUI brings, with `editor.js`.
 
 NiceGUI's own element replaces the text of a browser when the server changes it, and loses what was typed
 meanwhile. This one sends the text with the revision that it is based on (`files.py` merges).
@@ -6,21 +8,28 @@ meanwhile. This one sends the text with the revision that it is based on (`files
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import nicegui
+from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
+from deepbots_cli.studio.explain import linked, rule_page
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.language import EditorFinding
+from deepbots_cli.studio.session import Session
 
 _BUNDLE = Path(nicegui.__file__).parent / "elements" / "codemirror" / "dist"
 _ANSWER_S = 5.0
 """The time in s within which the browser tells its text."""
+
+_MAX_FINDINGS = 50
+_LOOK_S, _LOOKS = 0.05, 60
+"""The time in s between two looks whether the text is checked, and the most looks for a fix."""
 
 OnChange = Callable[[Path, int | str, str], OpenFile | None]
 
@@ -69,7 +78,7 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
 
     def underline(self, revision: int, findings: Sequence[EditorFinding]) -> None:
         """Underline findings of a revision."""
-        self.run_method("underline", revision, [_row(finding) for finding in findings])
+        self.run_method("underline", revision, [asdict(finding) for finding in findings])
 
     def go_to(self, line: int, column: int = 0) -> None:
         """Put the cursor at a place, from 0."""
@@ -107,11 +116,71 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
             self.run_method("confirm", path, file.revision, None if file.text == text else file.text)
 
 
-def _row(finding: EditorFinding) -> dict[str, Any]:
-    return {
-        "start": finding.start,
-        "end": finding.end,
-        "severity": finding.severity,
-        "code": finding.code,
-        "message": finding.message,
-    }
+class FindingList:
+    """The findings of the file that one browser shows."""
+
+    def __init__(
+        self,
+        session: Session,
+        editor: Editor,
+        explain: Callable[[str], object],
+    ) -> None:
+        """Create the list. `explain` opens the explanation of a word."""
+        self._session, self._editor, self._explain = session, editor, explain
+        self._shown: tuple[OpenFile, tuple[EditorFinding, ...]] | None = None
+        self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
+
+    def show(self, file: OpenFile, findings: tuple[EditorFinding, ...]) -> None:
+        """Show the findings of a file."""
+        if self._shown == (file, findings):
+            return
+        self._shown = (file, findings)
+        self._list.clear()
+        with self._list:
+            for finding in findings[:_MAX_FINDINGS]:
+                self._add(file, finding)
+
+    async def fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        """Apply a fix to the present text, once it is checked. The finding may have moved since."""
+        language = self._session.language
+        for _ in range(_LOOKS):
+            if language.checked_revision(file.path) == file.revision:
+                break
+            await asyncio.sleep(_LOOK_S)
+        same = (
+            other
+            for other in language.findings(file.path)
+            if (other.code, other.message) == (finding.code, finding.message)
+        )
+        nearest = min(same, key=lambda other: abs(other.start[0] - finding.start[0]), default=finding)
+        fix = next((fix for fix in language.fixes(file, nearest) if fix.title == title), None)
+        if fix is None:
+            self._session.shown.say("the text has changed, and this fix no longer applies")
+        else:
+            lines = file.edit(fix.edits)
+            self._session.edited(file)
+            self._editor.mark_lines(lines)
+
+    def _add(self, file: OpenFile, finding: EditorFinding) -> None:
+        with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
+            with ui.element("details") as details:
+                with ui.element("summary").on("click", lambda: self._editor.go_to(*finding.start)):
+                    ui.label(finding.place).classes("studio-place")
+                    ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
+                    ui.label(finding.message).classes("studio-text-line")
+                body = ui.element("div").classes("studio-explanation")
+            details.on("toggle", lambda: self._fill(body, file, finding))
+            if finding.severity == "error":
+                for fix in self._session.language.fixes(file, finding)[:1]:
+                    self._add_fix(file, finding, fix.title)
+
+    def _fill(self, body: ui.element, file: OpenFile, finding: EditorFinding) -> None:
+        """Fill the explanation of a finding and its fixes when it is opened."""
+        body.clear()
+        with body:
+            for fix in self._session.language.fixes(file, finding):
+                self._add_fix(file, finding, fix.title)
+            linked(self._explain).set_content(rule_page(finding.code))
+
+    def _add_fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        ui.button(title, on_click=lambda: self.fix(file, finding, title)).props("dense outline no-caps")

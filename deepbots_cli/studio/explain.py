@@ -24,7 +24,7 @@ from deepbots_cli.cli.explanations import (
 from deepbots_cli.diagnostics.registry import RULES, matching_rules, retired_rule_message
 from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
-from deepbots_cli.studio.meanings import Meaning, line_link
+from deepbots_cli.studio.language import Meaning, line_link
 
 _PAGES = Path(__file__).parents[2] / "docs"
 """The pages of a clone; an installed package has none."""

@@ -12,17 +12,18 @@ import json
 import os
 import re
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, read_at_most
-from deepbots_cli.lsp.workspace import common_prefix
+from deepbots_cli.lsp.workspace import changed_part
 
 _MAX_REVISIONS = 10_000
 """The number of earlier texts that a late change of a browser can be based on; a browser that was away for a
@@ -51,10 +52,8 @@ class TextEdit(NamedTuple):
 
 def difference(before: str, after: str) -> TextEdit:
     """Return the one edit that turns `before` into `after`, without their common start and end."""
-    start = common_prefix(before, after)
-    shorter = min(len(before), len(after)) - start
-    tail = min(common_prefix(before[::-1], after[::-1]), shorter)
-    return TextEdit(start, len(before) - tail, after[start : len(after) - tail])
+    start, end, end_after = changed_part(before, after)
+    return TextEdit(start, end, after[start:end_after])
 
 
 def changed_lines(before: str, after: str) -> list[int]:
@@ -77,8 +76,8 @@ def edited(text: str, edits: Sequence[TextEdit]) -> str:
 
 
 def merged(base: str, typed: str, other: str) -> str:
-    """Return the text with both changes of `base`, by lines and, within a line that both changed, by words.
-    Where both changed the same word, that of `typed` counts. Two insertions at one place are both kept.
+    """Return the text with both changes of `base`, by lines and, within lines that changed, by words. Where both
+    changed the same word, that of `typed` counts. Two insertions at one place are both kept.
     """
     if typed in (base, other):
         return other
@@ -87,68 +86,32 @@ def merged(base: str, typed: str, other: str) -> str:
     first, second = sorted((difference(base, typed), difference(base, other)))
     if first.end <= second.start and first.start != second.start:
         return edited(base, [first, second])
-    return _merged_tokens(_lines(base), _lines(typed), _lines(other), _merged_words)
+    edits = {(edit.start, edit.end): edit.new for edit in _edits(_lines(base), _lines(typed))}
+    for start, end, new in _edits(_lines(base), _lines(other)):
+        if start == end and (start, end) in edits:
+            edits[start, end] = _both(edits[start, end], new)
+        elif not any(begin < end and start < stop for begin, stop in edits):
+            edits[start, end] = new
+    return edited(base, [TextEdit(*place, new) for place, new in edits.items()])
 
 
-def _merged_words(base: str, typed: str, other: str) -> str:
-    return _merged_tokens(_words(base), _words(typed), _words(other), _merged_word)
-
-
-def _merged_word(base: str, typed: str, other: str) -> str:
-    if base or other in typed:
+def _both(typed: str, other: str) -> str:
+    """Return both insertions, or the one that contains the other one, as if it was sent twice."""
+    if other in typed:
         return typed
     return other if typed in other else typed + other
 
 
-_Merge = Callable[[str, str, str], str]
-
-
-def _merged_tokens(base: list[str], typed: list[str], other: list[str], conflict: _Merge) -> str:
-    """Return the text with both changes; `conflict` merges tokens that both changed."""
-    changes = sorted(
-        (start, end, new, is_typed)
-        for tokens, is_typed in ((typed, True), (other, False))
-        for start, end, new in _replacements(base, tokens)
-    )
-    parts: list[str] = []
-    at = 0
-    while changes:
-        start, end, *_ = changes[0]
-        group = [changes.pop(0)]
-        while changes and (changes[0][0] < end or changes[0][:2] == (start, end)):
-            group.append(changes.pop(0))
-            end = max(end, group[-1][1])
-        parts += base[at:start]
-        versions = [_replaced(base[start:end], start, group, is_typed) for is_typed in (True, False)]
-        before = "".join(base[start:end])
-        if before == versions[0]:
-            parts.append(versions[1])
-        elif before == versions[1]:
-            parts.append(versions[0])
-        else:
-            parts.append(conflict(before, *versions))
-        at = end
-    return "".join([*parts, *base[at:]])
-
-
-_Replacement = tuple[int, int, list[str], bool]
-
-
-def _replacements(before: list[str], after: list[str]) -> list[tuple[int, int, list[str]]]:
-    return [
-        (start, end, after[first:last])
-        for kind, start, end, first, last in SequenceMatcher(None, before, after).get_opcodes()
-        if kind != "equal"
-    ]
-
-
-def _replaced(tokens: list[str], offset: int, changes: Sequence[_Replacement], is_typed: bool) -> str:
-    """Return tokens, which begin at `offset`, after the changes of one side."""
-    tokens = list(tokens)
-    for start, end, new, side in reversed(changes):
-        if side == is_typed:
-            tokens[start - offset : end - offset] = new
-    return "".join(tokens)
+def _edits(before: list[str], after: list[str], offset: int = 0, *, words: bool = True) -> Iterator[TextEdit]:
+    """Yield the edits that turn lines into others, or else words; with `words`, changed lines are compared by
+    them. `before` begins at `offset`."""
+    places = list(accumulate(map(len, before), initial=offset))
+    for kind, start, end, first, last in SequenceMatcher(None, before, after).get_opcodes():
+        old, new = "".join(before[start:end]), "".join(after[first:last])
+        if kind == "replace" and words:
+            yield from _edits(_words(old), _words(new), places[start], words=False)
+        elif kind != "equal":
+            yield TextEdit(places[start], places[end], new)
 
 
 def _lines(text: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The language of scenarios in the editor: findings, completion, hover and fixes.
+"""The language of scenarios in the editor: findings, completion, hover, fixes, and what a word of the text means.
 
 The functions are those of the language server. Positions count lines from 0 and columns in UTF-16 units, as
 they do in its protocol and in the editor of the page.
@@ -6,7 +6,8 @@ they do in its protocol and in the editor of the page.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,12 +16,12 @@ from typing import Any
 from lsprotocol import types
 
 from deepbots_cli.document import MappingNode, Permissions
-from deepbots_cli.document.edits import assigned_text, removal_fix
+from deepbots_cli.document.layout import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.nodes import NodePath, entries_at
-from deepbots_cli.insight.suggestions import Suggestion, suggestions
+from deepbots_cli.insight.suggestions import Suggestion, properties, suggestions
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.hover import definitions, hover, references
 from deepbots_cli.lsp.server import Checker, CodeActions
 from deepbots_cli.lsp.workspace import (
     CursorView,
@@ -28,11 +29,13 @@ from deepbots_cli.lsp.workspace import (
     DocumentAnalysis,
     Workspace,
     analyze,
+    document_symbols,
     uri_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
-from deepbots_cli.studio.meanings import Meaning, meaning, names_like
 
+_WORD = re.compile(r"[^\W_]+")
+_MAX_USES = 12
 _NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
 
 
@@ -65,6 +68,33 @@ class EditorFix:
     edits: tuple[TextEdit, ...]
 
 
+@dataclass(frozen=True)
+class Meaning:
+    """What the word at a place means.
+
+    Attributes:
+        word: The word.
+        text: The hover text (Markdown); empty without one.
+        definitions, uses: Places as Markdown, with links to the lines of the same file; without the place of
+            the word itself.
+    """
+
+    word: str
+    text: str = ""
+    definitions: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
+
+    def markdown(self) -> str:
+        """Return the meaning as Markdown; empty if nothing is known about the word."""
+        parts = [self.text] if self.text else []
+        if self.definitions:
+            parts.append(f"Defined in {', '.join(self.definitions)}.")
+        if self.uses:
+            parts.append("Used in:")
+            parts.append("\n".join(f"- {use}" for use in self.uses))
+        return "\n\n".join(parts)
+
+
 class Language:
     """The open files as the language server sees them; call it in one thread with an event loop."""
 
@@ -85,18 +115,18 @@ class Language:
 
     def update(self, file: OpenFile) -> None:
         """Analyze the present text of a file soon."""
-        document = self._put(file)
-        dependents = self._workspace.dependents(document)
-        uris = [document.uri] if document.is_scenario or not dependents else []
-        self._checker.schedule(*uris, *dependents)
+        uri = uri_of(file.path)
+        present = self._workspace.documents.get(uri)
+        if present is None or (present.text, present.version) != (file.text, file.revision):
+            present = Document(uri, file.revision, file.text, file.path)
+        self._checker.put(present)
 
     def update_all(self) -> None:
         """Analyze all open files again, because a file that they read has changed."""
         self._checker.schedule(*self._workspace.documents)
 
     def remove(self, path: Path) -> None:
-        self._workspace.remove(uri_of(path))
-        self._checker.retract(uri_of(path))
+        self._checker.remove(uri_of(path))
 
     def findings(self, path: Path) -> tuple[EditorFinding, ...]:
         """Return the findings of the last analysis of a file, errors first."""
@@ -237,16 +267,6 @@ class Language:
             document = Document(uri, -1, text, path)
         return self._workspace.view_of(document, types.Position(line, column))
 
-    def _put(self, file: OpenFile) -> Document:
-        """Return the document of a file, the one that is open if the text has not changed."""
-        uri = uri_of(file.path)
-        present = self._workspace.documents.get(uri)
-        if present is not None and (present.text, present.version) == (file.text, file.revision):
-            return present
-        document = Document(uri, file.revision, file.text, file.path)
-        self._workspace.put(document)
-        return document
-
     def _publish(self, uri: str, version: int | None, shown: list[types.Diagnostic]) -> None:
         document = self._workspace.documents.get(uri)
         if document is None:
@@ -314,3 +334,53 @@ def _utf16(text: str) -> str:
     if text.isascii():
         return text
     return "".join("xx" if ord(character) > 0xFFFF else "x" for character in text)
+
+
+def meaning(view: CursorView, word: str) -> Meaning:
+    """Return what the word at a place means."""
+    shown = hover(view)
+    text = shown.contents.value if shown is not None and hasattr(shown.contents, "value") else ""
+    if view.analysis is None:
+        return Meaning(word, text)
+    line_of_word = view.document.lines.range(view.offset, view.offset).start.line
+
+    def lines_of(places: list[types.Location]) -> list[int]:
+        lines = {place.range.start.line: None for place in places if place.uri == view.document.uri}
+        return [line for line in lines if line != line_of_word]
+
+    texts = view.document.plain.split("\n")
+    uses = [(line, texts[line]) for line in lines_of(references(view, {}))]
+    return Meaning(
+        word,
+        text,
+        tuple(map(_link, lines_of(definitions(view, {})))),
+        tuple(_link(line, text) for line, text in uses[:_MAX_USES]),
+    )
+
+
+def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
+    """Return the names of a text that have a word of a phrase, with the line of each, from 0; first those
+    with the most words of it."""
+    words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2} | properties(phrase)
+    names: dict[str, int] = {}
+
+    def read(symbols: Iterable[object]) -> None:
+        for symbol in symbols:
+            name = str(getattr(symbol, "name", ""))
+            if words & set(_WORD.findall(name.lower())):
+                names.setdefault(name, symbol.selection_range.start.line)  # type: ignore[attr-defined]
+            read(getattr(symbol, "children", None) or ())
+
+    read(document_symbols(document))
+    common = {name: len(words & set(_WORD.findall(name.lower()))) for name in names}
+    return sorted(names.items(), key=lambda item: -common[item[0]])
+
+
+def line_link(line: int) -> str:
+    """Return a link to a line (from 0) of the shown file."""
+    return f"[line {line + 1}](#line:{line + 1})"
+
+
+def _link(line: int, text: str = "") -> str:
+    quoted = text.strip().replace("`", "'")
+    return f"{line_link(line)}: `{quoted}`" if quoted else line_link(line)

@@ -12,19 +12,15 @@ from nicegui import ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.suggestions import Suggestion
-from deepbots_cli.studio.dialogs import Kind, compare_versions, new_scenario
-from deepbots_cli.studio.editor import Editor
+from deepbots_cli.studio.dialogs import Kind, StartPage, compare_versions, new_scenario
+from deepbots_cli.studio.editor import Editor, FindingList
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.finding_list import FindingList
-from deepbots_cli.studio.layout import ICONS, Division, Notices
-from deepbots_cli.studio.meanings import Meaning
-from deepbots_cli.studio.outputs import CommandTab
+from deepbots_cli.studio.language import Meaning
+from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
-from deepbots_cli.studio.session import HAS_ERRORS, Session
-from deepbots_cli.studio.shown import TABS, Topic
-from deepbots_cli.studio.start import StartPage
+from deepbots_cli.studio.session import HAS_ERRORS, TABS, Session, Topic
 from deepbots_cli.studio.training_tab import TrainingTab
 from deepbots_cli.words import counted
 

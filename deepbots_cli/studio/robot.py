@@ -5,17 +5,16 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.processes import Process
 from deepbots_cli.studio.robot_process import Command, RobotRequest, RobotState
 
-_MAX_LINE_BYTES = 1 << 20
 _FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
 """The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
 both cores, and a letter typed in the text was shown after a second."""
@@ -40,8 +39,9 @@ class Robot:
     def __init__(self, permissions: Permissions, on_change: Callable[[], None]) -> None:
         """`on_change` is called after each change of the attributes."""
         self._permissions, self._on_change = permissions, on_change
-        self._process: asyncio.subprocess.Process | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._process: Process | None = None
+        self._starts = 0
+        """The number of processes so far; the news of earlier ones are late."""
         self._loads = 0
         self._deadline: float | None = None
         self.reference = self.address = ""
@@ -122,125 +122,91 @@ class Robot:
         else:
             self._send(Command(verb="restart"))
 
-    async def close(self) -> None:
+    def close(self) -> None:
         """End the process."""
-        await _canceled(list(self._tasks))
-        await self._end()
+        process, self._process = self._process, None
+        self._starts += 1
+        if process is not None:
+            process.end()
 
     def _start(self) -> None:
-        previous = list(self._tasks)
-
-        async def run() -> None:
-            await _canceled(previous)
-            await self._end()
-            await self._run()
-
-        self.state, self.address, self.problem = None, "", ""
-        task = asyncio.get_running_loop().create_task(run())
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        """Start a process in place of the present one."""
+        self.close()
+        self.problem = ""
+        self._open_process()
         self._on_change()
 
-    async def _run(self) -> None:
-        """Run the process, and start it again after a crash."""
-        while self.crashes < _MAX_CRASHES:
-            self.state, self.address = None, ""
-            try:
-                process = self._process = await _open_process()
-            except OSError as error:
-                self.problem = f"the simulation cannot be started: {error.strerror}"
-                break
-            request = RobotRequest(
-                reference=self.reference,
-                driver=self.driver,
-                allow_paths=tuple(map(str, self._permissions.folders)),
-                allow_code=self._permissions.code,
-                frame_rate=self.frame_rate,
+    def _open_process(self) -> None:
+        self.state, self.address = None, ""
+        request = RobotRequest(
+            reference=self.reference,
+            driver=self.driver,
+            allow_paths=tuple(map(str, self._permissions.folders)),
+            allow_code=self._permissions.code,
+            frame_rate=self.frame_rate,
+        )
+        self._starts += 1
+        loop, number = asyncio.get_running_loop(), self._starts
+
+        def tell(act: Callable[..., None], news: object) -> None:
+            with suppress(RuntimeError):  # the server has ended
+                loop.call_soon_threadsafe(act, number, news)
+
+        try:
+            self._process = Process(
+                "deepbots_cli.studio.robot_process",
+                hear=lambda line: tell(self._hear, line),
+                on_end=lambda code: tell(self._ended, code),
+                quiet=True,
             )
-            self._write(f"{request.model_dump_json()}\n")
-            self._ask(1)
-            await self._listen(process)
-            code = await process.wait()
-            self._process = self._deadline = None
-            if self.state is not None and self.state.state == "failed":
-                self.problem = self.state.text
-                break
-            self.state = None
-            self.crashes += 1
-            if self.crashes < _MAX_CRASHES:
-                self.problem = (
-                    f"the process of the simulation ended ({_ended_by(code)}); it was started again"
-                )
-                self._on_change()
+        except OSError as error:
+            self.problem = f"the simulation cannot be started: {error.strerror}"
+            return
+        self._process.send(f"{request.model_dump_json()}\n".encode())
+        self._ask(1)
+
+    def _hear(self, number: int, line: bytes) -> None:
+        """Take a state that a process has sent."""
+        if number != self._starts:
+            return
+        try:
+            state = RobotState.model_validate_json(line)
+        except ValidationError:  # a print of a library
+            return
+        is_newest = state.loaded >= self._loads
+        if self.state is None and not is_newest and state.state != "failed":
+            return  # of what was shown before
+        self.state, self.address = state, state.address
+        if is_newest:
+            self._deadline, self.problem = None, ""
+        self._on_change()
+
+    def _ended(self, number: int, code: int) -> None:
+        """Start the process again after a crash."""
+        if number != self._starts:
+            return
+        state, self._process, self._deadline = self.state, None, None
+        self.state, self.address = None, ""
+        if state is not None and state.state == "failed":
+            self.problem = state.text
         else:
+            self.crashes += 1
+            self._recover(code)
+        self._on_change()
+
+    def _recover(self, code: int) -> None:
+        """Start the process again, unless it has crashed too often."""
+        if self.crashes == _MAX_CRASHES:
             self.problem = (
                 f"the process of the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
             )
-        self.state, self.address = None, ""
-        self._on_change()
-
-    async def _listen(self, process: asyncio.subprocess.Process) -> None:
-        """Take the states that the process sends, until it ends."""
-        assert process.stdout is not None
-        while True:
-            try:
-                line = await process.stdout.readline()
-            except ValueError:  # longer than the limit
-                continue
-            if not line:
-                return
-            try:
-                state = RobotState.model_validate_json(line)
-            except ValidationError:  # a print of a library
-                continue
-            is_newest = state.loaded >= self._loads
-            if self.state is None and not is_newest and state.state != "failed":
-                continue  # of what was shown before
-            self.state, self.address = state, state.address
-            if is_newest:
-                self._deadline, self.problem = None, ""
-            self._on_change()
+        else:
+            self.problem = f"the process of the simulation ended ({_ended_by(code)}); it was started again"
+            self._open_process()
 
     def _send(self, command: Command) -> None:
-        self._write(f"{command.model_dump_json()}\n")
-
-    def _write(self, line: str) -> None:
-        if self._process is not None and self._process.stdin is not None:
-            with suppress(OSError, RuntimeError):  # it has just ended
-                self._process.stdin.write(line.encode())
-
-    async def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is not None and process.returncode is None:
-            with suppress(ProcessLookupError):
-                process.kill()
-            await process.wait()
-
-
-async def _canceled(tasks: Sequence[asyncio.Task[None]]) -> None:
-    """Cancel tasks, and wait until they have ended."""
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _open_process() -> asyncio.subprocess.Process:
-    opening = asyncio.ensure_future(
-        asyncio.create_subprocess_exec(
-            *python_command("deepbots_cli.studio.robot_process"),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-            env=python_environment(),
-            limit=_MAX_LINE_BYTES,
-        )
-    )
-    try:
-        # Python 3.11 can wait forever for a process whose opening was canceled.
-        return await asyncio.shield(opening)
-    except asyncio.CancelledError:
-        (await opening).kill()
-        raise
+        if self._process is not None:
+            self._process.send(f"{command.model_dump_json()}\n".encode())
 
 
 def _ended_by(code: int) -> str:

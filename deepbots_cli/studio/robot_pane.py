@@ -9,11 +9,12 @@ from pathlib import Path
 from nicegui import ui
 
 from deepbots_cli.rollout.drivers import HAND
-from deepbots_cli.studio.gate import ROBOT_PATH
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.robot_process import RobotState
 from deepbots_cli.studio.session import Session
 
+ROBOT_PATH = "/robot/"
+"""The path of the page of the robot, which its process serves."""
 DRAWS = """(() => {
   const gl = document.createElement("canvas").getContext("webgl2");
   const names = gl?.getExtension("WEBGL_debug_renderer_info");
@@ -30,7 +31,7 @@ KEYS = """<script>addEventListener("keydown", (event) => {
 const markKeys = () => setTimeout(() => document.documentElement.classList.toggle(
   "studio-robot-has-keys", document.activeElement?.classList.contains("studio-frame")));
 for (const name of ["focus", "blur", "focusin"]) addEventListener(name, markKeys);</script>"""
-"""The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead
+"""The key that leads into the page of the robot, which Tab passes over; `server.py` has the keys that lead
 out. A class of the page says where the keys go, because the browser does not apply `:focus` to a frame."""
 _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _CLOSING_MS = 300

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.processes import message_streams
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.page import Page
@@ -97,7 +98,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     evaluations: tuple[float, ...] = ()
 
 
-def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
+def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[bytes]) -> None:
     """Serve the page until the commands end."""
     permissions = Permissions(tuple(map(Path, request.allow_paths)), code=request.allow_code)
     page = Page(
@@ -144,7 +145,7 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
             text = _state(page, loaded).model_dump_json()
             if text != shown:
                 shown = text
-                print(text, file=output, flush=True)
+                _send(output, text)
         return False
 
     try:
@@ -197,15 +198,19 @@ def _state(page: Page, loaded: int) -> RobotState:
     )
 
 
+def _send(output: IO[bytes], text: str) -> None:
+    output.write(f"{text}\n".encode())
+    output.flush()
+
+
 def main() -> int:
     """Serve what the first line of standard input requests."""
-    lines = iter(sys.stdin.buffer.readline, b"")
-    # Only states are written to standard output; prints of others go to standard error.
-    output, sys.stdout = sys.stdout, sys.stderr
+    source, output = message_streams()
+    lines = iter(source.readline, b"")
     try:
         serve(RobotRequest.model_validate_json(next(lines)), lines, output)
     except DeepbotsError as error:
-        print(RobotState(state="failed", text=str(error)).model_dump_json(), file=output, flush=True)
+        _send(output, RobotState(state="failed", text=str(error)).model_dump_json())
         return 1
     except KeyboardInterrupt:
         return 130

@@ -7,7 +7,7 @@ import json
 import re
 import shlex
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import replace
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,14 @@ from nicegui import events, ui
 
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.runs.changes import TIMESTEPS, changed_values
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values
 from deepbots_cli.rollout.drivers import POLICY
-from deepbots_cli.studio.charts import comparison_chart
-from deepbots_cli.studio.commands import RUNS_FOLDER, title_of
-from deepbots_cli.studio.outputs import Result, text_with_code
+from deepbots_cli.studio.commands import RUNS_FOLDER, Task, title_of
+from deepbots_cli.studio.layout import Result, text_with_code
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import Task
-from deepbots_cli.studio.trainings import Curves, read_curves, result_text, solved_return
+from deepbots_cli.studio.trainings import comparison_chart, read_training, result_text, solved_return
+from deepbots_cli.view.training_logs import TrainingLog
 
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
 """A command in the text of an advice."""
@@ -98,7 +97,7 @@ class RunsTab:
         self._session, self._shown = session, session.shown
         self._write_advice, self._train = write_advice, train
         self._is_dark = False
-        self._compared: tuple[ui.echart, dict[str, Curves]] | None = None
+        self._compared: tuple[ui.echart, dict[str, TrainingLog]] | None = None
         self._names: set[str] = set()
         self._columns = [
             {"name": name, "field": name, "label": label, "align": align, "sortable": True, **more}
@@ -150,9 +149,9 @@ class RunsTab:
         """Draw the curves of a comparison in other colors."""
         self._is_dark = dark
         if self._compared is not None:
-            chart, curves = self._compared
+            chart, logs = self._compared
             chart.options.clear()
-            chart.options.update(comparison_chart(curves, dark=dark))
+            chart.options.update(comparison_chart(logs, dark=dark))
             chart.update()
 
     def close_result(self) -> None:
@@ -270,7 +269,11 @@ class RunsTab:
         place = self._fill(f"Comparison of {one.name} and {other.name}", one, other)
         task = self._session.commands.run(["compare", str(one), str(other)])
         runs = await asyncio.to_thread(lambda: [read_listed(folder / path) for path in (one, other)])
-        curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in (one, other)}
+        logs = {
+            path.name: log
+            for path in (one, other)
+            if (log := await asyncio.to_thread(_log_or_none, folder / path)) is not None
+        }
         differences = await asyncio.to_thread(_differences, folder / one, folder / other)
         if not self._result.shows(place):  # it was closed, or shows something newer
             return
@@ -282,8 +285,8 @@ class RunsTab:
                 with ui.element("div"):
                     ui.label("On the same starts: ").classes("studio-inline")
                     sentence = ui.label("").classes("studio-inline")
-            chart = ui.echart(comparison_chart(curves, dark=self._is_dark))
-            self._compared = chart.classes("studio-chart studio-compared"), curves
+            chart = ui.echart(comparison_chart(logs, dark=self._is_dark))
+            self._compared = chart.classes("studio-chart studio-compared"), logs
         self._result.watch(task, place, sentence)
 
     async def diagnose(self, path: Path) -> None:
@@ -442,8 +445,10 @@ def _differences(one: Path, other: Path) -> str:
     return f"{other.name} differs from {one.name} in {'; '.join(map(str, values)) or 'nothing'}."
 
 
-def _curves_or_none(run: Path) -> Curves:
-    try:
-        return replace(read_curves(run), solved_return=solved_return(run))
-    except DeepbotsError:
-        return Curves()
+def _log_or_none(run: Path) -> TrainingLog | None:
+    with suppress(DeepbotsError):
+        log = read_training(run)
+        if log is not None:
+            log.solved_return = solved_return(run)
+        return log
+    return None

@@ -11,12 +11,11 @@ from nicegui import ui
 
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import duration
-from deepbots_cli.studio.charts import training_chart
-from deepbots_cli.studio.layout import ICONS
-from deepbots_cli.studio.outputs import Result
+from deepbots_cli.studio.layout import ICONS, Result
 from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.trainings import Curves, result_text, score_text
+from deepbots_cli.studio.trainings import result_text, score_text, training_chart
+from deepbots_cli.view.training_logs import TrainingLog
 
 Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
@@ -156,29 +155,29 @@ class TrainingTab:
                 else ""
             )
             self._drawn = None
-            self._draw(Curves(), has_successes=False)
+            self._draw(None, has_successes=False)
             return
         activity = task.activity if task is not None and is_running else ""
         if is_running and not activity and (run.state == "finished" or training.stands_still):
             activity = "evaluating ..." if task is not None and task.output() else "starting ..."
         text = training.problem or status(run, None if activity else training.seconds_left)
         self._text.set_text(", ".join(filter(None, (f"{run.path.name}: {text}", activity))))
-        key = (run.path, training.curves, self._is_dark)
+        key = (run.path, training.log, self._is_dark)
         if key != self._drawn:
             self._drawn = key
-            self._draw(training.curves, has_successes=run.success_rate is not None)
+            self._draw(training.log, has_successes=run.success_rate is not None)
 
-    def _draw(self, curves: Curves, *, has_successes: bool) -> None:
+    def _draw(self, log: TrainingLog | None, *, has_successes: bool) -> None:
         """Draw the curves; without returns, there is no chart."""
-        self._note.set_text(
-            _EXPLORING + (" A click on a gray name draws a reward term." if len(curves.terms) > 1 else "")
-        )
-        self._note.set_visibility(bool(curves.returns and curves.evaluations))
-        options = training_chart(curves, has_successes=has_successes, dark=self._is_dark)
-        if not curves.returns:
+        self._note.set_visibility(log is not None and log.evaluations is not None)
+        if log is None:
             self._chart_place.clear()
             self._chart = None
-        elif self._chart is None:
+            return
+        gray = " A click on a gray name draws a reward term." if len(log.terms) > 1 else ""
+        self._note.set_text(f"{_EXPLORING}{gray}")
+        options = training_chart(log, has_successes=has_successes, dark=self._is_dark)
+        if self._chart is None:
             with self._chart_place:
                 self._chart = ui.echart(options).classes("studio-chart")
         else:

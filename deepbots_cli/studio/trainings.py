@@ -1,22 +1,25 @@
-"""The learning curves of trainings, and the time that is left, read from the files of runs while they
-train."""
+"""What files say about trainings: their learning curves, as ECharts draws them, the time that is left, their results,
+and what each changed against the one before it."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
+from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
 from deepbots_cli.rollout.source import folder_kind
-from deepbots_cli.view.training_logs import read_logs
+from deepbots_cli.view.training_logs import Curve, TrainingLog, read_logs
 from deepbots_cli.words import number_text, rate_text
 
 MAX_POINTS = 400
@@ -26,60 +29,38 @@ _COST_FACTOR = 25.0
 """The time between two reads over the CPU time of a read: reading takes at most 4 % of a core."""
 _SPEED_WINDOW_S = 30.0
 _STILL_S = 5.0
-
-Point = tuple[float, float | None]
-"""The timesteps and the value; None where a line breaks."""
-
-
-@dataclass(frozen=True)
-class Curves:
-    """The lines of a learning curve, as points over the timesteps.
-
-    Attributes:
-        returns: Mean returns of the last 100 episodes.
-        successes: Shares of successes of the last 100 episodes; empty without successes.
-        evaluations, evaluated_successes: Means of each evaluation.
-        terms: Mean sums of each reward term over an episode.
-        stages: The stages of the curriculum, with the timesteps at their beginning.
-        solved_return: The mean return with which the task is solved, None if there is none.
-        planned: The timesteps of the whole training while it runs, otherwise 0.
-    """
-
-    returns: tuple[Point, ...] = ()
-    successes: tuple[Point, ...] = ()
-    evaluations: tuple[Point, ...] = ()
-    evaluated_successes: tuple[Point, ...] = ()
-    terms: dict[str, tuple[Point, ...]] = field(default_factory=dict)
-    stages: tuple[tuple[str, float], ...] = ()
-    solved_return: float | None = None
-    planned: float = 0.0
-
-    @property
-    def last_step(self) -> float:
-        """The timesteps at the end of the axis."""
-        return max([self.planned, *(at for at, _ in (*self.returns, *self.evaluations))])
+_MAX_RUNS = 40
+"""The number of runs, the newest ones, that are compared: a comparison compiles both scenarios."""
+_COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colors that people with any color vision tell apart (Okabe and Ito)."""
+_COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
+_GRID_COLOR = "rgba(128, 128, 128, 0.3)"
+_Kind = Literal["line", "dashes", "marks"]
+_ICONS: dict[_Kind, str] = {
+    "line": "path://M0 5h24v3h-24z",
+    "dashes": "path://M0 5h6v3h-6zM9 5h6v3h-6zM18 5h6v3h-6z",
+    "marks": "circle",
+}
+"""The icon of each kind of line in the legend. By default, ECharts shows a circle for all of them."""
+_MARGIN = "8%"
+"""The distance of the lowest and the highest point from the ends of an axis, of the range of the points."""
 
 
-def read_curves(run: Path) -> Curves:
-    """Read the curves of a run; empty before its first episode has ended.
+# Results
+
+
+def read_training(run: Path) -> TrainingLog | None:
+    """Read the log of a run; None before its first episode has ended.
 
     Raises:
         RunError: The run is damaged.
     """
     try:
-        log = read_logs([run])[0]
+        return read_logs([run])[0]
     except RunError:
         if (run / "monitor.csv").exists() and read_listed(run).episodes:
             raise
-        return Curves()
-    return Curves(
-        returns=_points(log.returns),
-        successes=_points(log.successes),
-        evaluations=_points(log.evaluations),
-        evaluated_successes=_points(log.evaluated_successes) if log.successes is not None else (),
-        terms={name: _points(curve) for name, curve in log.terms.items()},
-        stages=tuple((stage.name, stage.steps) for stage in log.stages),
-    )
+        return None
 
 
 def result_text(run: ListedRun) -> str:
@@ -110,31 +91,20 @@ def solved_return(run: Path) -> float | None:
     return None
 
 
-def _points(curve: Any) -> tuple[Point, ...]:
-    if curve is None:
-        return ()
-    steps, values = curve
-    evenly = np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int)
-    indices = np.union1d(evenly, np.flatnonzero(~np.isfinite(values)))  # with all breaks
-    return tuple(
-        (float(steps[at]), float(f"{values[at]:.6g}") if np.isfinite(values[at]) else None) for at in indices
-    )
-
-
 class WatchedTraining:
     """A run whose curve is shown, read again while it trains.
 
     Attributes:
         path: The run directory, which may not exist yet.
         listed: Its state and results; None until it exists.
-        curves: Its curves.
+        log: Its curves; None before its first episode has ended.
         problem: The reason why its files cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.listed: ListedRun | None = None
-        self.curves = Curves()
+        self.log: TrainingLog | None = None
         self.problem = ""
         self._steps: tuple[tuple[float, int], ...] = ()  # replaced as a whole: another thread reads it
         self._due, self._took = 0.0, 0.0
@@ -170,9 +140,11 @@ class WatchedTraining:
             return
         listed = read_listed(self.path)
         try:
-            planned = float(listed.total_timesteps or 0) if listed.state == "training" else 0.0
-            curves = replace(read_curves(self.path), solved_return=self._goal, planned=planned)
-            self.curves, self.problem = curves, listed.problem or ""
+            log = read_training(self.path)
+            if log is not None:
+                log.solved_return = self._goal
+                log.planned_steps = float(listed.total_timesteps or 0) if listed.state == "training" else 0.0
+            self.log, self.problem = log, listed.problem or ""
         except RunError as error:
             self.problem = str(error)
         self.listed = listed
@@ -192,3 +164,213 @@ class WatchedTraining:
     def watch_again(self) -> None:
         """Read the files again soon, because a command works on the run."""
         self._ended, self._due = False, 0.0
+
+
+@dataclass(frozen=True)
+class RunChange:
+    """The begin of a run, in s since 1970, and what it changed against the run of this scenario before it."""
+
+    started: float
+    text: str
+
+
+class RunChanges:
+    """The changes of the runs of a folder; each pair of runs is compared once."""
+
+    def __init__(self) -> None:
+        self._started: dict[Path, float] = {}
+        self._texts: dict[tuple[object, ...], str] = {}
+
+    def read(self, runs: Sequence[ListedRun]) -> dict[Path, RunChange]:
+        """Return the change of each single run; call it in a thread."""
+        single = [run for run in runs if not run.runs and run.problem is None]
+        begun = {run.path: self._started.get(run.path) or _started(run.path) for run in single}
+        self._started = begun
+        last: dict[str, ListedRun] = {}
+        changes: dict[Path, RunChange] = {}
+        opened: dict[Path, Run] = {}
+        for run in sorted(single, key=lambda run: begun[run.path])[-_MAX_RUNS:]:
+            before = last.get(run.scenario)
+            text = "first run" if before is None else self._compared(before, run, opened)
+            changes[run.path] = RunChange(begun[run.path], text)
+            last[run.scenario] = run
+        return changes
+
+    def _compared(self, before: ListedRun, run: ListedRun, opened: dict[Path, Run]) -> str:
+        # A resumed training has more timesteps.
+        key = tuple((side.path, side.digest, side.total_timesteps) for side in (before, run))
+        if key not in self._texts:
+            try:
+                self._texts[key] = self._text(before, run, opened)
+            except (DeepbotsError, OSError):
+                self._texts[key] = "cannot be compared"
+        return self._texts[key]
+
+    def _text(self, before: ListedRun, run: ListedRun, opened: dict[Path, Run]) -> str:
+        for side in (before, run):
+            if side.path not in opened:
+                opened[side.path] = Run.open(side.path)
+        return listed_values(changed_values(opened[before.path], opened[run.path])) or "nothing"
+
+
+def _started(path: Path) -> float:
+    """Return the time at which a training began, in s since 1970; 0 if its record cannot be read."""
+    try:
+        return started(RunRecord.read(path))
+    except DeepbotsError:
+        return 0.0
+
+
+# Charts
+
+
+def training_chart(log: TrainingLog, *, has_successes: bool, dark: bool) -> dict[str, Any]:
+    """Return the chart of a training as ECharts takes it."""
+    lines = [
+        _line("return in training", log.returns, 0),
+        _line("evaluated return", log.evaluations, 0, "marks"),
+    ]
+    has_successes = has_successes or log.successes is not None
+    if has_successes:
+        lines += [
+            _line("success in training", log.successes, 1),
+            _line("evaluated success", log.evaluated_successes, 1, "marks"),
+        ]
+    # A single term is the return itself.
+    shown_terms = log.terms if len(log.terms) > 1 else {}
+    terms = [_line(name, curve, 0, "dashes") for name, curve in shown_terms.items()]
+    stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in log.stages[1:]]
+    options = _chart([*lines, *_goals([log], dark=dark), *terms], [log], has_successes, dark)
+    if stages:
+        text = {"color": options["legend"]["textStyle"]["color"]}
+        lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True, "label": text}
+    options["legend"]["selected"] = {line["name"]: False for line in terms}
+    return options
+
+
+def comparison_chart(logs: dict[str, TrainingLog], *, dark: bool) -> dict[str, Any]:
+    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
+    lines = []
+    by_length = sorted(logs, key=lambda name: logs[name].last_step, reverse=True)
+    for color, (name, log) in zip(_COLORS_ON_DARK if dark else _COLORS, logs.items(), strict=False):
+        for line in (
+            _line(name, log.returns, 0),
+            _line(name, log.evaluations, 0, "marks"),
+            _line(f"{name} success", log.successes, 1, "dashes"),
+        ):
+            # Runs with the same seed may begin alike, so the shorter run is drawn over the longer one.
+            lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
+    has_successes = any(log.successes is not None for log in logs.values())
+    return _chart([*lines, *_goals(logs.values(), dark=dark)], logs.values(), has_successes, dark)
+
+
+def _chart(
+    lines: list[dict[str, Any]], logs: Collection[TrainingLog], has_successes: bool, dark: bool
+) -> dict[str, Any]:
+    """Return a chart with axes for these trainings. Lines without points are left out."""
+    lines = [line for line in lines if line["data"]]
+    kinds = {line["name"]: line["kind"] for line in reversed(lines)}  # the evaluations of a run have its name
+    text = {"color": "#cccccc" if dark else "#444444"}
+    axis = {
+        "nameLocation": "middle",
+        "axisLabel": {**text, "hideOverlap": True},
+        "nameTextStyle": text,
+        "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
+    }
+    return {
+        "color": list(_COLORS_ON_DARK if dark else _COLORS),
+        "animation": False,
+        "grid": {"left": 66, "right": 66 if has_successes else 34, "top": 44, "bottom": 36},
+        "tooltip": {
+            "trigger": "axis",
+            "backgroundColor": "#2a2f39" if dark else "#ffffff",
+            "borderColor": _GRID_COLOR,
+            "textStyle": {"color": "#eeeeee" if dark else "#333333", "fontSize": 12},
+        },
+        "legend": {
+            "type": "scroll",
+            "top": 8,
+            "itemHeight": 8,
+            "textStyle": text,
+            "inactiveColor": "#666666" if dark else "#bbbbbb",
+            "data": [{"name": name, "icon": _ICONS[kind]} for name, kind in reversed(kinds.items())],
+        },
+        "xAxis": {
+            "type": "value",
+            "name": "timesteps",
+            "nameGap": 22,
+            "axisPointer": {"label": {"precision": 0}},
+            "max": max((log.last_step for log in logs), default=0.0) or None,
+            **axis,
+        },
+        "yAxis": [
+            {"type": "value", "name": "return", "nameGap": 46, **_range(logs), **axis},
+            {
+                "type": "value",
+                "name": "success %",
+                "nameGap": 40,
+                "min": 0,
+                "max": 100,
+                **axis,
+                "splitLine": {"show": False},
+                "show": has_successes,
+            },
+        ],
+        "series": lines,
+    }
+
+
+def _range(logs: Iterable[TrainingLog]) -> dict[str, Any]:
+    """Return the options of an axis of returns: its range has a margin, and begins at 0 if no value is
+    negative.
+
+    ECharts merges new options into those before and rounds the range to whole ticks. Limits that only some
+    options have would stay and cut off later points.
+    """
+    curves = (curve for log in logs for curve in log.curves("mean_return") if curve is not None)
+    has_negative = any((values < 0).any() for _, values in curves)
+    return {"scale": has_negative, "boundaryGap": [_MARGIN if has_negative else 0, _MARGIN]}
+
+
+def _goals(logs: Iterable[TrainingLog], *, dark: bool) -> list[dict[str, Any]]:
+    """Return a horizontal line at each mean return with which a task is solved. It is a line of its own,
+    because a line of marks neither extends an axis nor has an entry in the legend."""
+    ends = {log.solved_return: log.last_step for log in sorted(logs, key=lambda log: log.last_step)}
+    return [
+        {
+            **_line(f"solved: {goal:g}", (np.array([0.0, end]), np.array([goal, goal])), 0, "dashes"),
+            "itemStyle": {"color": "#b8b8b8" if dark else "#5c5c5c"},
+            "silent": True,
+        }
+        for goal, end in ends.items()
+        if goal is not None and end
+    ]
+
+
+def _line(name: str, curve: Curve | None, axis: int, kind: _Kind = "line") -> dict[str, Any]:
+    """Return a line over the axis of returns (0) or of successes in percent (1)."""
+    return {
+        "name": name,
+        "type": "line",
+        "kind": kind,
+        "yAxisIndex": axis,
+        "data": [] if curve is None else _points(curve, 100.0 if axis else 1.0),
+        "showSymbol": kind == "marks",
+        "symbol": "circle",
+        "symbolSize": 7,
+        "lineStyle": {
+            "type": "dashed" if kind == "dashes" else "solid",
+            "width": 1.2 if kind == "marks" else 2,
+        },
+    }
+
+
+def _points(curve: Curve, factor: float) -> list[tuple[float, float | None]]:
+    """Return timesteps and values times a factor, evenly over the curve; None where it breaks."""
+    steps, values = curve
+    evenly = np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int)
+    indices = np.union1d(evenly, np.flatnonzero(~np.isfinite(values)))  # with all breaks
+    return [
+        (float(steps[at]), float(f"{factor * values[at]:.6g}") if np.isfinite(values[at]) else None)
+        for at in indices
+    ]

@@ -27,10 +27,10 @@ from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
 from deepbots_cli.program import RANDOM, ZERO, Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.batch_worlds import BatchEpisodes
 from deepbots_cli.rollout.drivers import HAND, POLICY, RECORDED, ROBOT, action_from_values, named_driver
-from deepbots_cli.rollout.robot_logs import RobotLog, is_robot_log
+from deepbots_cli.rollout.recordings import RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
@@ -193,8 +193,8 @@ class RunDriver(Driver):
     ) -> None:
         """Load the policy. In a `batch`, one forward pass acts in all worlds."""
         try:
-            from deepbots_cli.learning import evaluation
-            from deepbots_cli.learning.model_files import steps_of
+            from deepbots_cli.learning.policy import load_model
+            from deepbots_cli.learning.runs.run import steps_of
             from deepbots_cli.rollout.policies import PolicyDriver
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
@@ -202,7 +202,7 @@ class RunDriver(Driver):
             raise RunError(
                 f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences)
             )
-        self._load = evaluation.load_model
+        self._load = load_model
         self._driver = PolicyDriver
         self._steps_of = steps_of
         self._run = run

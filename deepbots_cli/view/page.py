@@ -19,19 +19,17 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import add, scaled
-from deepbots_cli.learning.runs.changes import changed_texts, listed_values
+from deepbots_cli.learning.runs.verdict import changed_texts, listed_values
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
-from deepbots_cli.view import access, server
+from deepbots_cli.view import server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
-from deepbots_cli.view.manual_input import ManualInput, turns_left
 from deepbots_cli.view.panel import Panel, notice, set_theme
-from deepbots_cli.view.playback import MAX_STEPPING_S, Playback, ShownWorld
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.playback import MAX_STEPPING_S, ManualInput, Playback, ShownWorld, turns_left
 from deepbots_cli.view.recordings import DrivenEpisodes
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.replay import ReplayPlayer, open_player
 from deepbots_cli.view.scene import SceneCameras, WorldScene
 
 FRAME_RATE = 30
@@ -65,7 +63,7 @@ class Page:
         source: Showing,
         *,
         compare: Showing | None = None,
-        host: str = access.LOOPBACK,
+        host: str = server.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
         seed: int = 0,
@@ -144,27 +142,6 @@ class Page:
     def player(self) -> Player | None:
         """The player of the first world; None where the scenario has errors."""
         return self.playback.player
-
-    @property
-    def world(self) -> WorldScene:
-        return self.playback.worlds[0].scene
-
-    @property
-    def driven(self) -> DrivenEpisodes | None:
-        """The recording of the episodes that a person drives."""
-        return self.playback.driven
-
-    def play(self, playing: bool) -> None:
-        """Continue, or pause."""
-        self.playback.play(playing)
-
-    def step_once(self) -> None:
-        """Pause, and make one step."""
-        self.playback.step_once()
-
-    def seek(self, index: int) -> None:
-        """Pause at a frame of a recording."""
-        self.playback.seek(index)
 
     def change_parameter(self, name: str, text: str) -> None:
         """Change a parameter of the scenario. The world starts again once no further change arrives."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.view.frames import COLORS
-from deepbots_cli.view.training_logs import Curve, TrainingLog
+from deepbots_cli.view.training_logs import Curve, Measure, TrainingLog
 from deepbots_cli.words import number_text, rate_text
 
 if TYPE_CHECKING:
@@ -156,18 +156,29 @@ def _plot_group(
     number."""
     name = members[0].name
     color = COLORS[number]
-    label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-    style = _line_style(number, label)
-    plot_band(returns, [log.returns for log in members if log.returns is not None], style)
-    plot_evaluations(returns, members, color)
-    plot_band(successes, [log.successes for log in members if log.successes is not None], style)
-    plot_evaluations(successes, members, color, successes=True)
-    for log in members:
-        plot_evaluation(returns, successes, log, color)
-        plot_decline(returns, successes, log)
+    style = _line_style(number, name if len(members) == 1 else f"{name} ({len(members)} seeds)")
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
-    plot_teacher(returns, members, "mean_return", color, script)
-    plot_teacher(successes, members, "success_rate", color, script)
+    plot_scores(returns, members, "mean_return", style, (color, ""), (color, script))
+    plot_scores(successes, members, "success_rate", style, (color, ""), (color, script))
+
+
+def plot_scores(
+    panel: Axes,
+    logs: Sequence[TrainingLog],
+    measure: Measure,
+    style: Mapping[str, Any],
+    marks: tuple[str, str],
+    teacher: tuple[str, str],
+) -> None:
+    """Plot a measure of trainings: of their episodes, of their evaluations, and of their teacher. `marks` and
+    `teacher` are the color and the label of the evaluations and of the teacher."""
+    curves = [curve for log in logs if (curve := log.curves(measure)[0]) is not None]
+    plot_band(panel, curves, style)
+    _plot_evaluations(panel, logs, measure, *marks)
+    for log in logs:
+        _plot_evaluation(panel, log, measure, marks[0])
+        _plot_decline(panel, log, measure)
+    _plot_teacher(panel, logs, measure, *teacher)
 
 
 def _plot_terms(
@@ -251,8 +262,8 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
         )
 
 
-def plot_evaluations(
-    panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "", *, successes: bool = False
+def _plot_evaluations(
+    panel: Axes, logs: Sequence[TrainingLog], measure: Measure, color: str, label: str
 ) -> None:
     """Plot the evaluations during trainings: a dot each, and a different mark for each stage of a curriculum,
     which the legend names."""
@@ -260,8 +271,7 @@ def plot_evaluations(
     evaluated = [
         (steps, value, name if name in names else "")
         for log in logs
-        if (curve := log.evaluated_successes if successes else log.evaluations)
-        and not (successes and log.successes is None)
+        if (curve := log.curves(measure)[1]) is not None
         for steps, value, name in zip(*curve, log.evaluation_stages or [""] * len(curve[0]), strict=True)
     ]
     for name in dict.fromkeys(name for _, _, name in evaluated):
@@ -271,29 +281,26 @@ def plot_evaluations(
         panel.plot(steps, values, mark, color=color, markersize=4, alpha=0.8, linestyle="none", label=text)
 
 
-def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, color: str) -> None:
-    """Plot a diamond at the step of the evaluated model, in the panel of returns and of success rates."""
+def _plot_evaluation(panel: Axes, log: TrainingLog, measure: Measure, color: str) -> None:
+    """Plot a diamond at the step of the evaluated model."""
     evaluation = log.evaluation
     if evaluation is None or log.returns is None:
         return
-    step = log.returns[0][-1] if log.model_steps is None else log.model_steps
-    for panel, value in (
-        (returns, evaluation.mean_return),
-        (successes, evaluation.success_rate if evaluation.success_defined else None),
-    ):
-        if panel is not None and value is not None:
-            panel.plot(
-                step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3
-            )
+    rate = evaluation.success_rate if evaluation.success_defined else None
+    value = evaluation.mean_return if measure == "mean_return" else rate
+    if value is not None:
+        step = log.returns[0][-1] if log.model_steps is None else log.model_steps
+        panel.plot(
+            step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3
+        )
 
 
-def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
-    """Plot a line at the fall of a training, and its size, in the panel of the measure of the task."""
+def _plot_decline(panel: Axes, log: TrainingLog, measure: Measure) -> None:
+    """Plot a line at the fall of a training, and its size, if this is the measure of the task."""
     fall = log.decline
-    panel = successes if fall is not None and fall.measure == "success_rate" else returns
-    if fall is None or panel is None:
+    if fall is None or fall.measure != measure:
         return
-    form = rate_text if fall.measure == "success_rate" else number_text
+    form = rate_text if measure == "success_rate" else number_text
     best, last = form(fall.best_value), form(fall.last_value)
     # A late line has no room for the text at its right.
     is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]
@@ -310,12 +317,11 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
     ).set_in_layout(False)
 
 
-def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:
-    """Plot the score of the teacher, a dotted line for each training: `name` is `mean_return` or
-    `success_rate`."""
+def _plot_teacher(panel: Axes, logs: Sequence[TrainingLog], measure: Measure, color: str, label: str) -> None:
+    """Plot the score of the teacher, a dotted line for each training."""
     for log in logs:
-        if name in log.lessons:
-            steps, values = log.lessons[name]
+        if measure in log.lessons:
+            steps, values = log.lessons[measure]
             steps, values = np.insert(steps, 0, 0.0), np.insert(values, 0, values[0])
             panel.plot(steps, values, color=color, linestyle=":", linewidth=1.4, label=label)
             label = ""

@@ -25,9 +25,7 @@ import math
 import platform
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from copy import deepcopy
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -39,6 +37,7 @@ from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Quaternion, Triple
+from deepbots_cli.learning.runs.records import versions as installed_versions
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import FORMAT, Payloads
 from deepbots_cli.view.episodes import Player
@@ -471,21 +470,17 @@ def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
     }
 
 
-NOT_INSTALLED = "not installed"
+_VERSIONED = ("python", "gymnasium", "mujoco", "numpy", "pybullet")
 
 
 def versions() -> dict[str, str]:
     """Return the versions of everything on which an episode depends."""
-    installed = {
+    installed = installed_versions()
+    return {
         "deepbots": deepbots_cli.__version__,
         "platform": platform.platform(),
-        "python": platform.python_version(),
+        **{name: installed[name] for name in _VERSIONED},
     }
-    for name in ("gymnasium", "mujoco", "numpy", "pybullet"):
-        installed[name] = NOT_INSTALLED
-        with suppress(PackageNotFoundError):
-            installed[name] = version(name)  # without importing it
-    return installed
 
 
 # What is read

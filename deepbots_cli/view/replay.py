@@ -1,4 +1,5 @@
-"""Playing recordings, and running them again to compare; playing the log of a robot.
+"""The choice of the player of a source; playing recordings, and running them again to compare; playing the log
+of a robot.
 
 The joint positions and poses that a log reports move the model of the robot, and all reported values are
 plotted.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,15 +17,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 
 from deepbots_cli.analysis.shown_units import ShownUnits
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import Frame
 from deepbots_cli.port import View
 from deepbots_cli.rollout import Start
-from deepbots_cli.rollout.drivers import RECORDED, ROBOT, sequence_driver
-from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, RecordingError, actions, damaged
-from deepbots_cli.rollout.robot_logs import LoggedEpisode, LoggedStep, RobotLog
+from deepbots_cli.rollout.drivers import HAND, RECORDED, ROBOT, sequence_driver
+from deepbots_cli.rollout.recordings import (
+    LoggedEpisode,
+    LoggedStep,
+    RecordedEpisode,
+    Recording,
+    RecordingError,
+    RobotLog,
+    actions,
+    damaged,
+)
 from deepbots_cli.scenario.sensors import SENSORS
-from deepbots_cli.view.episodes import Player, ShowingState
+from deepbots_cli.view.episodes import BatchPlayer, Player, Showing, ShowingState
 from deepbots_cli.view.frames import (
     END_OF_LOG,
     END_OF_RECORDING,
@@ -32,10 +42,37 @@ from deepbots_cli.view.frames import (
     PlottedField,
     WorldFrame,
 )
-from deepbots_cli.view.recordings import NOT_INSTALLED, NS_PER_S, TopicEncoder, read_frame, versions
+from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, versions
 
 if TYPE_CHECKING:
     from deepbots_robot.model import Input, Output
+
+
+def open_player(opened: ShowingState, driver: str | None = None) -> Player:
+    """Open a player of a shown source.
+
+    Raises:
+        ScenarioError, EngineError, UsageError: As for `Player`.
+    """
+    if opened.shown.worlds:
+        return BatchPlayer(opened, driver)
+    if opened.recording is None:
+        return Player(opened, driver)
+    if driver not in (None, *opened.drivers):
+        raise UsageError(f"a recording already contains its actions; leave out --driver {driver}")
+    return LogPlayer(opened) if isinstance(opened.recording, RobotLog) else ReplayPlayer(opened)
+
+
+def closing_player(showing: Showing, driver: str | None) -> closing[Player]:
+    """Open a player of a shown source without a page, to be used in a `with` statement.
+
+    Raises:
+        ScenarioError: The scenario has errors.
+        UsageError: There is no such driver, or a person would have to act.
+    """
+    if driver == HAND:
+        raise UsageError("you can drive in the browser only; use `deepbots play`")
+    return closing(open_player(showing.open(), driver))
 
 
 class ReplayPlayer(Player):
@@ -194,7 +231,7 @@ def version_changes(recording: Recording) -> list[str]:
     return [
         f"{name} was {old} when this was recorded, and is {new} now"
         for name, new in versions().items()
-        if (old := recording.metadata.get(name, NOT_INSTALLED)) != new
+        if (old := recording.metadata.get(name, "not installed")) != new
     ]
 
 

@@ -448,11 +448,6 @@ class WorldScene:
 
     # What a person chooses to see
 
-    @property
-    def shows_names(self) -> bool:
-        """Whether the names of links are visible."""
-        return any(label.visible for label in self._labels)
-
     def set_visible(self, part: str, visible: bool) -> None:
         """Show or hide one of `visible_parts`."""
         self.visible_parts[part] = visible

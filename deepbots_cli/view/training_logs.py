@@ -1,4 +1,7 @@
-"""The logs of trainings as curves: of runs of deepbots, and of files of TensorBoard."""
+"""The logs of trainings as curves: of runs of deepbots, and of files of TensorBoard.
+
+`TrainingLog` is the one table of curves: `plots.py` paints it for paper, and the studio for its page.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError
-from deepbots_cli.learning.runs.decline import Decline, decline_of
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
-from deepbots_cli.learning.runs.verdict import quoted_evaluation
+from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ _LEAST_VALUE_BYTES = 30
 """The smallest event of one scalar has 41 bytes."""
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
+Measure = Literal["mean_return", "success_rate"]
+"""The two measures that trainings and evaluations have in common."""
 _AGENT_RETURNS = "/rollout/ep_rew_mean"
 """The end of the tags of the returns of several agents, whose names come before it."""
 
@@ -56,7 +60,7 @@ class StageStart(NamedTuple):
     steps: float
 
 
-@dataclass
+@dataclass(eq=False)
 class TrainingLog:
     """The curves and results of one training. Reward terms and shares of endings are by name. `group` is the
     scenario with its digest, and whether a recording teaches; `settings` are the values that `--set` changed,
@@ -69,6 +73,9 @@ class TrainingLog:
     `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
     `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
     several agents; `agent` is the one whose log this is, empty for one agent or all.
+
+    Who shows a log may set `solved_return`, the mean return with which the task is solved, and `planned_steps`, the
+    timesteps of the whole training while it runs.
     """
 
     path: Path
@@ -90,6 +97,20 @@ class TrainingLog:
     decline: Decline | None = None
     agents: dict[str, Curve] = field(default_factory=dict)
     agent: str = ""
+    solved_return: float | None = None
+    planned_steps: float = 0.0
+
+    def curves(self, measure: Measure) -> tuple[Curve | None, Curve | None]:
+        """Return a measure of training episodes, and that of the evaluations during the training."""
+        if measure == "mean_return":
+            return self.returns, self.evaluations
+        return self.successes, self.evaluated_successes
+
+    @property
+    def last_step(self) -> float:
+        """The timesteps at the end of the axis."""
+        curves = [curve for curve in self.curves("mean_return") if curve is not None]
+        return max([self.planned_steps, *(float(steps[-1]) for steps, _ in curves)])
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool = False) -> list[TrainingLog]:
@@ -105,7 +126,7 @@ def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool 
     """
     logs = list[TrainingLog]()
     for path in run_folders(paths):
-        logs += [_read_run(path, window)] if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
+        logs += [read_run(path, window)] if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
     first = {log.group: log.path for log in reversed(logs)}  # the first run of each scenario
     # Scenarios of one name that differ are called after the folder of their first run or group, or its path
     # if folders share a name.
@@ -135,24 +156,20 @@ def _agent_logs(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[Tra
         yield log
         return
     for agent, member in Run.open(log.path).program.members.items():
-        agent_log = _read_run(log.path, window, member)
+        agent_log = read_run(log.path, window, member)
         agent_log.agent = agent
         agent_log.name = agent if is_only else f"{log.name}: {agent}"
         yield agent_log
 
 
-def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog:
-    """Read the log of a run as it is for one of its several agents.
+def read_run(path: Path, window: int = 100, member: Member | None = None) -> TrainingLog:
+    """Read the log of a run, or of a run as it is for one of its several agents.
 
     Raises:
         RunError: The run is damaged, or an older version wrote it, which did not log each agent.
     """
-    return _read_run(path, window, member)
-
-
-def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
-    teacher = record.task.teacher if record.task else None
+    teacher = record.task.teacher
     # A recording is not part of the scenario.
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
     settings = short_settings(changed_settings(record.command))
@@ -178,7 +195,7 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
     if quoted := quoted_evaluation(path, record):
         evaluation = quoted.evaluation
         log.evaluation = evaluation if member is None else evaluation.of_agent(member.name)
-        best = record.result.best_model if record.result else None
+        best = record.result.best if record.result else None
         steps = evaluation.model_steps if evaluation.model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
     log.successes = (
@@ -190,7 +207,7 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
             np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes")
         )
         log.evaluations = (at, means)
-        log.evaluated_successes = (at, rates)
+        log.evaluated_successes = (at, rates) if log.successes is not None else None
         log.evaluation_stages = [line["stage"] for line in evaluations]
     log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")

@@ -1,38 +1,28 @@
 """Projects of Webots: worlds, robots and controllers, run on MuJoCo.
 
-syntax.py           a `.wbt` or `.proto` file as a tree of nodes with their places
-nodes.py            the node types of Webots (`nodes.txt`), and the values of fields
-protos.py           PROTO nodes: their definitions, and the nodes that they stand for
-proto_templates.py  PROTOs that are templates of JavaScript
-library.py          PROTOs of Webots' own library that deepbots has an equivalent of
-scene.py            bodies, joints, geometries and devices
-scene_builder.py    the tree as a scene
-shapes.py           geometries: sizes, volumes, meshes
-looks.py            what is seen: geometry, color, and the pictures on it
-model.py            a scene as a model of MuJoCo
-physics.py          its state: steps, bounces, readings; motors as constraints; rays
-simulation.py       time, messages and sampling: what a controller's step does
-device.py           what devices share: sampling, lookup tables
-joints.py           motors, brakes, position sensors
-sensors.py          sensors of motion, light and the surroundings
-cameras.py          cameras and range finders
-rendering.py        the pictures that they take
-ranging.py          lidars and radars
-devices.py          emitters, receivers, devices that do little; the class of each device
-tree.py             the classes Node and Field
-supervisor.py       the classes Robot, Supervisor and Keyboard
-unimplemented.py    names of Webots' functions that are not implemented, and their error
-runner.py           controllers as threads of one process, one at a time
-remote/             controllers as processes of their own
-pace.py             when a world may advance: the pace of a clock, pauses, single steps
-recorder.py         the viewpoint of a world, and a video of a run from it
-viewer.py           a run in the browser
-project.py          the files of a project: worlds, controllers, PROTOs
-site/               the folder with the module `controller`, on the path of controllers
-imports/            a project as a scenario: `deepbots new --webots`
-findings.py         findings about the files of a project
-export/             a scenario as a project of Webots
-bridge/             what the controllers of an exported project use
+syntax.py         a `.wbt` or `.proto` file as a tree of nodes with their places; findings about files
+nodes.py          the node types of Webots (`nodes.txt`), and the values of fields
+protos.py         PROTO nodes: their definitions, the nodes that they stand for, equivalents of Webots' own
+project.py        the files of a project: worlds, controllers, PROTOs
+scene.py          bodies, joints, geometries and devices
+scene_builder.py  the tree as a scene
+shapes.py         geometries: sizes, volumes, meshes; what is seen: color, and the pictures on it
+model.py          a scene as a model of MuJoCo
+physics.py        its state: steps, bounces, readings; motors as constraints; rays
+simulation.py     time, messages and sampling: what a controller's step does; the pace of a clock
+rendering.py      pictures that cameras take, and a video from the viewpoint of the world
+sensors.py        what devices share, missing functions; sensors of motion, light and the surroundings
+imaging.py        cameras, range finders, lidars and radars
+devices.py        motors, brakes, position sensors, emitters, receivers; the class of each device
+tree.py           the classes Node and Field
+supervisor.py     the classes Robot, Supervisor and Keyboard
+runner.py         controllers as threads of one process, one at a time
+remote/           controllers as processes of their own
+viewer.py         a run in the browser
+site/             the folder with the module `controller`, on the path of controllers
+imports/          a project as a scenario: `deepbots new --webots`
+export/           a scenario as a project of Webots
+bridge/           what the controllers of an exported project use
 
 A controller imports `controller` as in Webots; `deepbots webots` runs it.
 """

@@ -17,8 +17,9 @@ from deepbots_cli.webots.shapes import compose
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.frames import Frame
     from deepbots_cli.webots.scene import Body, Contact, Geometry, Joint, Scene
+    from deepbots_cli.webots.shapes import Shape
 
     Floats = NDArray[np.float64]
 
@@ -108,65 +109,17 @@ class ModelBuilder:
         return added
 
     def _add_geometry(self, element: Any, body: Body, geometry: Geometry) -> None:
-        shape = geometry.shape
-        position, rotation = geometry.frame
-        types = mj.mjtGeom
-        fields: dict[str, Any] = {}
-        match shape.kind:
-            case "box":
-                fields = {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
-            case "sphere":
-                fields = {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
-            case "cylinder" | "capsule":
-                kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
-                fields = {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
-            case "plane":
-                # A plane collides without end in Webots, whatever its size, as one of size 0 does in MuJoCo.
-                fields = {"type": types.mjGEOM_PLANE, "size": [0.0, 0.0, 1.0]}
-            case "grid":
-                fields, position = self._grid(geometry)
-            case "mesh":
-                fields = {"type": types.mjGEOM_MESH, "meshname": self._mesh(geometry)}
         friction = self.scene.contact(geometry.material, geometry.material)
         added = element.add_geom(
-            pos=position,
-            quat=frames.wxyz(rotation),
+            **geom_fields(self.spec, geometry.shape, geometry.frame, f"shape{len(self._geoms)}"),
             mass=geometry.mass,
             friction=_friction(friction),
             condim=_condim(friction),
             solref=[self.contact_time, 1.0],
             solimp=CONTACT_IMPEDANCE,
-            **fields,
         )
         self._geoms.append(added)
         self.geometries.append((body, geometry))
-
-    def _grid(self, geometry: Geometry) -> tuple[dict[str, Any], Triple]:
-        shape = geometry.shape
-        heights = np.array(shape.heights, np.float64)
-        low, high = float(heights.min()), float(heights.max())
-        rise = max(high - low, 1e-6)
-        name = f"grid{len(self._geoms)}"
-        rows = len(heights) // shape.columns
-        self.spec.add_hfield(
-            name=name,
-            size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
-            nrow=rows,
-            ncol=shape.columns,
-            userdata=((heights - low) / rise).tolist(),
-        )
-        # A grid begins at its origin in Webots, and has its middle there in MuJoCo.
-        middle: Frame = ((shape.size[0] / 2, shape.size[1] / 2, low), frames.IDENTITY_ROTATION)
-        position = compose(geometry.frame, middle)[0]
-        return {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": name}, position
-
-    def _mesh(self, geometry: Geometry) -> str:
-        name = f"mesh{len(self._geoms)}"
-        mesh = self.spec.add_mesh(name=name)
-        mesh.uservert = np.array(geometry.shape.vertices, np.float64).ravel()
-        mesh.userface = np.array(geometry.shape.faces, np.int32).ravel()
-        mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        return name
 
     def compile(self) -> Any:
         """Return the compiled model.
@@ -241,6 +194,56 @@ class ModelBuilder:
             solref=[self.contact_time, 1.0],
             solimp=CONTACT_IMPEDANCE,
         )
+
+
+def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bool = False) -> dict[str, Any]:
+    """Return the keywords of `add_geom` for a shape, and add the asset of a grid or a mesh to the model.
+
+    Args:
+        spec: The specification of the model.
+        frame: The frame of the shape in its body.
+        name: The name of an asset.
+        is_seen: Whether the shape is seen, and does not collide: a plane has an end, and a mesh no volume.
+    """
+    types = mj.mjtGeom
+    fields: dict[str, Any] = {"type": types.mjGEOM_MESH, "meshname": name}
+    match shape.kind:
+        case "box":
+            fields = {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
+        case "sphere":
+            fields = {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
+        case "cylinder" | "capsule":
+            kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
+            fields = {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
+        case "plane":
+            # A plane collides without end in Webots, whatever its size, as one of size 0 does in MuJoCo.
+            x, y = (*shape.size, 1.0, 1.0)[:2] if is_seen else (0.0, 0.0)
+            fields = {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
+        case "grid":
+            _add_grid(spec, shape, name)
+            fields = {"type": types.mjGEOM_HFIELD, "hfieldname": name}
+            # A grid begins at its origin in Webots, and has its middle there in MuJoCo.
+            middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
+            frame = compose(frame, (middle, frames.IDENTITY_ROTATION))
+        case "mesh":
+            mesh = spec.add_mesh(name=name)
+            mesh.uservert = np.array(shape.vertices, np.float64).ravel()
+            mesh.userface = np.array(shape.faces, np.int32).ravel()
+            kinds = mj.mjtMeshInertia
+            mesh.inertia = kinds.mjMESH_INERTIA_SHELL if is_seen else kinds.mjMESH_INERTIA_CONVEX
+    return fields | {"pos": frame[0], "quat": frames.wxyz(frame[1])}
+
+
+def _add_grid(spec: Any, shape: Shape, name: str) -> None:
+    heights = np.array(shape.heights, np.float64)
+    rise = max(float(np.ptp(heights)), 1e-6)
+    spec.add_hfield(
+        name=name,
+        size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
+        nrow=len(heights) // shape.columns,
+        ncol=shape.columns,
+        userdata=((heights - heights.min()) / rise).tolist(),
+    )
 
 
 def _set_inertia(element: Any, parts: Sequence[Inertia]) -> None:

@@ -11,17 +11,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import resources
-from math import hypot
+from math import atan2, hypot
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
-from deepbots_cli.webots.findings import did_you_mean
-from deepbots_cli.webots.syntax import Node, Parameter, Value, parse_interface
+from deepbots_cli.webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.webots.findings import WorldFindings
+    from deepbots_cli.webots.syntax import WorldFindings
 
 _ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
 _SIZES = {"Vec2f": 2, "Vec3f": 3, "Rotation": 4, "Color": 3, "Float": 1, "Int32": 1}
@@ -122,11 +121,24 @@ def vectors(node: Node, field: str) -> list[Triple]:
 
 def rotation(node: Node, field: str) -> Quaternion:
     """Return a rotation about an axis as a quaternion (x, y, z, w)."""
-    x, y, z, angle = (*numbers(node, field), 0.0, 0.0, 0.0, 0.0)[:4]
+    return turned_about(*(*numbers(node, field), 0.0, 0.0, 0.0, 0.0)[:4])
+
+
+def turned_about(x: float, y: float, z: float, angle: float) -> Quaternion:
+    """Return the rotation about an axis of any length; none about one of length 0."""
     length = hypot(x, y, z)
     if length == 0:
         return frames.IDENTITY_ROTATION
     return frames.from_axis_angle((x / length, y / length, z / length), angle)
+
+
+def axis_angle(turned: Quaternion) -> list[float]:
+    """Return a rotation as Webots writes it: an axis, and an angle from 0 to pi."""
+    x, y, z, w = turned if turned[3] >= 0 else [-value for value in turned]
+    length = hypot(x, y, z)
+    if length < 1e-12:
+        return [0.0, 0.0, 1.0, 0.0]
+    return [x / length, y / length, z / length, 2.0 * atan2(length, w)]
 
 
 def child(node: Node, field: str) -> Node | None:

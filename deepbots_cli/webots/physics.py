@@ -24,11 +24,11 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
-from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.model import ModelBuilder
 from deepbots_cli.webots.nodes import number, numbers
 from deepbots_cli.webots.scene import ORIGIN
 from deepbots_cli.webots.shapes import compose
+from deepbots_cli.webots.syntax import WorldError, WorldFinding
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

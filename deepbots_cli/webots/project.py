@@ -14,10 +14,16 @@ from pathlib import Path
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
-from deepbots_cli.webots.findings import WorldError, WorldFinding, WorldFindings
 from deepbots_cli.webots.nodes import check
 from deepbots_cli.webots.protos import Expander, Scope
-from deepbots_cli.webots.syntax import MAX_BYTES, Node, WorldSyntaxError, parse
+from deepbots_cli.webots.syntax import (
+    MAX_BYTES,
+    Node,
+    WorldError,
+    WorldFindings,
+    WorldSyntaxError,
+    parse,
+)
 
 _LIBRARY_FOLDER = "projects/"
 """The folder of Webots with its PROTOs; addresses of its library contain it."""
@@ -82,13 +88,6 @@ class Files:
             candidates.append(folder / f"{name}.proto")
         return next((path for path in candidates if is_file(path) and self.allows(path)), None)
 
-    def module(self, name: str) -> Path | None:
-        """Return a module that templates of PROTOs import, in a copy of Webots."""
-        candidates = (
-            folder / "resources" / "javascript" / "modules" / "webots" / name for folder in self.library
-        )
-        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
-
     def picture(self, address: str, writer: str) -> Path | None:
         """Return the file of a picture: at its address beside the file that names it, in `worlds/` of the
         project, or in a copy of Webots."""
@@ -119,19 +118,18 @@ class World:
     """The beginning of the file."""
 
 
-def read_world(path: Path, library: Sequence[Path] = (), *, allow_code: bool = False) -> World:
-    """Read a world; `library` are folders with copies of Webots, or with PROTOs. Templates of PROTOs run if
-    the user allows it.
+def read_world(path: Path, library: Sequence[Path] = ()) -> World:
+    """Read a world; `library` are folders with copies of Webots, or with PROTOs.
 
     Raises:
         WorldError: The text is not a world; has the finding.
         UsageError: A file cannot be read.
     """
     files = Files.of_world(path, library)
-    return world_of_source(files.read(path), path, files, allow_code=allow_code)
+    return world_of_source(files.read(path), path, files)
 
 
-def world_of_source(source: Source, path: Path, files: Files, *, allow_code: bool = False) -> World:
+def world_of_source(source: Source, path: Path, files: Files) -> World:
     """Read a world from a text that is already in memory.
 
     Raises:
@@ -140,7 +138,7 @@ def world_of_source(source: Source, path: Path, files: Files, *, allow_code: boo
     findings = WorldFindings()
     try:
         document = parse(source)
-        Expander(files, findings, allow_code=allow_code).expand(document.nodes, Scope.of_document(document))
+        Expander(files, findings).expand(document.nodes, Scope.of_document(document))
     except WorldSyntaxError as error:
         raise WorldError([error.finding]) from error
     check(document.nodes, findings)
@@ -185,8 +183,3 @@ def controller(files: Files, name: str) -> Program | None:
         if (folder / f"{name}{suffix}").is_file():
             return Program(name, None, f"is written in {language}; deepbots runs Python")
     return Program(name, None, f"has no file controllers/{name}/{name}.py")
-
-
-def no_world(path: Path, headline: str) -> WorldError:
-    """Return the error about a whole file."""
-    return WorldError([WorldFinding("error", Span(Source(str(path), ""), 0, 0), headline)])

@@ -1,5 +1,5 @@
 """Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding
-objects.
+objects; a video of a run, from the viewpoint of the world.
 
 Shapes have the base color of their appearance, with textures on boxes, planes and grids, and are lit from the
 camera.
@@ -8,8 +8,10 @@ camera.
 from __future__ import annotations
 
 import atexit
+import threading
 from functools import cache
-from math import inf, tan
+from math import ceil, inf, tan
+from queue import Queue
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
@@ -19,21 +21,28 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import IDENTITY_ROTATION
-from deepbots_cli.webots.looks import look_of, sky_color, visible_shape
-from deepbots_cli.webots.model import GRID_DEPTH_M
-from deepbots_cli.webots.shapes import compose
+from deepbots_cli.files import atomic_write
+from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
+from deepbots_cli.webots.model import geom_fields
+from deepbots_cli.webots.nodes import number, parameters, real, rotation, text, vector, walk
+from deepbots_cli.webots.shapes import look_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
+
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame
     from deepbots_cli.webots.physics import Physics
     from deepbots_cli.webots.scene import Visual
     from deepbots_cli.webots.shapes import Shape
+    from deepbots_cli.webots.simulation import Simulation
     from deepbots_cli.webots.syntax import Node
 
     Image = NDArray[np.uint8]
+
 
 NEAR_M, FAR_M = 0.01, 1000.0
 """The range of distances that are drawn."""
@@ -200,19 +209,12 @@ class _VisualModel:
         if shape is None:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
-        fields = self._fields(shape)
-        position, rotation = visual.frame
-        if shape.kind == "grid":
-            middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
-            position = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
         parent.add_geom(
-            pos=position,
-            quat=frames.wxyz(rotation),
+            **geom_fields(self.spec, shape, visual.frame, self._name(), is_seen=True),
             **self._surface(visual.node, shape),
             contype=0,
             conaffinity=0,
             mass=0.0,
-            **fields,
         )
 
     def _surface(self, node: Node, shape: Shape) -> dict[str, Any]:
@@ -231,45 +233,130 @@ class _VisualModel:
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
         return {"rgba": look.base, "material": name}
 
-    def _fields(self, shape: Shape) -> dict[str, Any]:
-        types = mj.mjtGeom
-        match shape.kind:
-            case "box":
-                return {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
-            case "sphere":
-                return {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
-            case "cylinder" | "capsule":
-                kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
-                return {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
-            case "plane":
-                x, y = (*shape.size, 1.0, 1.0)[:2]
-                return {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
-            case "grid":
-                return {"type": types.mjGEOM_HFIELD, "hfieldname": self._grid(shape)}
-        return {"type": types.mjGEOM_MESH, "meshname": self._mesh(shape)}
-
-    def _grid(self, shape: Shape) -> str:
-        heights = np.array(shape.heights, np.float64)
-        rise = max(float(np.ptp(heights)), 1e-6)
-        name = self._name()
-        self.spec.add_hfield(
-            name=name,
-            size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
-            nrow=len(heights) // shape.columns,
-            ncol=shape.columns,
-            userdata=((heights - heights.min()) / rise).tolist(),
-        )
-        return name
-
-    def _mesh(self, shape: Shape) -> str:
-        name = self._name()
-        mesh = self.spec.add_mesh(name=name)
-        mesh.uservert = np.array(shape.vertices, np.float64).ravel()
-        mesh.userface = np.array(shape.faces, np.int32).ravel()
-        # Flat meshes have no volume, and need none here.
-        mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        return name
-
     def _name(self) -> str:
         self._count += 1
         return f"s{self._count}"
+
+
+# Video
+
+
+class Viewpoint:
+    """The Viewpoint node of a world: where it is, and what it follows."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        nodes = simulation.scene.nodes
+        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
+        self.fov, self.frame, self._followed = 0.785, _overview(), None
+        """The horizontal field of view (rad), and the frame at the start."""
+        if node is not None:
+            self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
+            self.frame = vector(node, "position"), rotation(node, "orientation")
+            self._followed = _solid(simulation, text(node, "follow"))
+        self._start_position = self._followed_position()
+
+    def now(self) -> Frame:
+        """Return the frame of the picture, which looks along x."""
+        return frames.add(self.frame[0], self.moved()), self.frame[1]
+
+    def moved(self) -> frames.Triple:
+        """Return how far the solid that the viewpoint follows has moved since the start, m."""
+        return frames.subtract(self._followed_position(), self._start_position)
+
+    def _followed_position(self) -> frames.Triple:
+        if self._followed is None:
+            return 0.0, 0.0, 0.0
+        return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
+
+
+def _solid(simulation: Simulation, name: str) -> Node | None:
+    """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
+    solid_name = name.rpartition(":")[2]
+    for node in walk(simulation.scene.nodes):
+        if solid_name and node in simulation.scene.attachments and _name(node) == solid_name:
+            return node
+    return None
+
+
+def _name(node: Node) -> str:
+    return text(node, "name") if "name" in parameters(node) else ""
+
+
+def _overview() -> Frame:
+    """Return a frame that looks at the origin from 3 m, for a world without a viewpoint."""
+    return (-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0)
+
+
+SUFFIXES = (".mp4", ".gif")
+WIDTH, HEIGHT = 640, 480
+FRAME_RATES = {".mp4": 32.0, ".gif": 10.0}
+"""The largest number of pictures per simulated second."""
+_WAITING = 8  # pictures that are drawn and not written yet
+
+
+class VideoRecorder:
+    """Writes a video while a world runs: a context manager, and a function to call after each step.
+
+    The video plays in simulated time. The picture follows the solid that the viewpoint follows.
+    """
+
+    def __init__(self, simulation: Simulation, path: Path, *, force: bool = False) -> None:
+        """Check what can be checked before the run. A file is overwritten only by `force`.
+
+        Raises:
+            UsageError: The file exists, has another suffix, or cannot be written.
+            MissingExtraError: imageio is missing for an MP4.
+            EngineError: There is no OpenGL.
+        """
+        check_target(path, SUFFIXES, force=force)
+        require_opengl()
+        self._simulation, self._path = simulation, path
+        step = simulation.basic_step / 1000
+        # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
+        self._every = max(1, ceil(1 / step / FRAME_RATES[path.suffix.lower()] - 1e-9))
+        self._rate = 1 / step / self._every
+        self._viewpoint = Viewpoint(simulation)
+        self._pictures: Queue[Any] = Queue(_WAITING)
+        self._writer = threading.Thread(target=self._write, daemon=True)
+        self._error: BaseException | None = None
+        self._steps = 0
+
+    def __enter__(self) -> VideoRecorder:
+        self._draw()
+        self._writer.start()
+        return self
+
+    def __call__(self) -> None:
+        """Draw a picture, if it is time for one."""
+        self._steps += 1
+        if self._steps % self._every == 0:
+            self._draw()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pictures.put(None)
+        self._writer.join()
+        if self._error is not None:
+            raise self._error
+
+    def _draw(self) -> None:
+        if self._error is None:
+            view = self._viewpoint
+            self._pictures.put(self._simulation.pictures.colors(view.now(), (WIDTH, HEIGHT), view.fov))
+
+    def _write(self) -> None:
+        write = write_gif if self._path.suffix.lower() == ".gif" else write_mp4
+        try:
+            with atomic_write(self._path) as draft:
+                write(draft, self._taken(), self._rate)
+        except Exception as error:  # noqa: BLE001  # raised in the thread of the run
+            self._error = error
+            # Taken on, so that the thread of the run does not wait for room in the queue.
+            for _ in self._taken():
+                continue
+
+    def _taken(self) -> Iterator[Any]:
+        while (picture := self._pictures.get()) is not None:
+            yield picture

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, TextIO
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.nodes import texts
-from deepbots_cli.webots.pace import Pace
+from deepbots_cli.webots.simulation import Pace
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION
-from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.nodes import (
     child,
     children,
@@ -36,13 +35,13 @@ from deepbots_cli.webots.scene import (
     Visual,
 )
 from deepbots_cli.webots.shapes import compose, shape_of
+from deepbots_cli.webots.syntax import WorldError, WorldFinding
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import Files, World
     from deepbots_cli.webots.shapes import Shape
-    from deepbots_cli.webots.syntax import Node
+    from deepbots_cli.webots.syntax import Node, WorldFindings
 
 MAX_BODIES = 2000
 MAX_POINTS = 1_000_000

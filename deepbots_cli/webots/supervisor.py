@@ -9,9 +9,9 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.nodes import text, texts, walk
 from deepbots_cli.webots.scene import DEVICES
+from deepbots_cli.webots.sensors import missing_attribute
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.tree import Node, number_of
-from deepbots_cli.webots.unimplemented import missing_attribute
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.simulation import Simulation

@@ -1,8 +1,9 @@
-"""The text of a `.wbt` or `.proto` file as a tree of nodes with their places.
+"""The text of a `.wbt` or `.proto` file as a tree of nodes with their places, and findings about the files of
+a project: a severity, a place and a sentence.
 
 The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` with an interface and `IS`,
 `hidden` fields. Values are untyped here, because the type of a field depends on its node; `nodes.py` gives
-them types. Nothing is evaluated: a template of a PROTO is text, which `proto_templates.py` runs.
+them types. Nothing is evaluated: a PROTO whose body is a template with code has no nodes.
 
 Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
 `WorldSyntaxError` with a finding.
@@ -11,15 +12,106 @@ Files may come from anyone. The reader has limits on size, depth and number, and
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.webots.findings import WorldFinding
+
+# Findings
+
+MAX_FINDINGS = 100
+"""The maximum number of errors, and of warnings, about one project."""
+
+Help = str | Callable[[], str]
+"""A help, or the function that returns it, which is called only for findings that are kept."""
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True)
+class WorldFinding:
+    """One problem at one place. Errors keep a world from running; warnings name what it runs without."""
+
+    severity: Severity
+    span: Span
+    headline: str
+    help: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.span.location}: {self.severity}: {self.headline}"
+        return f"{text}\n  help: {self.help}" if self.help else text
+
+
+def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
+    """Return a help with the nearest of the names."""
+    near = nearest_word(name, names)
+    return f"did you mean '{near}'?" if near else otherwise
+
+
+class WorldError(DeepbotsError):
+    """A world cannot be run; has the findings."""
+
+    def __init__(self, findings: list[WorldFinding]) -> None:
+        super().__init__("\n".join(map(str, findings)))
+        self.findings = findings
+
+
+class WorldFindings:
+    """The findings about a project, in the order of their places; repeats are left out."""
+
+    def __init__(self) -> None:
+        self._findings: dict[tuple[str, str], WorldFinding] = {}
+        self._counts: Counter[str] = Counter()
+
+    def error(self, span: Span, headline: str, help: Help = "") -> None:
+        self._add("error", span, headline, help)
+
+    def warning(self, span: Span, headline: str, help: Help = "") -> None:
+        self._add("warning", span, headline, help)
+
+    def append(self, finding: WorldFinding) -> None:
+        self._add(finding.severity, finding.span, finding.headline, finding.help)
+
+    def _add(self, severity: Severity, span: Span, headline: str, help: Help) -> None:
+        if self._counts[severity] < MAX_FINDINGS and (severity, headline) not in self._findings:
+            self._counts[severity] += 1
+            text = help if isinstance(help, str) else help()
+            self._findings[severity, headline] = WorldFinding(severity, span, headline, text)
+
+    def __iter__(self) -> Iterator[WorldFinding]:
+        return iter(
+            sorted(
+                self._findings.values(), key=lambda finding: (finding.span.source.name, finding.span.start)
+            )
+        )
+
+    def __len__(self) -> int:
+        return len(self._findings)
+
+    @property
+    def errors(self) -> list[WorldFinding]:
+        return [finding for finding in self if finding.severity == "error"]
+
+    @property
+    def warnings(self) -> list[WorldFinding]:
+        return [finding for finding in self if finding.severity == "warning"]
+
+    def require_none(self) -> None:
+        """Raise the errors, if there are any.
+
+        Raises:
+            WorldError: There is an error.
+        """
+        if errors := self.errors:
+            raise WorldError(errors)
+
+
+# Nodes
 
 MAX_BYTES = 8 * 2**20
 """The maximum size of one file. The largest world of the four projects of deepworlds has 23 kB."""
@@ -66,6 +158,12 @@ class WorldSyntaxError(DeepbotsError):
     def __init__(self, span: Span, headline: str, help: str = "") -> None:
         self.finding = WorldFinding("error", span, headline, help)
         super().__init__(str(self.finding))
+
+
+TEMPLATE = "is a template with code, which deepbots does not run"
+TEMPLATE_HELP = (
+    "in Webots, choose Convert to Base Node(s) in the context menu of the node, and save the world"
+)
 
 
 @dataclass(eq=False)
@@ -125,13 +223,13 @@ class Parameter(NamedTuple):
 
 @dataclass(eq=False)
 class Proto:
-    """The definition of a PROTO: its interface, and its body as nodes, or as the text of a template."""
+    """The definition of a PROTO: its interface, and its body; a template with code has none."""
 
     name: str
     span: Span
     interface: dict[str, Parameter]
     body: list[Node]
-    template: str = ""
+    is_template: bool = False
     source: Source | None = None
     externs: list[Extern] = field(default_factory=list)
     neighbors: Mapping[str, Proto] = field(default_factory=dict)
@@ -294,9 +392,8 @@ class _Parser:
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
         if self.last_statement > self.token.start:
             if not may_be_template:
-                message = f"PROTO {name.text} is a template, which only a file of its own may be"
-                raise self._error(name, message, f"write it as protos/{name.text}.proto")
-            proto.template = self.text[self.token.start :]
+                raise self._error(name, f"PROTO {name.text} {TEMPLATE}", TEMPLATE_HELP)
+            proto.is_template = True
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
             return proto

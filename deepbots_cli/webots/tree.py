@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.webots.nodes import parameters, real, value_of, walk
+from deepbots_cli.webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
 from deepbots_cli.webots.scene import AXES
-from deepbots_cli.webots.shapes import compose
+from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute
+from deepbots_cli.webots.shapes import compose, inverse
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.syntax import Value
-from deepbots_cli.webots.unimplemented import NotImplementedCallError, missing_attribute
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Quaternion, Triple
@@ -114,7 +113,7 @@ class Node(_NodeTypes):
         """Return the 4 by 4 matrix of the pose in the world, or in the frame of another node."""
         frame = self._frame("getPose")
         if fromNode is not None:
-            frame = compose(_inverse(fromNode._frame("getPose")), frame)
+            frame = compose(inverse(fromNode._frame("getPose")), frame)
         (x, y, z), rows = frame[0], _matrix(frame)
         return [*rows[:3], x, *rows[3:6], y, *rows[6:], z, 0.0, 0.0, 0.0, 1.0]
 
@@ -318,7 +317,7 @@ class Field:
 
     def getSFRotation(self) -> list[float]:
         frame = self._local_frame() if self._name == "rotation" else None
-        return self._numbers()[:4] if frame is None else _axis_angle(frame)
+        return self._numbers()[:4] if frame is None else axis_angle(frame[1])
 
     def getSFColor(self) -> list[float]:
         return self._numbers()[:3]
@@ -381,7 +380,7 @@ class Field:
         if attachment is None:
             return None
         frame, outer = physics.frame(*attachment), self._outer_frame()
-        return frame if outer is None else compose(_inverse(outer), frame)
+        return frame if outer is None else compose(inverse(outer), frame)
 
     # Set
 
@@ -395,14 +394,12 @@ class Field:
 
     def setSFRotation(self, values: Sequence[float]) -> None:
         x, y, z, angle = map(float, values)
-        length = math.hypot(x, y, z)
         if self._name != "rotation" or self._real not in self._simulation.scene.attachments:
             self._set("setSFRotation", [x, y, z, angle])
             return
-        if length == 0:
+        if x == y == z == 0:
             raise ValueError("setSFRotation(): the axis is zero")
-        rotation = frames.from_axis_angle((x / length, y / length, z / length), angle)
-        self._move("setSFRotation", None, rotation)
+        self._move("setSFRotation", None, turned_about(x, y, z, angle))
 
     def _move(self, function: str, position: Triple | None, rotation: Quaternion | None) -> None:
         """Move a solid that stands alone in the world."""
@@ -539,19 +536,3 @@ def number_of(simulation: Simulation, node: Written) -> int:
 def _matrix(frame: Frame) -> list[float]:
     columns = [frames.rotate(frame[1], axis) for axis in AXES]
     return [column[row] for row in range(3) for column in columns]
-
-
-def _inverse(frame: Frame) -> Frame:
-    rotation = frames.inverse(frame[1])
-    return frames.scaled(frames.rotate(rotation, frame[0]), -1.0), rotation
-
-
-def _axis_angle(frame: Frame) -> list[float]:
-    """Return a rotation as an axis and an angle from 0 to pi."""
-    x, y, z, w = frame[1]
-    if w < 0:
-        x, y, z, w = -x, -y, -z, -w
-    length = math.hypot(x, y, z)
-    if length < 1e-12:
-        return [0.0, 0.0, 1.0, 0.0]
-    return [x / length, y / length, z / length, 2 * math.atan2(length, w)]

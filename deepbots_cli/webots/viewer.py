@@ -21,8 +21,8 @@ from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.view import server
-from deepbots_cli.view.manual_input import RELEASE_TIMEOUT_S
 from deepbots_cli.view.panel import heading, hint, notice, set_theme
+from deepbots_cli.view.playback import RELEASE_TIMEOUT_S
 from deepbots_cli.view.scene import (
     MAX_CELLS,
     add_shape,
@@ -31,17 +31,16 @@ from deepbots_cli.view.scene import (
     shaded_mesh,
     with_edges,
 )
-from deepbots_cli.webots.looks import color_of, sky_color, visible_shape
-from deepbots_cli.webots.recorder import HEIGHT, WIDTH, Viewpoint
+from deepbots_cli.webots.rendering import HEIGHT, WIDTH, Viewpoint
+from deepbots_cli.webots.shapes import color_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from deepbots_cli.frames import Frame
-    from deepbots_cli.view.manual_input import Axes, Keys
-    from deepbots_cli.webots.pace import Pace
+    from deepbots_cli.view.playback import Axes, Keys
     from deepbots_cli.webots.shapes import Shape
-    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.simulation import Pace, Simulation
 
 FRAME_RATE = 30
 """Pictures per second of real time."""

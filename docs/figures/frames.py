@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, pi, sin
 
-from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.cli.arguments import open_robot
 from deepbots_cli.robots.model import Box, Cylinder, Joint, RobotModel
 from figures.drawing import Drawing, Point
 

@@ -23,28 +23,27 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.cluster.local_processes import LocalProcesses
+from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.agents.multi_agent import own_model
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.environments import stepping_text, supervisor_factory
-from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.held_out import EvaluationWorlds
+from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
+from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.multi_agent import own_model
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
-from deepbots_cli.rollout.worlds import SingleWorlds, Worlds, observation_digest
+from deepbots_cli.rollout.seats import SeatCollector
+from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS, scenario_fixture, write_scenario
 from tests.agents.test_agents import ALONE, SEVERAL
 from tests.few import few
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import becomes_the_same
 
 PPO = (
     "train: {algorithm: PPO, total_timesteps: 768, n_steps: 64, n_epochs: 1,"
@@ -86,7 +85,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
     assert fragment.endings
     with closing(deepbots_cli.parallel_env(tmp_path / "several.yaml")) as environment:
         for name, member in program.members.items():
-            seat = SeatCollector(SeatLayout(member, program.agent), collector)
+            seat = SeatCollector([SeatLayout(member, program.agent)], collector)
             seat.offer(fragment)
             own = seat.fetch(None, 50)  # type: ignore[arg-type]  # it has acted already
             observed, _ = environment.reset(seed=7)
@@ -159,20 +158,16 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
     assert json.loads(result.model_dump_json())["agents"]["left"]["episodes"] == 4
 
 
-@pytest.mark.parametrize(
-    "training",
-    [
-        pytest.param(PPO, id="PPO", marks=pytest.mark.slow),
-        pytest.param(SAC, id="SAC", marks=pytest.mark.slow),
-    ],
-)
-def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, training: str) -> None:
-    scenario = write_scenario(tmp_path, SEVERAL.replace(OWN, training))
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(scenario, run=whole, seed=2)
-    assert deepbots_cli.train(scenario, run=cut, seed=2, progress=At(100)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["PPO", "SAC", "older weights", "one policy"])
+def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, case: str) -> None:
+    text = {
+        "PPO": SEVERAL.replace(OWN, PPO),
+        "SAC": SEVERAL.replace(OWN, SAC),
+        "older weights": SHARED.replace("n_steps", "environments: 2, shards: 2, staleness: 1, n_steps"),
+        "one policy": SHARED_POLICY + PPO_512,
+    }[case]
+    becomes_the_same(write_scenario(tmp_path, text), tmp_path, 100, seed=2)
 
 
 @pytest.mark.slow
@@ -305,7 +300,7 @@ def test_the_episodes_of_an_agent_end_where_it_ends(carts: Path) -> None:
     assert fragments["batch"] is not None
     for name in NAMES:
         assert of_all.agent_phases[name].tolist() == fragments["batch"].agent_phases[name].tolist()
-    seat = SeatCollector(SeatLayout(program.members["left"], program.agent), collector)
+    seat = SeatCollector([SeatLayout(program.members["left"], program.agent)], collector)
     seat.offer(of_all)
     own = seat.fetch(None, 90)  # type: ignore[arg-type]  # it has acted already
     assert own.taking_part is not None
@@ -355,12 +350,8 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
 
 @pytest.mark.slow
 def test_a_training_with_such_ends_resumes_exactly_and_is_evaluated(carts: Path, tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(carts, run=whole, seed=2)
-    assert deepbots_cli.train(carts, run=cut, seed=2, progress=At(500)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
-    assert {*evaluate(whole, episodes=4, seed=5).agents} == {"left", "right"}
+    becomes_the_same(carts, tmp_path, 500, seed=2)
+    assert {*evaluate(tmp_path / "whole", episodes=4, seed=5).agents} == {"left", "right"}
 
 
 @pytest.mark.parametrize("algorithm", ["SAC", "RecurrentPPO"])
@@ -490,8 +481,8 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
         fragment = collector.collect(act, 80)
         assert fragment is not None
         seats = [SeatLayout(member, program.agent) for member in program.members.values()]
-        parts = [SeatCollector(seat, collector).part_of(fragment) for seat in seats]
-        shared = SharedCollector(seats, collector)
+        parts = [SeatCollector([seat], collector).part_of(fragment) for seat in seats]
+        shared = SeatCollector(seats, collector)
         both = shared.part_of(fragment)
     assert shared.rows == 4
     assert both.endings
@@ -518,17 +509,6 @@ def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path
     assert left
     assert all(np.array_equal(array, weights[f"right/{name}"]) for name, array in left.items())
     assert {*evaluate(tmp_path / "run", episodes=2).agents} == {"left", "right"}
-
-
-@pytest.mark.slow
-def test_an_interrupted_training_of_a_shared_policy_becomes_the_same(
-    sharing_carts: Path, tmp_path: Path
-) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    deepbots_cli.train(sharing_carts, run=whole, seed=2)
-    assert deepbots_cli.train(sharing_carts, run=cut, seed=2, progress=At(100)).interrupted
-    deepbots_cli.resume(cut)
-    assert outcome(cut) == outcome(whole)
 
 
 @pytest.mark.slow

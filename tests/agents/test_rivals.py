@@ -24,15 +24,15 @@ from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, ScenarioError, UsageError
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
-from deepbots_cli.insight.probes import run_probes
-from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings
-from deepbots_cli.learning.agents import self_play
-from deepbots_cli.learning.agents.matches import play_matches
-from deepbots_cli.learning.agents.self_play import SelfPlayLearner, Sides, SidesCollector
-from deepbots_cli.learning.checkpoint_files import latest_checkpoint
-from deepbots_cli.learning.evaluation import evaluate, load_model
+from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
+from deepbots_cli.learning import self_play
+from deepbots_cli.learning.checkpoints import latest_checkpoint
+from deepbots_cli.learning.evaluation import evaluate
+from deepbots_cli.learning.matches import play_matches
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollector
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.worlds import SingleWorlds
@@ -41,14 +41,13 @@ from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
-from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import plot
-from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.replay import ReplayPlayer, open_player
 from deepbots_cli.view.training_logs import read_logs
 from tests.agents.carts import write_scenario
 from tests.agents.test_multi_agent_training import SHARED
 from tests.commands import Deepbots
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import becomes_the_same
 from tests.worlds import RAIL
 
 
@@ -282,10 +281,7 @@ def test_a_policy_of_several_agents_is_asked_for_by_name(
     ("words", "instead"),
     [
         (["compare", "RUN", "RUN", "--own"], "in one scenario; leave out --own\n"),
-        (
-            ["compare", "RUN", "RUN", "--workers", "2", "--cluster", "auto"],
-            "leave out --workers and --cluster",
-        ),
+        (["compare", "RUN", "RUN", "--workers", "2"], "leave out --workers"),
         (["compare", "RUN", "RUN", "--case", "heavy"], "leave out --case, and write a change"),
         (["robustness", "RUN"], "--agent NAME"),
         (["transfer", "RUN"], "--agent NAME"),
@@ -393,11 +389,7 @@ def test_an_interrupted_training_with_self_play_becomes_the_same(
     tmp_path: Path, text: str, worlds: int
 ) -> None:
     scenario = write_scenario(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
-    deepbots_cli.train(scenario, run=tmp_path / "whole", seed=2)
-    assert deepbots_cli.train(scenario, run=tmp_path / "cut", seed=2, progress=At(900)).interrupted
-    resumed = deepbots_cli.resume(tmp_path / "cut")
-    assert outcome(tmp_path / "cut") == outcome(tmp_path / "whole")
-    assert resumed.ratings == Run.open(tmp_path / "whole").record.result.ratings  # type: ignore[union-attr]
+    assert becomes_the_same(scenario, tmp_path, 900, seed=2)["result"]["ratings"]
 
 
 @pytest.mark.slow

@@ -33,11 +33,10 @@ from safetensors.numpy import load
 import deepbots_robot
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.deploy import deploy_settings
-from deepbots_cli.insight.export.isaac import DEPLOY_NAME, GRAPH_NAME, isaac_files
+from deepbots_cli.insight.export.deploy import DEPLOY_NAME, GRAPH_NAME, deploy_settings, isaac_files
+from deepbots_cli.insight.export.devices import recorded_steps
 from deepbots_cli.insight.export.lerobot import ACTION, STATE, lerobot_files
 from deepbots_cli.insight.export.network import numbers_read
-from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.program.identity import Deployment
 from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot import Bundle, BundleError, InputError, bundle, model, onnx_file

@@ -18,7 +18,7 @@ pytest.importorskip("cryptography")
 
 import deepbots_robot
 from deepbots_cli.cli import main
-from deepbots_cli.insight.templates import plain_markdown
+from deepbots_cli.insight.statements import plain_markdown
 from deepbots_robot import BundleError, bundle, signature
 from tests.bundle.forgeries import QUICK, prepare
 

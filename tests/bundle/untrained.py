@@ -15,8 +15,8 @@ import torch
 import deepbots_robot
 from deepbots_cli import api
 from deepbots_cli.insight.export.control import ControlStep, control_step
+from deepbots_cli.insight.export.devices import recorded_steps
 from deepbots_cli.insight.export.parity import Comparison, recorded_parity
-from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.policies import PolicyDriver

@@ -212,29 +212,29 @@ def test_a_hexapod_stands_on_one_of_two_tripods_at_a_time(written):
     ]
 
 
-def test_an_inertia_that_no_body_can_have_is_that_of_the_shape(written, tmp_path):
-    head = link("head", "0.1 0.1 0.12", 1.0, "0 0 0.07")
-    flat = head.replace('izz="', 'izz="1')
-    assert flat != head
-    text = written(humanoid().replace(head, flat))
-    assert "head: {inertia: auto}" in text
-    assert "engine: mujoco" in text
-    assert stood(tmp_path / "first.yaml")[0] == pytest.approx(10.0)
+HEAD = link("head", "0.1 0.1 0.12", 1.0, "0 0 0.07")
+IMPOSSIBLE = HEAD.replace('izz="', 'izz="1')
+"""An inertia that no body can have."""
+FRAME = link("tool", "0.01 0.01 0.01", 1e-9, inertia=0.0)
+FIXED = '<joint name="t" type="fixed"><parent link="head"/><child link="tool"/></joint>'
 
 
-def test_a_robot_with_an_inertia_that_mujoco_refuses_gets_an_engine_that_takes_it(written, tmp_path):
+@pytest.mark.parametrize(
+    ("part", "other", "words"),
+    [
+        (HEAD, IMPOSSIBLE, ["head: {inertia: auto}", "engine: mujoco"]),
+        # Without a shape that tells the inertia, an engine that takes it.
+        (HEAD, re.sub("<collision>.*</collision>", "", IMPOSSIBLE), ["engine: pybullet"]),
+        ("</robot>", f"{FRAME}{FIXED}</robot>", ["engine: mujoco"]),
+    ],
+    ids=["of the shape", "without a shape", "a frame of a billionth of a kilogram"],
+)
+def test_a_mass_that_mujoco_refuses_does_not_stop_a_robot(written, tmp_path, part, other, words):
     pytest.importorskip("pybullet")
-    head = link("head", "0.1 0.1 0.12", 1.0, "0 0 0.07")
-    bare = re.sub("<collision>.*</collision>", "", head).replace('izz="', 'izz="1')
-    text = written(humanoid().replace(head, bare))
-    assert "engine: pybullet" in text
-    assert stood(tmp_path / "first.yaml")[0] == pytest.approx(10.0)
-
-
-def test_a_frame_of_a_billionth_of_a_kilogram_does_not_stop_mujoco(written, tmp_path):
-    frame = link("tool", "0.01 0.01 0.01", 1e-9, inertia=0.0)
-    fixed = '<joint name="t" type="fixed"><parent link="head"/><child link="tool"/></joint>'
-    assert "engine: mujoco" in written(humanoid().replace("</robot>", f"{frame}{fixed}</robot>"))
+    urdf = humanoid()
+    assert part in urdf
+    text = written(urdf.replace(part, other))
+    assert [word for word in words if word not in text] == []
     assert stood(tmp_path / "first.yaml")[0] == pytest.approx(10.0)
 
 

@@ -8,6 +8,7 @@
   linted all the same.
 * Files for other programs that run `deepbots lint` or read its output: a hook and a problem matcher.
 * `deepbots explain`: the meaning of a finding, in the terminal and for programs.
+* The files that `lint --watch`, `view --watch` and the studio watch, against those that the interpreter opens.
 """
 
 from __future__ import annotations
@@ -20,31 +21,40 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli import exploits, main
+from deepbots_cli.cli import main, written_files
 from deepbots_cli.cli.command import Commands
+from deepbots_cli.cli.commands.lint import LintOptions
 from deepbots_cli.cli.explanations import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.document import loads, shipped
+from deepbots_cli.files import recorded_reads
 from deepbots_cli.installation import install_hint
 from deepbots_cli.lint import all_findings, run
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.pages import every_page
+from deepbots_cli.lint.settings import settings as project_settings
 from deepbots_cli.lsp.server import diagnostics
-from deepbots_cli.lsp.workspace import Document, analyze
+from deepbots_cli.lsp.workspace import Document, analyze, uri_of
 from deepbots_cli.rollout.source import Source
+from deepbots_cli.view.episodes import Showing
+from tests.commands import Ran
 from tests.named import with_defaults
+from tests.worlds import CART
 
 CARTPOLE = (
     shipped.scenario_path("cartpole")
@@ -122,44 +132,33 @@ def test_arbitrary_assignments_never_end_in_a_fault(value, path):
     assert main(["lint", "cartpole", "--set", f"{path}={value}", "--format", "json"]) in (0, 1)
 
 
-def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
-    (tmp_path / "s").mkdir()
-    for name in ("b", "a"):
-        (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE + "oops: 1\n")
-    (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
-    (tmp_path / "s" / "short.yml").write_text("deepbots: 2\n")
-    (tmp_path / "s" / "quoted.yaml").write_text('"deepbots": 2\n')
-    (tmp_path / "s" / "within.yaml").write_text("# not at the top level\njobs:\n  deepbots: 1\n")
-    ran = deepbots("lint", "s", "--format", "concise", code=1)
-    assert list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines())) == [
-        "s/a.yaml",
-        "s/b.yaml",
-        "s/quoted.yaml",
-        "s/short.yml",
-    ]
-
-
 def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepbots, tmp_path):
-    places = (
-        "top",
-        "worlds/one",
-        "worlds/deep/two",
-        ".hidden/three",
-        "runs/cartpole-0/scenario",
-        "env/lib/four",
-        "node_modules/p/five",
-    )
-    for place in (*places, "old/six", "worlds/deep/old/seven"):
-        path = tmp_path / f"{place}.yaml"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("deepbots: 1\n")
-    (tmp_path / "runs" / "cartpole-0" / "run.json").touch()
-    (tmp_path / "env" / "pyvenv.cfg").touch()
+    seen = {"top.yaml", "short.yml", "worlds/one.yaml", "worlds/deep/two.yaml", "worlds/deep/old/seven.yaml"}
+    texts = dict.fromkeys(
+        (
+            *seen,
+            ".hidden/three.yaml",
+            "runs/cartpole-0/scenario.yaml",
+            "runs/cartpole-0/run.json",
+            "env/lib/four.yaml",
+            "env/pyvenv.cfg",
+            "node_modules/p/five.yaml",
+            "old/six.yaml",
+        ),
+        "deepbots: 1\n",
+    ) | {
+        "quoted.yaml": '"deepbots": 2\n',
+        "other.yaml": "jobs: []\n",
+        "within.yaml": "# not at the top level\njobs:\n  deepbots: 1\n",
+        "deepbots.toml": '[lint]\nexclude = ["old"]\n',
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
     (tmp_path / "worlds" / "again").symlink_to(tmp_path / "worlds", target_is_directory=True)
-    (tmp_path / "deepbots.toml").write_text('[lint]\nexclude = ["old"]\n')
     ran = deepbots("lint", ".", "--format", "concise", code=1)
     files = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
-    assert files == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
+    assert files == sorted({*seen, "quoted.yaml"})
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
@@ -197,13 +196,6 @@ def test_folders_in_folders_by_the_hundred_are_searched_without_a_fault(deepbots
     assert (ran.out[:10], ran.err) == ("real.yaml:", "")
 
 
-def test_several_files_are_linted_at_once(deepbots, tmp_path):
-    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
-    report = json.loads(deepbots("lint", "cartpole", "a.yaml", "--json", code=1).out)
-    assert (report["version"], {finding["file"] for finding in report["findings"]}) == (1, {"a.yaml"})
-    assert report["counts"]["error"] == len(report["findings"])
-
-
 @pytest.mark.parametrize("format", ["github", "sarif", "junit"])
 def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_each_time(
     deepbots, tmp_path, format
@@ -214,11 +206,6 @@ def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_eac
     assert "DB102" in ran.out
     assert str(tmp_path) not in ran.out
     assert deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format, code=1).out == ran.out
-
-
-def test_color_is_for_terminals_only(deepbots, tmp_path):
-    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
-    assert "\x1b[" not in deepbots("lint", "a.yaml", code=1).out
 
 
 WARNED = CARTPOLE.replace("summary:", "summary: on #").replace("15 deg", "15 rad")
@@ -235,53 +222,6 @@ def files(deepbots, tmp_path):
 
 def codes(ran):
     return [finding["code"] for finding in json.loads(ran.out)["findings"]]
-
-
-def test_codes_are_selected_and_ignored(deepbots, files):
-    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB003", "DB504"]
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5")) == ["DB504"]
-    assert codes(
-        deepbots(
-            "lint",
-            "warned.yaml",
-            "--json",
-            "--select",
-            "DB5,yaml11-boolean",
-            "--ignore",
-            "degrees-as-radians",
-        )
-    ) == ["DB003"]
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--ignore", "DB0", "--ignore", "DB5")) == []
-
-
-def test_unselected_findings_do_not_fail(deepbots, files):
-    deepbots("lint", "warned.yaml", "--fail-on", "warning", code=1)
-    ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
-    assert ran.out == "warned.yaml: no findings among the selected rules\n"
-
-
-def test_an_error_that_is_not_selected_still_fails_with_one_line(deepbots, files):
-    ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise", code=1)
-    assert ran.out == ""
-    assert (
-        ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
-    )
-
-
-def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):
-    ran = deepbots("lint", "broken.yaml", "--ignore", "degrees-as-radian", code=2)
-    assert "did you mean degrees-as-radians?" in ran.err
-
-
-def test_a_rule_in_preview_that_does_not_run_is_a_warning_at_the_word_that_selected_it(deepbots, files):
-    (finding,) = json.loads(deepbots("lint", "warned.yaml", "--json", "--select", "DB706").out)["findings"]
-    assert (finding["code"], finding["file"]) == ("DB902", "--select")
-    assert finding["start"] == {"line": 1, "column": 1}
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--preview")) == []
-
-
-def test_findings_can_be_printed_without_failing(deepbots, files):
-    assert "DB402" in deepbots("lint", "broken.yaml", "--exit-zero", "--format", "concise").out
 
 
 def feed(monkeypatch, data: bytes) -> None:
@@ -302,11 +242,6 @@ def test_standard_input_needs_no_name_and_is_any_bytes(deepbots, files, monkeypa
     assert {finding["file"] for finding in json.loads(ran.out)["findings"]} == {"<stdin>"}
 
 
-@pytest.mark.parametrize("words", [["-", "--fix"], ["warned.yaml", "--stdin-filename", "a.yaml"]])
-def test_standard_input_that_cannot_be_meant_is_wrong_usage(deepbots, files, words):
-    assert "standard input" in deepbots("lint", *words, code=2).err
-
-
 def test_several_processes_say_the_same_in_the_same_order(deepbots, files):
     for name in ("b", "a", "c"):
         (files / f"{name}.yaml").write_text(WARNED)
@@ -325,27 +260,6 @@ def test_only_what_is_asked_for_is_fixed(deepbots, files):
     assert "summary: on" not in (files / "a.yaml").read_text()
 
 
-@pytest.mark.parametrize(
-    ("file", "head"),
-    [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")],
-)
-def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
-    (files / file).write_text(f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\n")
-    assert codes(deepbots("lint", "warned.yaml", code=1)) == ["DB504"]
-
-
-def test_the_command_line_wins_over_the_project(deepbots, files):
-    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\n")
-    ran = deepbots("lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise")
-    assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]"]
-
-
-def test_the_command_line_wins_over_the_preview_of_the_project(deepbots, files):
-    (files / "deepbots.toml").write_text("[lint]\npreview = true\n")
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706")) == []
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--no-preview")) == ["DB902"]
-
-
 def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deepbots, files):
     (files / "drafts").mkdir()
     (files / "drafts" / "new.yaml").write_text(BROKEN)
@@ -355,28 +269,6 @@ def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deep
     deepbots("lint", "drafts/new.yaml", code=1)
     (files / "deepbots.toml").write_text("[lint]\nexclude = ['drafts/']\n")
     assert deepbots("lint", "drafts").out == "0 scenarios: no findings\n"
-
-
-def test_the_settings_are_those_of_the_project_of_the_working_directory(deepbots, files, monkeypatch):
-    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB6']\n")
-    (files / "inner").mkdir()
-    monkeypatch.chdir(files / "inner")
-    assert codes(deepbots("lint", "../warned.yaml", "--json")) == []
-
-
-def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files):
-    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5', 'DB706']\n")
-    findings = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
-    assert next((finding["code"], finding["file"], finding["start"]["line"]) for finding in findings) == (
-        "DB902",
-        "deepbots.toml",
-        2,
-    )
-
-
-def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files):
-    (files / "pyproject.toml").write_text("[tool]\nother.x = 1\ndeepbots.lint.select = ['DB5']\n")
-    assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB504"]
 
 
 @pytest.mark.parametrize(
@@ -404,14 +296,6 @@ def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files,
     assert ran.err.count("\n") == 1
 
 
-def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots, files):
-    before = deepbots("lint", "warned.yaml")
-    (files / "pyproject.toml").write_text("[project]\nname = 'deepbots-worlds'\n[tool.other]\nlint = true\n")
-    after = deepbots("lint", "warned.yaml")
-    assert (after.code, after.out) == (before.code, before.out)
-    assert "DB504" in after.out
-
-
 def test_the_settings_in_the_docs_are_settings(deepbots, files):
     page = (Path(__file__).parents[2] / "docs" / "linting.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
@@ -423,41 +307,34 @@ def test_the_settings_in_the_docs_are_settings(deepbots, files):
     ]
 
 
-def test_statistics_count_the_findings_of_each_code(deepbots, files):
-    ran = deepbots("lint", ".", "--statistics", "--json", code=1)
-    assert [(row["count"], row["code"], row["fixable"]) for row in json.loads(ran.out)] == [
-        (1, "DB003", 1),
-        (1, "DB402", 1),
-        (1, "DB504", 1),
-    ]
-    assert "DB504  degrees-as-radians" in deepbots("lint", "warned.yaml", "--statistics").out
-    assert (
-        "--statistics prints a table or JSON"
-        in deepbots("lint", ".", "--statistics", "--format", "sarif", code=2).err
+@pytest.fixture
+def watched(deepbots, monkeypatch):
+    """Watch while these files get contents one after the other, until Ctrl-C."""
+
+    def watch(changes: Iterable[tuple[Path, bytes]], *words: str) -> Ran:
+        changes = iter(changes)
+
+        def save_or_interrupt(_):
+            file, content = next(changes, (None, b""))
+            if file is None:
+                raise KeyboardInterrupt
+            file.write_bytes(content)
+
+        monkeypatch.setattr("time.sleep", save_or_interrupt)
+        return deepbots("lint", *words, "--watch")
+
+    return watch
+
+
+def test_watching_lints_again_when_a_file_is_saved(deepbots, files, watched):
+    texts = (CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m"))
+    ran = watched(
+        [(files / "broken.yaml", text.encode()) for text in texts], "broken.yaml", "--format", "concise"
     )
-
-
-def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch):
-    texts = iter([CARTPOLE, CARTPOLE.replace("alive: 1", "alive: 1 m")])
-
-    def save_or_interrupt(_):
-        text = next(texts, None)
-        if text is None:
-            raise KeyboardInterrupt
-        (files / "broken.yaml").write_text(text)
-
-    monkeypatch.setattr("time.sleep", save_or_interrupt)
-    ran = deepbots("lint", "broken.yaml", "--watch", "--format", "concise")
     codes_shown = re.findall(r"DB\d+", ran.out)
     assert (codes_shown[0], codes_shown[-1], len(codes_shown)) == ("DB402", "DB503", 2)
     assert ran.err.count("watching 2 files; Ctrl-C ends it") == 3
     deepbots("lint", "broken.yaml", "--watch", "--fix", code=2)
-
-
-@pytest.mark.parametrize("wrong", ["--unsafe-fixes", "--statistics --format sarif"])
-def test_wrong_options_end_the_watching_before_it_begins(deepbots, files, wrong):
-    ran = deepbots("lint", "broken.yaml", "--watch", *wrong.split(), code=2)
-    assert "watching" not in ran.err
 
 
 def test_a_fix_of_an_included_file_is_not_offered_for_the_file_that_includes_it(deepbots, files):
@@ -510,21 +387,11 @@ def test_a_simulated_finding_is_selected_and_suppressed_like_any_other(deepbots,
     assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
 
 
-def test_selecting_a_simulated_rule_without_a_simulation_is_reported(deepbots, simulated):
-    (finding,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
-    assert (finding["code"], finding["message"]) == ("DB902", "DB608 needs a simulation and does not run")
-
-
 def test_a_scenario_with_errors_is_not_simulated_and_a_note_says_so(deepbots, simulated):
     (simulated / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
     ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise", code=1)
     assert ran.out.split()[2] == "DB402[unknown-name]"
     assert ran.err == "broken.yaml: not simulated because it has errors\n"
-
-
-@pytest.mark.parametrize("option", ["--fix", "--diff"])
-def test_deep_refuses_fix(deepbots, simulated, option):
-    assert "--deep" in deepbots("lint", "sunk.yaml", "--deep", option, code=2).err
 
 
 def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, simulated, monkeypatch):
@@ -563,8 +430,8 @@ def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepb
     )
     verified = deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap")
     assert verified.out.split(": ")[1] == "1 episode and 60 steps are the same to the bit\n"
-    assert exploits.was_searched(api.compile("parked.yaml").program)
-    assert not exploits.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
+    assert written_files.was_searched(api.compile("parked.yaml").program)
+    assert not written_files.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
 
 
 @pytest.mark.usefixtures("simulated_here")
@@ -588,26 +455,7 @@ def test_a_damaged_record_counts_as_no_search(deepbots, parked, content):
     record = parked / "exploits" / "parked" / "searched.json"
     record.parent.mkdir(parents=True)
     record.write_text(content, encoding="latin-1")
-    assert not exploits.was_searched(api.compile("parked.yaml").program)
-
-
-def test_selecting_an_exploit_rule_without_a_search_is_reported(deepbots, parked):
-    (finding,) = json.loads(deepbots("lint", "parked.yaml", "--json", "--select", "DB713").out)["findings"]
-    assert (finding["code"], finding["help"]) == ("DB902", "add --exploits, or remove the code")
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ("parked.yaml", "--fix"),
-            "--exploits cannot be combined with --fix or --diff: its findings have no automatic fixes",
-        ),
-        (("-",), "--exploits needs a file: it records episodes of the scenario"),
-    ],
-)
-def test_exploits_refuse_fix_and_standard_input(deepbots, parked, words, message):
-    assert deepbots("lint", *words, "--exploits", code=2).err == f"error: {message}\n"
+    assert not written_files.was_searched(api.compile("parked.yaml").program)
 
 
 def test_a_folder_that_cannot_be_written_is_named_before_the_search(deepbots, parked):
@@ -664,7 +512,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
         [rows[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
-    assert re.search(r" \(deepbots_cli\.lint\.run:\d+\)", ran.out), "the innermost place in deepbots"
+    assert re.search(r" \(deepbots_cli\.lint\.context:\d+\)", ran.out), "the innermost place in deepbots"
     assert "Traceback" not in ran.out + ran.err
 
 
@@ -771,22 +619,17 @@ def pattern():
 
 
 def test_the_hook_for_commits_lints_the_scenarios_of_a_repository(deepbots, tmp_path, hook):
-    assert hook["language"] == "python"
-    assert hook["pass_filenames"] is False
     command, *words = [*shlex.split(hook["entry"]), *hook["args"]]
-    assert command == "deepbots"
+    assert (command, hook["language"], hook["pass_filenames"]) == ("deepbots", "python", False)
+    for name in ("scenarios/a.yaml", "robots/a.urdf", "b.yml"):
+        assert re.search(hook["files"], name)
+        assert not re.search(hook["files"], name + ".orig")
     (tmp_path / "scenarios").mkdir()
     (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE)
     (tmp_path / "scenarios" / "part.yaml").write_text("a: 1\n")
     deepbots(*words)
     (tmp_path / "scenarios" / "mine.yaml").write_text(CARTPOLE.replace("timestep:", "timestop:"))
     assert deepbots(*words, code=1).out.startswith("scenarios/mine.yaml:")
-
-
-@pytest.mark.parametrize("name", ["scenarios/a.yaml", "robots/a.urdf", "b.yml"])
-def test_the_hook_heeds_whatever_a_scenario_may_read(hook, name):
-    assert re.search(hook["files"], name)
-    assert not re.search(hook["files"], name + ".orig")
 
 
 @pytest.mark.parametrize("name", ["a.yaml", "my worlds/a.yaml", "a:1:2: b.yaml"])
@@ -796,22 +639,18 @@ def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp
         CARTPOLE.replace("timestep:", "timestop:").replace("summary:", "summary: on #")
     )
     lines = deepbots("lint", name, "--format", "concise", code=1).out.splitlines()
-    assert len(lines) == 2
-    matches = [re.match(pattern["regexp"], line) for line in lines]
-    assert [match[pattern["file"]] for match in matches] == [name, name]
-    assert [match[pattern["severity"]] for match in matches] == ["warning", "error"]
-    assert [match[pattern["code"]] for match in matches] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
     report = json.loads(deepbots("lint", name, "--json", code=1).out)["findings"]
-    assert [int(match[pattern["line"]]) for match in matches] == [
-        finding["start"]["line"] for finding in report
-    ]
-    assert [int(match[pattern["column"]]) for match in matches] == [
-        finding["start"]["column"] for finding in report
-    ]
-    assert all(
-        match[pattern["message"]].startswith(finding["message"])
-        for match, finding in zip(matches, report, strict=True)
-    )
+    assert [finding["code"] for finding in report] == ["DB003", "DB101"]
+    for line, finding in zip(lines, report, strict=True):
+        match = re.match(pattern["regexp"], line)
+        read = {part: match[pattern[part]] for part in ("file", "severity", "code", "line", "column")}
+        assert read == {
+            "file": name,
+            "severity": finding["severity"],
+            "code": f"{finding['code']}[{finding['name']}]",
+            **{part: str(number) for part, number in finding["start"].items()},
+        }
+        assert match[pattern["message"]].startswith(finding["message"])
 
 
 def test_the_command_lines_of_the_page_on_linting_parse():
@@ -828,25 +667,6 @@ def test_the_command_lines_of_the_page_on_linting_parse():
 )
 def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, word):
     assert deepbots("explain", word).out == deepbots("explain", "DB603").out
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("DB502 DB503", r"DB503 +\S+ +error "),
-        ("DB611", "A part of the rule needs a simulation, and runs only with --deep --preview"),
-        ("%", r"1 % is 0\.01\."),
-    ],
-)
-def test_an_explanation_is_of_all_that_was_asked(deepbots, words, line):
-    assert re.search(line, deepbots("explain", *words.split()).out)
-
-
-@pytest.mark.parametrize("code", ["DB901", "DB902", "DB903"])
-def test_a_finding_about_linting_neither_stops_a_training_nor_is_suppressed(deepbots, code):
-    output = deepbots("explain", code).out
-    assert "cannot be compiled" not in output
-    assert f"ignore[{code}]" not in output
 
 
 def test_the_page_on_linting_marks_what_needs_preview_beside_deep():
@@ -962,8 +782,146 @@ def test_two_words_need_no_quotes(deepbots):
     assert deepbots("explain", "success", "rate").out == deepbots("explain", "success rate").out
 
 
-def test_a_term_of_isaac_lab_is_explained_by_the_lines_of_its_page(deepbots):
-    lines = deepbots("explain", "illegal_contact").out.splitlines()
-    assert lines[0] == "illegal_contact: a term of Isaac Lab"
-    assert lines[2:4] == ["    termination.failure:", "      trunk_down: contact_force(dog.trunk) > 1 N"]
-    assert lines[-1] == "Read more: docs/isaac-lab.md"
+PARTS = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="part" params="name">
+  <link name="${name}"><visual><geometry>%s</geometry></visual>
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</xacro:macro></robot>"""
+LINK = PARTS.partition("<link")[2].partition("</xacro")[0]
+ROBOT = """<robot name="bot" xmlns:xacro="http://www.ros.org/wiki/xacro">%s
+  <joint name="slider" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2" effort="%s" velocity="3"/></joint>
+  <joint name="hinge" type="continuous"><parent link="cart"/><child link="pole"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+NAMES = ("base", "cart", "pole")
+KINDS = {
+    "robot": ["urdf", "xacro"],
+    "mesh": ["none", "stl", "glb", "gltf"],
+    "terrain": ["none", "hills.png"],
+    "included": [False, True],
+    "extended": [False, True],
+}
+
+_OPENED: list[str] | None = None
+
+
+def _note(event: str, arguments: tuple[object, ...]) -> None:
+    if event == "open" and _OPENED is not None and isinstance(arguments[0], str | os.PathLike):
+        _OPENED.append(os.fspath(arguments[0]))
+
+
+sys.addaudithook(_note)
+
+
+@contextmanager
+def opened_below(folder: Path) -> Iterator[set[Path]]:
+    """Collect the files below a folder that the interpreter opens."""
+    global _OPENED
+    paths: set[Path] = set()
+    _OPENED = []
+    try:
+        yield paths
+    finally:
+        opened, _OPENED = map(Path, _OPENED), None
+        paths |= {path.resolve() for path in opened if path.resolve().is_relative_to(folder.resolve())}
+
+
+def written(folder: Path, kinds: dict[str, object]) -> tuple[Path, Path]:
+    """Write a project of these kinds of files; return its scenario and its robot file."""
+    import trimesh
+    from PIL import Image
+
+    shape = '<box size="1 1 1"/>'
+    if kinds["mesh"] != "none":
+        shape = f'<mesh filename="body.{kinds["mesh"]}"/>'
+        box = trimesh.creation.box()
+        files = {
+            "body.stl": box.export(file_type="stl"),
+            "body.glb": trimesh.Scene(box).export(file_type="glb"),
+        }
+        if kinds["mesh"] == "gltf":
+            exported = trimesh.Scene(box).export(file_type="gltf")
+            files = {name.replace("model.gltf", "body.gltf"): data for name, data in exported.items()}
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
+    if kinds["robot"] == "xacro":
+        (folder / "parts.xacro").write_text(PARTS % shape)
+        (folder / "limits.yaml").write_text("effort: 10\n")
+        links = "".join(f'<xacro:part name="{name}"/>' for name in NAMES)
+        head = '<xacro:include filename="parts.xacro"/><xacro:property name="l" value="${xacro.load_yaml(\'limits.yaml\')}"/>'
+        robot = ROBOT % (head + links, "${l['effort']}")
+    else:
+        links = "".join(f"<link{LINK.replace('${name}', name) % shape}" for name in NAMES)
+        robot = ROBOT % (links, "10")
+    robot_file = folder / f"bot.{kinds['robot']}"
+    robot_file.write_text(robot)
+    text = CART.replace("cartpole_rail", robot_file.name) + "reward: {alive: 1}\n"
+    if kinds["included"]:
+        text = text.replace(f"urdf: {robot_file.name}\n    base: fixed", "include: bot.yaml")
+        (folder / "bot.yaml").write_text(f"urdf: {robot_file.name}\nbase: fixed\n")
+    if kinds["terrain"] != "none":
+        Image.fromarray(np.zeros((8, 8), np.uint8)).save(folder / "hills.png")
+        terrain = "terrain: {type: heightfield, file: hills.png, size: 4 4 m, height: 1 m}"
+        text = text.replace("substeps: 4}", f"substeps: 4, {terrain}}}")
+    (folder / "mine.yaml").write_text(text)
+    if kinds["extended"]:
+        (folder / "base.yaml").write_text(text)
+        (folder / "mine.yaml").write_text("deepbots: 1\nextends: base.yaml\nname: Mine\n")
+    (folder / "deepbots.toml").write_text("[lint]\npreview = true\n")
+    return folder / "mine.yaml", robot_file
+
+
+@given(
+    st.fixed_dictionaries({name: st.sampled_from(choices) for name, choices in KINDS.items()}),
+    st.sampled_from(
+        ["", "bot.urdf", "bot.xacro", "parts.xacro", "body.gltf", "hills.png", "bot.yaml", "mine.yaml"]
+    ),
+)
+@example({"robot": "xacro", "mesh": "gltf", "terrain": "hills.png", "included": True, "extended": True}, "")
+@example(
+    {"robot": "urdf", "mesh": "none", "terrain": "none", "included": False, "extended": False}, "bot.urdf"
+)
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_every_file_that_lint_view_or_the_studio_opens_is_watched_also_with_an_error_in_one(
+    kinds: dict[str, object], faulty: str
+) -> None:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        scenario, robot_file = written(folder, kinds)
+        if faulty and (folder / faulty).exists():
+            (folder / faulty).write_text("<: [")
+        for reference in (str(scenario), str(robot_file)):
+            with opened_below(folder) as opened, recorded_reads() as watched:
+                project_settings(folder)
+                findings = LintOptions().findings(reference)
+            assert opened <= {path.resolve() for path in watched}
+            if not (faulty and (folder / faulty).exists()):
+                assert not [finding for finding in findings if finding.severity == "error"]
+                assert robot_file.resolve() in opened
+        with opened_below(folder) as opened:
+            state = Showing(str(scenario)).open()
+        assert opened <= {path.resolve() for path in state.files}
+        document = Document(uri_of(scenario), 1, scenario.read_text(), scenario)
+        with opened_below(folder) as opened:
+            analysis = analyze(document, {})
+        assert opened <= {path.resolve() for path in analysis.reads}
+
+
+MESHED = {"robot": "xacro", "mesh": "stl", "terrain": "none", "included": True, "extended": False}
+
+
+@pytest.mark.parametrize("missing", ["bot.yaml", "bot.xacro", "parts.xacro", "limits.yaml", "body.stl"])
+def test_watching_lints_again_when_a_missing_file_comes(watched, tmp_path, missing):
+    written(tmp_path, MESHED)
+    content = (tmp_path / missing).read_bytes()
+    (tmp_path / missing).unlink()
+    assert watched([(tmp_path / missing, content)], "mine.yaml").err.count("Ctrl-C ends it") == 2
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_watching_lints_again_for_each_file_of_a_robot(watched, tmp_path, jobs):
+    scenario, _ = written(tmp_path, MESHED)
+    (tmp_path / "other.yaml").write_text(scenario.read_text())
+    names = ["mine.yaml", "bot.yaml", "bot.xacro", "parts.xacro", "limits.yaml", "body.stl", "deepbots.toml"]
+    changes = [(tmp_path / name, (tmp_path / name).read_bytes() + b"\n") for name in names]
+    ran = watched(changes, "mine.yaml", "other.yaml", "--jobs", str(jobs))
+    assert ran.err.count("Ctrl-C ends it") == 1 + len(names)

@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import urllib.request
+from dataclasses import replace
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
@@ -26,12 +27,16 @@ from xml.etree import ElementTree
 
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.cli import main, terminal
 from deepbots_cli.cli.command import without_old_spelling
-from deepbots_cli.cli.training_page import training_page
-from deepbots_cli.document import Permissions
+from deepbots_cli.cli.commands.train import training_page
+from deepbots_cli.document import Permissions, shipped
+from deepbots_cli.errors import RunError
 from deepbots_cli.insight.diagnosis import causes_after
+from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.commands import Deepbots, Ran
 
@@ -79,7 +84,7 @@ def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_i
     deepbots, trained, tmp_path
 ):
     """Nowhere was the step of the best model."""
-    best = RunRecord.read(tmp_path / "mine").result.best_model
+    best = RunRecord.read(tmp_path / "mine").result.best
     assert 0 < best.steps <= 256
     assert best.text.startswith(f"after {best.steps} steps, by mean return ")
     assert re.search(rf"^  best model +{re.escape(best.text)}$", trained.out, re.MULTILINE)
@@ -163,8 +168,13 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
     assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
 
 
-def test_a_run_is_never_overwritten(deepbots, trained):
-    assert "not overwritten" in deepbots(*TINY, "--run", "mine", code=2).err
+def awaited(capfd: pytest.CaptureFixture[str], pattern: str) -> str:
+    """Return what is printed until this is."""
+    output, end = "", time.monotonic() + 120
+    while not re.search(pattern, output) and time.monotonic() < end:
+        time.sleep(0.1)
+        output += capfd.readouterr().err
+    return output
 
 
 @pytest.mark.slow
@@ -172,13 +182,8 @@ def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(tr
     pytest.importorskip("viser")
     with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "mine")
-        match = None
-        end = time.monotonic() + 120
-        while match is None and time.monotonic() < end:
-            time.sleep(0.1)
-            match = re.search(r"http://\S+", capfd.readouterr().err)
-        assert match is not None
-        with urllib.request.urlopen(match[0]) as answer:
+        address = re.search(r"http://\S+", awaited(capfd, r"http://\S+\s"))[0]
+        with urllib.request.urlopen(address) as answer:
             assert answer.status == 200
 
 
@@ -190,12 +195,7 @@ def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
     with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "missing")
-        output = ""
-        end = time.monotonic() + 60
-        while "missing" not in output and time.monotonic() < end:
-            time.sleep(0.1)
-            output += capfd.readouterr().err
-    assert output.startswith("error: ")
+        assert awaited(capfd, "missing").startswith("error: ")
     assert not (tmp_path / "typer.py.ran").exists()
 
 
@@ -255,35 +255,32 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     assert all(episode["length"] < 15 for episode in ran["episodes"])
 
 
-def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, monkeypatch):
+@pytest.fixture
+def cases(monkeypatch):
+    """The setting of two cases, of which the second is interrupted."""
+
     class InterruptedInSteep(terminal.ProgressBar):
         def __init__(self, total, unit):
-            if unit == "episodes of case steep":
+            if unit.startswith("episodes of case steep"):
                 raise KeyboardInterrupt
             super().__init__(total, unit)
 
     monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
-    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+    return "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+
+
+def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, cases):
     ran = deepbots("eval", "mine", "--episodes", "3", "--set", cases, "--json", code=130)
     report = json.loads(ran.out)
     assert ([case["case"] for case in report["cases"]], report["unfinished"]) == (["short"], ["case steep"])
     assert "not evaluated: case steep" in ran.err
 
 
-def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, monkeypatch):
-    class InterruptedInSteep(terminal.ProgressBar):
-        def __init__(self, total, unit):
-            if unit == "episodes of case steep (2 of 2)":
-                raise KeyboardInterrupt
-            super().__init__(total, unit)
-
-    monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
-    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, cases):
     ran = deepbots(*TINY, "--run", "cut", "--set", cases, code=130)
     assert "interrupted; the training is finished, evaluate it with: deepbots eval cut" in ran.err
     (path,) = Path("cut/evaluations").glob("*.json")
-    kept = json.loads(path.read_text("utf-8"))
-    assert [case["case"] for case in kept["cases"]] == ["short"]
+    assert [case["case"] for case in json.loads(path.read_text("utf-8"))["cases"]] == ["short"]
 
 
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
@@ -309,12 +306,6 @@ def test_an_evaluation_whose_resets_draw_nothing_says_so(deepbots, trained):
     assert note in deepbots("eval", "mine", "--episodes", "3", *fixed).out
     assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "3").out
     assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "1", *fixed).out
-
-
-def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
-    refused = deepbots("eval", "mine", "--episodes", "2", "--junit", "gate.xml", code=2)
-    assert "add --min-success, --min-return or --require-solved" in refused.err
-    assert not (tmp_path / "gate.xml").exists()
 
 
 def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
@@ -838,7 +829,7 @@ def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbot
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert "models of mine on new starts, the best first" in ran.out
     assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
-    best = RunRecord.read(mine).result.best_model  # type: ignore[union-attr]
+    best = RunRecord.read(mine).result.best  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"
     assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
@@ -851,11 +842,97 @@ def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: P
     assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
     assert "chosen by hand" in deepbots("inspect", "mine").out
     refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
-    assert "--set cannot be combined with --keep" in refused.err
+    assert "--keep judges models in the scenario of their training; leave out --set" in refused.err
 
 
-def test_the_list_of_runs_names_the_command_that_chooses_again(deepbots: Deepbots, mine: Path) -> None:
-    record = json.loads((mine / "run.json").read_text())
-    record["result"].pop("best")
-    (mine / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
-    assert "choose again with: deepbots eval mine --keep" in deepbots("runs", ".").err
+MESH = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESHED = """\
+deepbots: 1
+extends: cartpole
+name: Meshed
+remove: [solved]
+evaluation: {{episodes: 2}}
+robots: {{cart: {{urdf: {robot}}}}}
+train: {{algorithm: PPO, total_timesteps: 64, environments: 1, n_steps: 32, batch_size: 32, n_epochs: 1}}
+"""
+# The robot file and the mesh, from the folder of the project, and how the robot file names the mesh.
+WAYS = {
+    "the folder of the project": ("urdf/r.urdf", "meshes/m.obj", "package://arms/meshes/m.obj"),
+    "a folder above the project": ("urdf/r.urdf", "meshes/m.obj", "package://home/arms/meshes/m.obj"),
+    "a folder of --allow-path": ("../other/urdf/r.urdf", "../other/m.obj", "package://other/m.obj"),
+    "a folder in that of --allow-path": ("../other/a/b/r.urdf", "../other/a/m.obj", "package://a/m.obj"),
+    "below the robot file": ("urdf/r.urdf", "urdf/x/meshes/m.obj", "package://x/meshes/m.obj"),
+    "two folders of --allow-path": ("../other/r.urdf", "../far/m.obj", "../far/m.obj"),
+    "a sibling of the folder of the robot file": ("urdf/r.urdf", "meshes/m.obj", "../meshes/m.obj"),
+    "another way round": ("urdf/r.urdf", "urdf/m.obj", "../urdf/./m.obj"),
+    "where PyBullet looks above": ("a/urdf/r.urdf", "meshes/m.obj", "meshes/m.obj"),
+    "three slashes": ("urdf/r.urdf", "meshes/m.obj", "file://{home}/meshes/m.obj"),
+    "an absolute path": ("urdf/r.urdf", "../other/m.obj", "{home}/../other/m.obj"),
+    "characters of XML": ("urdf/r.urdf", "meshes/a&b's.obj", "package://arms/meshes/a&amp;b&apos;s.obj"),
+}
+
+
+@pytest.fixture
+def meshed(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
+) -> list[str]:
+    """A project whose robot names its mesh in the way of the parameter; the options that allow it."""
+    home = tmp_path / "home" / "arms"
+    robot, mesh, reference = request.param
+    text = shipped.robot_path("cartpole").read_text(encoding="utf-8")
+    drawn = f"<mesh filename='{reference.format(home=home)}'/>"
+    files = {robot: text.replace('<box size="0.20 0.05 0.08"/>', drawn, 1), mesh: MESH, "deepbots.toml": ""}
+    for name, content in {**files, "t.yaml": MESHED.format(robot=robot)}.items():
+        (home / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / name).write_text(content, encoding="utf-8")
+    monkeypatch.chdir(home)
+    return [f"--allow-path=../{name}" for name in ("other", "far") if (home / ".." / name).is_dir()]
+
+
+@pytest.mark.parametrize(
+    "meshed",
+    [
+        pytest.param(
+            way,
+            id=name,
+            marks=() if name == "two folders of --allow-path" else pytest.mark.slow,
+        )
+        for name, way in WAYS.items()
+    ],
+    indirect=True,
+)
+def test_a_training_with_meshes_of_other_folders_is_not_lost_at_its_end(
+    meshed: list[str], deepbots: Deepbots, tmp_path: Path
+):
+    folders = tuple(option.partition("=")[2] for option in meshed)
+    digest = api.compile("t.yaml", permissions=Permissions(folders)).digest
+    assert "DB903" not in deepbots("lint", "t.yaml", "--deep", *meshed, code=None).out
+    deepbots("train", "t.yaml", *meshed, "--run", "r")
+    home = Path.cwd().rename(tmp_path / "moved")  # nothing but the run is left in its place
+    run = Run.open(home / "r")
+    assert run.digest == run.record.digest == digest
+    deepbots("eval", home / "r", "--episodes", 1)
+    deepbots("render", home / "r", "-o", home / "r.png", "--steps", 2)
+    deepbots("resume", home / "r", "--timesteps", 128)
+
+
+@pytest.mark.parametrize("meshed", [WAYS["the folder of the project"]], indirect=True)
+def test_a_project_of_compile_has_meshes_of_other_folders(meshed: list[str], deepbots: Deepbots):
+    deepbots("compile", "t.yaml", "--project", "out")
+    Path("meshes/m.obj").unlink()
+    assert api.compile("out/resolved.yaml").program is not None
+
+
+@pytest.mark.parametrize(
+    ("mesh", "reason"),
+    [(b"", "does not compile: "), (MESH.replace(".1", ".2").encode(), "has changed since it was compiled")],
+)
+@pytest.mark.parametrize("meshed", [WAYS["the folder of the project"]], indirect=True)
+def test_a_training_whose_copy_is_another_scenario_stops_before_its_first_step(
+    meshed: list[str], mesh: bytes, reason: str
+):
+    compiled = api.compile("t.yaml")
+    copies = {name: mesh if name.endswith(".obj") else each for name, each in compiled.inputs.items()}
+    with pytest.raises(RunError, match=reason):
+        train(replace(compiled, inputs=copies), run="r", on_start=lambda path: pytest.fail("has begun"))
+    assert not Path("r").exists()

@@ -8,7 +8,7 @@ import sys
 import time
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.calls import Attempt
+from deepbots_cli.learning.executor import Attempt
 
 
 def square(item: int, attempt: Attempt) -> int:

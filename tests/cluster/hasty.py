@@ -13,7 +13,7 @@ from typing import Any
 
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.calls import Attempt
+from deepbots_cli.learning.executor import Attempt
 
 
 def hurry() -> None:

@@ -7,8 +7,6 @@
 * The files for Slurm and Kubernetes; Ray has the private members that deepbots uses, and one module names them.
 * Shards of a training: the same weights and logs in this process, on workers, and on one or two nodes of a
   cluster, also after workers or nodes were lost and others joined.
-* A training that is interrupted becomes the same as one that is not, to the bit: a run and a group, in this
-  process and on workers.
 """
 
 from __future__ import annotations
@@ -18,7 +16,6 @@ import inspect
 import io
 import os
 import pickle
-import random
 import re
 import shutil
 import signal
@@ -38,26 +35,23 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.cli import main, processes
+from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
-from deepbots_cli.cluster.shards import RemoteShards
-from deepbots_cli.cluster.worker_pool import WorkerLost, WorkerPool
+from deepbots_cli.cluster.ray_cluster import node_messages_silenced
+from deepbots_cli.cluster.session import RemoteShards
+from deepbots_cli.cluster.worker_pool import LocalProcesses, Owed, Worker, WorkerLost, WorkerPool
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import evaluate, evaluate_group, resume, resume_group, train, train_group
-from deepbots_cli.learning.calls import Watcher
-from deepbots_cli.learning.campaigns.group import Group, GroupTraining
-from deepbots_cli.learning.executor import SERIAL, Executor, results
+from deepbots_cli.learning.campaigns.group import GroupTraining
+from deepbots_cli.learning.executor import SERIAL, Executor, Watcher, results
 from deepbots_cli.learning.report import GroupProgressReporter, Reporter, TrainingProgress
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.learning.runs.run import Run
 from tests.cluster.calls import Echo, imported, lose, priority, square
 from tests.cluster.nodes import cluster_of_nodes
 from tests.commands import Deepbots
-from tests.few import few
 from tests.learning.interruption import At
-from tests.learning.interruption import outcome as whole_outcome
 
 
 class Losses(Watcher):
@@ -107,7 +101,7 @@ SCRIPT = """
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test in the background ignores it
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import Watcher
 from tests.cluster.calls import sleep
 
 class Printer(Watcher):
@@ -171,8 +165,8 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
 def test_more_workers_than_cores_are_noted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(processes, "available_cores", lambda: 1)
-    with processes.executor(2, None) as executor:
+    monkeypatch.setattr(arguments, "available_cores", lambda: 1)
+    with arguments.executor(2, None) as executor:
         assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
 
@@ -337,7 +331,7 @@ def test_commands_print_the_same_with_workers(
             ["test", "cartpole", "--workers", "-3"],
             "--workers -3 starts no process; write --workers 1 or more",
         ),
-        (["bench", "cartpole", "--workers", "2"], "--workers and --cluster need --shards"),
+        (["bench", "cartpole", "--workers", "2"], "--workers needs --shards"),
         (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
         (
             ["bench", "cartpole", "--shards", "1,x"],
@@ -369,7 +363,6 @@ def finished(run: Path) -> TrainingResult:
         episodes=146,
         mean_return=42.19,
         success_rate=None,
-        best_return=50.0,
         simulated_hours=0.1,
         evaluation_steps=0,
         solved_at=None,
@@ -391,7 +384,8 @@ def test_the_table_of_trainings_fits_80_columns(monkeypatch: pytest.MonkeyPatch)
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
-    assert "12 training 1,000,000 of 40,000,000 31,415 -1234.5 12%" in text
+    assert "seed 12 training 1,000,000 of 40,000,000 steps" in text
+    assert "episodes 31,415 return -1234.5 success 12%" in text
     assert "1 training, 1 finished, 18 waiting" in text
 
 
@@ -405,18 +399,17 @@ def test_without_a_terminal_each_training_has_a_line_at_its_end() -> None:
     lines.close()
     assert stream.getvalue().splitlines() == [
         "note: the worker of seed 8 was lost; another one resumes the training",
-        "seed 7  finished  steps 6,144 of 6,000  episodes 146  return 42.2",
+        "seed 7  finished  6,144 of 6,000 steps  episodes 146  return 42.2",
         "stopping after these rollouts; continue with: deepbots resume runs/group",
     ]
 
 
 def test_the_library_starts_the_function_that_is_replaced() -> None:
-    ray_internals = pytest.importorskip("deepbots_cli.cluster.ray_internals", exc_type=ImportError)
-    from ray._private import worker
+    worker = pytest.importorskip("ray._private.worker", exc_type=ImportError)
 
     assert "target=listen_error_messages" in inspect.getsource(worker.connect)
     original = worker.listen_error_messages
-    with ray_internals.node_messages_silenced():
+    with node_messages_silenced():
         assert worker.listen_error_messages is not original
     assert worker.listen_error_messages is original
 
@@ -534,15 +527,6 @@ def children(name: str) -> list[int]:
     return sorted(pid for pid in matching if os.getpid() in (parents[pid], parents.get(parents[pid])))
 
 
-@pytest.mark.slow
-def test_workers_with_several_shards_give_the_same(cluster: Cluster, tmp_path: Path) -> None:
-    kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained(
-        "PPO", tmp_path / "here", SERIAL, 4
-    )
-    assert kill.notes
-
-
 class DeadlyProcesses(LocalProcesses):
     """Processes that die as soon as they get work."""
 
@@ -550,7 +534,7 @@ class DeadlyProcesses(LocalProcesses):
 
     def ask(self, worker: Worker, method: str, *arguments: object) -> Owed:
         if self.is_deadly and method == "work":
-            worker.process.kill()
+            worker.process.end()
         return super().ask(worker, method, *arguments)
 
 
@@ -570,12 +554,11 @@ def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> 
     with LocalProcesses(2) as processes:
         killed, survivor = processes.start(Echo), processes.start(Echo)
         processes.wait([processes.ask(worker, "work", 1) for worker in (killed, survivor)], count=2)
-        killed.process.kill()
-        killed.process.wait()
+        killed.process.end()
         processes.wait([processes.ask(survivor, "work", 2)])  # meanwhile its end is noticed
         processes.wait([], timeout_s=0.0)
         deadline = time.monotonic() + 20.0
-        while not killed.process.stdin.closed and time.monotonic() < deadline:  # type: ignore[union-attr]
+        while not killed.loss and time.monotonic() < deadline:
             processes.wait([processes.ask(survivor, "work", 3)])
         lost = processes.ask(killed, "work", 4)
         assert processes.wait([lost], timeout_s=20.0) == [lost]
@@ -713,23 +696,6 @@ def test_to_join_a_cluster_leaves_us_our_handler_of_sigterm(nodes: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["PPO", "SAC"])
-def test_a_node_that_is_lost_and_one_that_joins_change_nothing(nodes: Any, tmp_path: Path, name: str) -> None:
-    living = [add(nodes), add(nodes)]
-    generator = random.Random(0)
-
-    def replace_a_node() -> None:
-        nodes.remove_node(living.pop(generator.randrange(2)), allow_graceful=False)
-        living.append(add(nodes))
-
-    events = At(150, replace_a_node)
-    with Cluster(address=nodes.address) as cluster:
-        result = trained(name, tmp_path / "nodes", cluster, progress=events)
-    assert events.is_done
-    assert result == trained(name, tmp_path / "here", SERIAL)
-
-
-@pytest.mark.slow
 def test_a_training_that_stops_on_a_cluster_goes_on_in_this_process(nodes: Any, tmp_path: Path) -> None:
     add(nodes)
     stop = At(300, lambda: os.kill(os.getpid(), signal.SIGINT))
@@ -768,33 +734,6 @@ def test_a_node_without_deepbots_that_joins_gets_no_work(nodes: Any, tmp_path: P
 
 
 @pytest.mark.slow
-def test_trainings_go_on_when_a_node_is_lost_and_one_joins(
-    nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    living = [add(nodes), add(nodes)]
-    compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
-
-    def replace_a_node() -> None:
-        nodes.remove_node(living.pop(0), allow_graceful=False)
-        living.append(add(nodes))
-
-    replaced = act_at(monkeypatch, 1_000, 1, replace_a_node)
-    with Cluster(address=nodes.address) as cluster:
-        training = train_group(
-            compiled,
-            (0, 1, 2),
-            group=tmp_path / "nodes",
-            total_timesteps=4_000,
-            progress=True,
-            executor=cluster,
-        )
-    assert replaced
-    assert not training.failed
-    train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)
-    assert outcomes(tmp_path / "nodes") == outcomes(tmp_path / "here")
-
-
-@pytest.mark.slow
 def test_a_node_without_deepbots_is_refused(
     nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -826,71 +765,12 @@ def test_a_process_that_ends_before_it_joins_a_cluster_leaves_no_traceback() -> 
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stderr == b""
 
 
-SCENARIO = (
-    "world.engine=mujoco",
-    "truncation.max_steps=30",
-    "solved=mean_return >= 1000 over 5 episodes",
-    "train={algorithm: PPO, total_timesteps: 500, environments: 4, n_steps: 32, batch_size: 32, n_epochs: 2,"
-    " network: {hidden: [16]}, shards: 2}",
-)
-"""Rollouts of 128 steps, whose ends are in the middle of episodes."""
-GROUP_SEEDS = (0, 1)
-KINDS = ("run", "group")
-
-
-def begun_training(kind: str, folder: Path, executor: Executor = SERIAL, progress: Any = False) -> Any:
-    """The result of a training in `folder`."""
-    compiled = api.compile("cartpole", overrides=SCENARIO)
-    if kind == "run":
-        return train(compiled, run=folder, executor=executor, progress=progress)
-    return train_group(compiled, GROUP_SEEDS, group=folder, executor=executor, progress=progress)
-
-
-def results_in(kind: str, folder: Path) -> dict[str, Any]:
-    """The results of the trainings in a folder, and the names of its files."""
-    runs = [folder] if kind == "run" else Group.open(folder).runs
-    names = sorted(path.name for path in folder.iterdir() if path.name != "workers")
-    return {"files": names, **{run.name if kind == "group" else "run": whole_outcome(run) for run in runs}}
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The result of a training without interruption."""
-
-    @cache
-    def of(kind: str) -> dict[str, Any]:
-        folder = tmp_path_factory.mktemp("whole") / "training"
-        begun_training(kind, folder)
-        return results_in(kind, folder)
-
-    return of
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_in_this_process_after_ctrl_c(kind: str, whole: Any, tmp_path: Path) -> None:
-    begun_training(kind, tmp_path / "parts", progress=At(200))
-    if kind == "run":
-        assert resume(tmp_path / "parts").inexact == ()
-    else:
-        rest = resume_group(tmp_path / "parts")
-        assert (len(rest.trained), rest.waiting) == (2, ())
-    assert results_in(kind, tmp_path / "parts") == whole(kind)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", few(KINDS, ["group"]))
-def test_on_workers_after_one_was_killed(
-    kind: str, whole: Any, either: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kill = At(200, lambda: os.kill((workers() or children("ray::_perform"))[0], signal.SIGKILL))
-    killed = act_at(monkeypatch, 200, 1, kill.act)
-    training = begun_training(kind, tmp_path / "parts", either, kill if kind == "run" else True)
-    assert results_in(kind, tmp_path / "parts") == whole(kind)
-    if kind == "run":
-        assert any("was lost; its shards continue" in note for note in kill.notes)
-        assert (tmp_path / "parts" / "workers" / "0.log").is_file()
-        assert not workers()  # they end with the training
-    else:
-        assert (len(killed), training.failed) == (1, {})
-        assert list(either.map(square, range(3))) == [0, 1, 4]  # the workers go on
+def test_a_worker_that_is_killed_is_named_and_leaves_its_log(either: Cluster, tmp_path: Path) -> None:
+    kill = At(400, lambda: os.kill((workers() or children("ray::_perform"))[0], signal.SIGKILL))
+    assert trained("PPO", tmp_path / "run", either, progress=kill) == trained(
+        "PPO", tmp_path / "here", SERIAL
+    )
+    assert any("was lost; its shards continue" in note for note in kill.notes)
+    assert (tmp_path / "run" / "workers" / "0.log").is_file()
+    assert not workers()  # they end with the training

@@ -9,8 +9,8 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.compiler import check
-from deepbots_cli.diagnostics import RULES, Finding, Findings, Span
-from deepbots_cli.diagnostics.findings import Source, suppress
+from deepbots_cli.diagnostics import RULES, Findings
+from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.diagnostics.registry import RETIRED
 from deepbots_cli.document import loads
 from deepbots_cli.lint import (
@@ -122,59 +122,15 @@ def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
     assert [page.code for page in every_page() if not page.example] == ["DB316", "DB410", "DB902", "DB903"]
 
 
-def test_a_static_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
+def test_every_rule_has_a_page_and_is_in_the_catalog_under_the_name_of_its_function() -> None:
     for rule in STATIC_RULES:
         assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
-
-
-def test_every_simulated_rule_has_a_page_of_its_own() -> None:
+    pages = {deep: {page.code for page in every_page() if page.deep == deep} for deep in (False, True)}
+    assert {rule.code for rule in STATIC_RULES} <= pages[False]
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
-    assert (
-        deep
-        == {rule.code for rule in (*SIMULATED_RULES, *EXPLOIT_RULES)}
-        == {page.code for page in every_page() if page.deep}
-    )
-
-
-def test_every_static_rule_has_a_page_of_its_own() -> None:
-    assert {rule.code for rule in STATIC_RULES} <= {page.code for page in every_page() if not page.deep}
-
-
-def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:
-    source = Source("a.yaml", "a: on # deepbots: ignore[DB608]\n")
-    assert suppress([], [source], preview=True) == ([], [])
-    assert [finding.code for finding in suppress([], [source], preview=True, deep=True)[1]] == ["DB901"]
-
-
-def test_a_comment_about_an_exploit_is_of_use_where_none_was_searched() -> None:
-    source = Source("a.yaml", "a: 1 # deepbots: ignore[DB713]\n")
-    assert suppress([], [source], preview=True, deep=True) == ([], [])
-    assert [finding.code for finding in suppress([], [source], exploits=True)[1]] == ["DB901"]
+    assert deep == {rule.code for rule in (*SIMULATED_RULES, *EXPLOIT_RULES)} == pages[True]
 
 
 def test_a_retired_code_is_never_given_again() -> None:
     assert {"DB604", "DB605", "DB606", "DB610", "DB716"} <= set(RETIRED)
     assert not set(RETIRED) & {word for rule in RULES.values() for word in (rule.code, rule.name.upper())}
-
-
-def test_a_comment_about_a_retired_rule_says_that_it_is_gone_and_what_finds_the_same() -> None:
-    (finding,) = suppress([], [Source("a.yaml", "a: 1 # deepbots: ignore[DB716]\n")])[1]
-    assert finding.code == "DB901"
-    assert (
-        finding.headline == "the rule DB716 is gone; `deepbots lint --exploits` finds such rewards by playing"
-    )
-    assert finding.fix is not None
-
-
-def test_a_comment_about_a_warning_is_not_called_needless_beside_an_error_that_hides_the_warning() -> None:
-    source = Source("a.yaml", "a: 1 # deepbots: ignore[DB703]\n")
-    error = Finding("DB101", Span(source, 0, 1), "unknown key")
-    assert (suppress([error], [source])[1], len(suppress([], [source])[1])) == ([], 1)
-
-
-def test_a_comment_about_a_rule_in_preview_is_of_use_where_previews_do_not_run() -> None:
-    source = Source("a.yaml", "a: on # deepbots: ignore[DB706]\n")
-    assert (
-        suppress([], [source]),
-        [finding.code for finding in suppress([], [source], preview=True)[1]],
-    ) == (([], []), ["DB901"])

@@ -35,7 +35,7 @@ import pytest
 from deepbots_cli import api, lint
 from deepbots_cli.cli import main
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.commands import COMMANDS, module_name
+from deepbots_cli.cli.commands import COMMANDS, function_name
 from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding, Findings
@@ -796,7 +796,7 @@ def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
     docstring = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
     modules = {path.name for path in package.glob("*.py")} - {"__init__.py", "__main__.py"}
     named = (
-        {f"{module_name(name)}.py" for name in COMMANDS}
+        {f"{function_name(name)[0]}.py" for name in COMMANDS}
         if package.name == "commands"
         else set(re.findall(r"\b[a-z_]+\.py\b", docstring))
     )

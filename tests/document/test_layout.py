@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.starters.templates import Template, from_template
+from deepbots_cli.cli.starters.draft import Template, from_template
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.document import load
@@ -55,6 +55,23 @@ def findings_of(text: str) -> tuple[Finding, ...]:
     return tuple(check(load(path, drafts={path: text.encode()})).document.findings)
 
 
+TEXT = SCENARIO.replace(
+    "  alive: 1\n",
+    "  alive: 1\n  lean: -abs(cart.pole_angle) / rad\n  still: 0.1 when abs(cart.pole_angle) < 1 deg\n",
+)
+BLOCK = TEXT.replace(
+    "world: {timestep: 32 ms, substeps: 4}\n", "\nworld:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
+)
+COMMAS = TEXT.replace("-1}}\n", "-1}, extra: 3}\n").replace("ms, substeps", "ms,\n  substeps")
+
+
+def _corrected(text: str) -> str:
+    """The text after the fix of its only finding with one."""
+    (finding,) = (each for each in findings_of(text) if each.fix is not None)
+    assert finding.fix is not None
+    return edited(finding.fix.edits[0].span.source, finding.fix.edits)
+
+
 @pytest.mark.parametrize("number", KEYS, ids=lambda number: SCENARIO.splitlines()[number].strip())
 def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int) -> None:
     lines = SCENARIO.splitlines(keepends=True)
@@ -63,79 +80,20 @@ def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int)
     (finding,) = (each for each in findings_of(text) if each.code in ("DB001", "DB103"))
     assert finding.span.start_position.line == number + 1
     assert "write a colon after the key" in (finding.help or "")
-    assert finding.fix is not None
-    (edit,) = finding.fix.edits
-    assert text[: edit.span.start] + edit.text + text[edit.span.end :] == SCENARIO
-
-
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [("{timestep: 32 ms", "{timestep 32 ms"), ("  alive: 1", "  alive:1")],
-)
-def test_a_colon_is_missing_in_brackets_or_lacks_its_space(before: str, after: str) -> None:
-    text = SCENARIO.replace(before, after)
-    (finding,) = (each for each in findings_of(text) if each.fix is not None)
-    assert finding.fix is not None
-    (edit,) = finding.fix.edits
-    assert text[: edit.span.start] + edit.text + text[edit.span.end :] == SCENARIO
-
-
-def test_text_on_several_lines_lacks_no_colon() -> None:
-    text = SCENARIO.replace("name: Mine\n", "name: Mine\nsummary: A pole\n  that stands\n")
-    assert not [each for each in findings_of(text) if each.severity == "error"]
-    text = text.replace("  that stands\n", "  that stands\n  up: 1\n")
-    (finding,) = (each for each in findings_of(text) if each.severity == "error")
-    assert not re.search(r"`that:", finding.help or "")
-
-
-TEXT = SCENARIO.replace(
-    "  alive: 1\n",
-    "  alive: 1\n  lean: -abs(cart.pole_angle) / rad\n  still: 0.1 when abs(cart.pole_angle) < 1 deg\n",
-)
-
-
-def _corrected(text: str) -> str:
-    """The text after the fix of its only finding with one."""
-    (finding,) = (each for each in findings_of(text) if each.fix is not None)
-    assert finding.fix is not None
-    for edit in sorted(finding.fix.edits, key=lambda edit: edit.span.start, reverse=True):
-        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
-    return text
-
-
-@pytest.mark.parametrize(
-    "written",
-    [
-        "{timestep: 32 ms substeps: 4}",
-        "{type: joint_position joint: pole_hinge}",
-        "{choices: {forward: 1 backward: -1}}",
-    ],
-)
-def test_a_missing_comma_between_keys_in_braces_is_added(written: str) -> None:
-    (right,) = (line for line in TEXT.splitlines() if line.replace(",", "").endswith(written))
-    assert _corrected(TEXT.replace(right, right.replace(", ", " "))) == TEXT
-
-
-def test_a_missing_comma_is_added_behind_braces_and_at_the_end_of_a_line() -> None:
-    for right, wrong in (
-        ("-1}}\n", "-1} extra: 3}\n"),
-        ("ms, substeps", "ms\n  substeps"),
-    ):
-        text = TEXT.replace(right, wrong)
-        (finding,) = findings_of(text)
-        assert finding.headline == "a comma is missing before this key"
-        assert _corrected(text) == TEXT.replace(
-            right, wrong.replace(" extra", ", extra").replace("ms\n", "ms,\n")
-        )
-
-
-def test_a_brace_that_is_not_closed_lacks_no_comma() -> None:
-    assert _corrected(TEXT.replace("substeps: 4}", "substeps: 4")) == TEXT
+    assert _corrected(text) == SCENARIO
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
+        # A comma or a brace is missing.
+        "world: {timestep: 32 ms substeps: 4}",
+        "world: {timestep: 32 ms, substeps: 4",
+        "      pole_angle: {type: joint_position joint: pole_hinge}",
+        "  drive: {choices: {forward: 1 backward: -1}}",
+        # A colon is missing in braces.
+        "world: {timestep 32 ms, substeps: 4}",
+        # `=` in place of a colon.
         "name = Mine",
         "  fall_angle=15 deg  # the largest lean",
         "reward=",
@@ -145,64 +103,59 @@ def test_a_brace_that_is_not_closed_lacks_no_comma() -> None:
         "    fallen= abs(cart.pole_angle) > fall_angle",
         "world: {timestep= 32 ms, substeps: 4}",
         "world: {timestep: 32 ms, substeps=4}",
+        # A line that does not align.
+        "\talive: 1",
+        " lean: -abs(cart.pole_angle) / rad",
+        "   lean: -abs(cart.pole_angle) / rad",
+        "lean: -abs(cart.pole_angle) / rad",
+        "   sensors:",
+        "     sensors:",
+        "     urdf: cartpole",
+        "       joints: [wheel_*]",
+        "         joints: [wheel_*]",
+        " observation:",
+        " total_timesteps: 4096",
     ],
 )
-def test_an_equals_sign_becomes_the_colon_of_a_key(wrong: str) -> None:
-    key, _, rest = wrong.partition("=")
-    right = f"{key.rstrip()}: {rest.lstrip()}".rstrip()
-    assert f"{right}\n" in TEXT
-    assert _corrected(TEXT.replace(f"{right}\n", f"{wrong}\n")) == TEXT
+def test_a_line_with_a_mistake_is_corrected(wrong: str) -> None:
+    (right,) = (line for line in TEXT.splitlines() if _letters(line) == _letters(wrong))
+    assert _corrected(TEXT.replace(f"\n{right}\n", f"\n{wrong}\n")) == TEXT
 
 
-def test_a_comparison_is_not_an_assignment() -> None:
-    text = TEXT.replace("> fall_angle", "== fall_angle").replace("< 1 deg", "<= 1 deg")
-    assert not [each for each in findings_of(text) if each.severity == "error"]
+def _letters(line: str) -> str:
+    return re.sub(r"[\s:=,}]", "", line)
 
 
 @pytest.mark.parametrize(
-    ("line", "spaces"),
+    ("text", "right", "wrong", "headline"),
     [
-        ("  lean:", 1),
-        ("  lean:", 3),
-        ("  lean:", 0),
-        ("    sensors:", 3),
-        ("    sensors:", 5),
-        ("    urdf:", 5),
-        ("        joints:", 7),
-        ("        joints:", 9),
-        ("observation:", 1),
-        ("  total_timesteps:", 1),
+        (COMMAS, "-1}, extra", "-1} extra", "a comma is missing before this key"),
+        (COMMAS, "ms,\n", "ms\n", "a comma is missing before this key"),
+        (BLOCK, "\nworld:\n", "\nworld: +\n", "`world` has a value, and a block below it"),
+        (
+            BLOCK,
+            "  timestep: 32",
+            "timestep: 32",
+            "`timestep` is not indented below `world`, but the next line is",
+        ),
+        (SCENARIO, "alive: 1", "alive:1", "expected a mapping, found the text `alive:1`"),
     ],
 )
-def test_the_line_that_does_not_align_is_moved(line: str, spaces: int) -> None:
-    text = TEXT.replace(f"\n{line}", f"\n{' ' * spaces}{line.lstrip()}")
-    assert text != TEXT
-    assert _corrected(text) == TEXT
+def test_a_mistake_at_the_border_of_two_values_is_named_and_corrected(
+    text: str, right: str, wrong: str, headline: str
+) -> None:
+    assert right in text
+    (finding,) = (each for each in findings_of(text.replace(right, wrong)) if each.severity == "error")
+    assert (finding.headline, _corrected(text.replace(right, wrong))) == (headline, text)
 
 
-def test_a_tab_becomes_spaces() -> None:
-    assert _corrected(TEXT.replace("  alive:", "\talive:")) == TEXT
-
-
-def test_a_value_above_the_block_of_a_section_is_removed() -> None:
-    right = "world:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
-    text = TEXT.replace("world: {timestep: 32 ms, substeps: 4}\n", f"\n{right}")
-    assert text != TEXT
-    wrong = text.replace("\nworld:", "\nworld: +")
-    (finding,) = findings_of(wrong)
-    assert (finding.headline, _corrected(wrong)) == ("`world` has a value, and a block below it", text)
-
-
-def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved() -> None:
-    right = "world:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
-    text = TEXT.replace("world: {timestep: 32 ms, substeps: 4}\n", right)
-    assert text != TEXT
-    wrong = text.replace("  timestep:", "timestep:")
-    (finding,) = findings_of(wrong)
-    assert (finding.headline, _corrected(wrong)) == (
-        "`timestep` is not indented below `world`, but the next line is",
-        text,
-    )
+def test_a_comparison_and_text_on_several_lines_are_right() -> None:
+    text = TEXT.replace("> fall_angle", "== fall_angle").replace("< 1 deg", "<= 1 deg")
+    text = text.replace("name: Mine\n", "name: Mine\nsummary: A pole\n  that stands\n")
+    assert not [each for each in findings_of(text) if each.severity == "error"]
+    text = text.replace("  that stands\n", "  that stands\n  up: 1\n")
+    (finding,) = (each for each in findings_of(text) if each.severity == "error")
+    assert not re.search(r"`that:", finding.help or "")
 
 
 @pytest.mark.parametrize(

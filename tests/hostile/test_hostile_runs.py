@@ -26,12 +26,12 @@ from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.failures import Failure
+from deepbots_cli.learning.environments import Failure
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.sb3.state import StableState
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.program.task import Solved, Training
 from tests.fuzz.harness import in_fork, rise_of_memory
 from tests.fuzz.workbench import MOST_MEMORY

@@ -1,26 +1,16 @@
-"""The trainings of `broken.yaml`: train them, and compare the first cause that `diagnose` names with the
-planted one.
-
-python -m tests.insight.broken 951 952          # all, with these seeds, in a temporary folder
-python -m tests.insight.broken 951 --runs DIR   # and keep the runs
-"""
+"""The trainings of `broken.yaml`, and the causes that `diagnose` names."""
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import torch
 import yaml
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.diagnosis import diagnose
-from deepbots_cli.insight.probes import run_probes
-from deepbots_cli.insight.training import read_training
+from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.run import Run
 
@@ -47,27 +37,3 @@ def causes(entry: dict, seed: int, run: Path) -> list[str]:
 def all_causes(seed: int, folder: Path) -> Iterator[tuple[dict, list[str]]]:
     for entry in BROKEN:
         yield entry, causes(entry, seed, folder / f"{entry['name']}-{seed}")
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("seeds", type=int, nargs="+")
-    parser.add_argument("--runs", type=Path)
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(1)
-    with TemporaryDirectory() as temporary:
-        for seed in options.seeds:
-            right = 0
-            for entry, ranked in all_causes(seed, options.runs or Path(temporary)):
-                right += ranked[0] == entry["cause"]
-                mark = "" if ranked[0] == entry["cause"] else f"  planted: {entry['cause']}"
-                print(f"{seed}  {entry['name']:16} {', '.join(ranked)}{mark}", flush=True)
-            print(
-                f"{seed}  {right} of {len(BROKEN)}, CPU time so far {time.process_time():.0f} s", flush=True
-            )
-
-
-if __name__ == "__main__":
-    main()

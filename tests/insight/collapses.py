@@ -1,29 +1,19 @@
 """Trainings that learn and then fall apart by a planted setting: is the fall named, and the setting that was
 planted?
 
-python -m tests.insight.collapses                  # all, in a temporary folder, for about 15 minutes of CPU
-python -m tests.insight.collapses --runs DIR       # and keep the runs
-python -m tests.insight.collapses --only clip rate # these of the table
-
 The cases are what someone planted who had not read the detector. Of 26 settings, 18 did not make a training
 fall, such as 100 epochs, an entropy of 0.5 or 1, a clip range of 0.9 in LineFollower, and rewards times 1000.
 
 A training has learned if an evaluation reaches 60 % of what `solved` asks for. It has fallen if its last two
-evaluations have at most 80 % of the best one. One that does neither is printed as not applicable, and not
-counted. Healthy trainings (`planted` is empty) must not be named.
+evaluations have at most 80 % of the best one. Healthy trainings (`planted` is empty) must not be named.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
-
-import torch
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
@@ -104,42 +94,3 @@ def named(run: Run) -> tuple[bool, list[str]]:
     """Whether `diagnose` names the fall, and the settings that it names, in their order."""
     causes = [cause for cause in diagnose(read_training(run)) if cause.cause == "fell_apart"]
     return bool(causes), [suspect["path"] for cause in causes for suspect in cause.evidence["suspects"]]
-
-
-def results(folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[Case, bool, bool, list[str]]]:
-    """Each case with: has it fallen, is the fall named, and which settings are named."""
-    for case in CASES:
-        if only and case.name not in only:
-            continue
-        run = trained(case, folder / case.name)
-        yield case, has_fallen(run), *named(run)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=Path)
-    parser.add_argument("--only", nargs="*", default=())
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(1)
-    applicable = falls = causes = healthy = alarms = 0
-    with TemporaryDirectory() as temporary:
-        for case, fell, is_named, paths in results(options.runs or Path(temporary), options.only):
-            if not case.planted:
-                healthy, alarms = healthy + (not fell), alarms + (is_named and not fell)
-            elif fell:
-                applicable, falls = applicable + 1, falls + is_named
-                causes += bool(set(paths[:2]) & set(case.planted))
-            state = "fell" if fell else "not applicable" if case.planted else "healthy"
-            print(
-                f"{case.name:18} {state:14} {'named' if is_named else '-':6} {', '.join(paths)}", flush=True
-            )
-    print(
-        f"falls named: {falls} of {applicable}; planted setting among the first two: {causes} of {applicable}"
-    )
-    print(f"false alarms: {alarms} of {healthy} healthy trainings; CPU time {time.process_time():.0f} s")
-
-
-if __name__ == "__main__":
-    main()

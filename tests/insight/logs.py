@@ -9,6 +9,7 @@ import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.insight.diagnosis import diagnose
+from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.run import Run
@@ -64,6 +65,12 @@ def evaluations_with(*rates: float, stage: str = "", every: int = 1000, returns:
 def causes_of(training: TrainingEvidence) -> list[str]:
     """The names of the causes of a training, the most likely first."""
     return [cause.cause for cause in diagnose(training)]
+
+
+def statement_of(training: TrainingEvidence, cause: str) -> Statement:
+    """The statement about one cause of a training."""
+    (statement,) = [each for each in diagnose(training) if each.cause == cause]
+    return statement
 
 
 def train_shuttle(folder: Path, *overrides: str) -> Path:

@@ -13,9 +13,8 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.episode import explain, explanation_json
-from deepbots_cli.insight.trace import Trace, TraceRecorder
+from deepbots_cli.insight.trace import Trace, TraceRecorder, instrument_program
 from deepbots_cli.rollout import play
 from deepbots_cli.rollout.drivers import constant_driver
 from tests.worlds import CART

@@ -86,7 +86,8 @@ def shown_world(case: Case, left_out: Sequence[str] = ()) -> tuple[dict[str, Any
     data |= {"messages": {"format": "none"}, "observation": {"previous_action": "auto"}}
     data |= {"reward": {"none": 0}, "truncation": {"max_steps": 1000}}
     for thing in data.get("objects", {}).values():
-        thing.pop("count", None)
+        if thing.pop("count", None) is not None:
+            data.get("reset", {}).pop("require", None)  # it may need the objects as a group
     sources: dict[str, Source] = {}
     for name, robot in data["robots"].items():
         sensors = _sensors(robot, ("camera", *left_out))

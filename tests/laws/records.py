@@ -23,8 +23,8 @@ from stable_baselines3 import PPO
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import EvaluationError, UsageError
+from deepbots_cli.insight.export.devices import recorded_steps
 from deepbots_cli.insight.export.parity import Comparison
-from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.learning import load_policy, resume, train
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start

@@ -17,12 +17,12 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli.sources import open_source
+from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.syntax import Number
 from deepbots_cli.insight.inspection import in_written_units, scenario_tables
-from deepbots_cli.insight.world_changes import command_plans, friction_plans, latency_plans
+from deepbots_cli.insight.recorded_worlds import command_plans, friction_plans, latency_plans
 from deepbots_cli.learning.robustness import (
     DELAY,
     FACTOR,

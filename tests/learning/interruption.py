@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.learning import checkpoints
-from deepbots_cli.learning.agents.multi_agent import has_agents, own_model
+from deepbots_cli.learning import checkpoints, resume, train
+from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.run import Run
 
@@ -73,6 +73,21 @@ def outcome(folder: Path) -> dict[str, Any]:
         "checkpoint": None if last is None else last.name,
         "arrays": {} if last is None else plain(dict(np.load(last / "arrays.npz"))),
     }
+
+
+def becomes_the_same(
+    scenario: Any, folder: Path, stop: int, between: Callable[[], object] = lambda: None, **options: Any
+) -> dict[str, Any]:
+    """Train in `whole`, and in `parts` with an interruption after `stop` steps. Everything that the trainings
+    have made is the same, and is returned."""
+    train(scenario, run=folder / "whole", **options)
+    assert train(scenario, run=folder / "parts", progress=At(stop), **options).interrupted
+    between()
+    assert resume(folder / "parts").inexact == ()
+    whole, parts = outcome(folder / "whole"), outcome(folder / "parts")
+    for part, content in whole.items():
+        assert parts[part] == content, part
+    return whole
 
 
 def models_in(path: Path) -> dict[str, Any]:

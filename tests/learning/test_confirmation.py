@@ -30,18 +30,28 @@ from deepbots_cli.engine_kinds import PHYSICS
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import (
     TrainingResult,
+    callbacks,
     evaluate,
     evaluate_trained,
     learner,
-    model_files,
     resume,
     train,
-    training_evaluations,
 )
+from deepbots_cli.learning.callbacks import CONFIRMATION_PART
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
+from deepbots_cli.learning.environments import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    evaluation_seeds,
+    six_digits,
+)
+from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.runs.confirmation_rule import (
+from deepbots_cli.learning.runs.episodes import read_evaluations
+from deepbots_cli.learning.runs.order import Candidate, Shortlist
+from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
+from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
+from deepbots_cli.learning.runs.statistics import (
     COST_SHARE,
     FALSE_STOPS,
     MARGIN,
@@ -51,14 +61,14 @@ from deepbots_cli.learning.runs.confirmation_rule import (
     may_begin,
     required_successes,
 )
-from deepbots_cli.learning.runs.decline import find_decline, paired
-from deepbots_cli.learning.runs.episodes import read_evaluations
-from deepbots_cli.learning.runs.order import Candidate, Shortlist
-from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run
-from deepbots_cli.learning.runs.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
-from deepbots_cli.learning.signals import Interruption
-from deepbots_cli.learning.training_evaluations import CONFIRMATION_PART
+from deepbots_cli.learning.runs.verdict import (
+    find_decline,
+    last_episodes,
+    paired,
+    quoted_episodes,
+    quoted_evaluation,
+    run_verdict,
+)
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode, Start
@@ -448,7 +458,7 @@ SEED = 0
 EVALUATION = evaluation_seeds(SEED, range(EVALUATION_EPISODES))
 NEW_STARTS = evaluation_seeds(SEED, range(EVALUATION_EPISODES, 200))
 CONFIRMATIONS = {
-    Start.of_evaluation(confirmation_root(SEED, number), start).seed: number
+    Start.of_evaluation(six_digits(SEED, "confirmation", number), start).seed: number
     for number in range(1, 30)
     for start in range(400)
 }
@@ -555,8 +565,8 @@ def learned(
     return train(task, runs=folder, seed=SEED, build=build, **options)
 
 
-def steps_of(result: TrainingResult, model: str) -> int:
-    return model_files.steps_of(result.run / "models" / "agent" / f"{model}.zip")
+def model_steps(result: TrainingResult, model: str) -> int:
+    return steps_of(result.run / "models" / "agent" / f"{model}.zip")
 
 
 def evaluated_steps(result: TrainingResult) -> list[int]:
@@ -581,7 +591,7 @@ def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_retu
     first, second, *_ = evaluated_steps(result)
     assert first < second < result.steps
     assert result.best is not None
-    assert (result.best.steps, steps_of(result, "best")) == (second, second)
+    assert (result.best.steps, model_steps(result, "best")) == (second, second)
     assert result.best.measure == "success_rate"
     assert run_verdict(result.run, RunRecord.read(result.run)).solved is None  # it was not evaluated yet
 
@@ -597,7 +607,7 @@ def test_where_solved_asks_for_a_return_the_higher_return_is_kept(tmp_path: Path
 
 def test_of_equal_evaluations_the_later_model_is_kept(unpaid: tuple[Worlds, TrainingResult]) -> None:
     _, result = unpaid
-    assert steps_of(result, "best") == steps_of(result, "last")
+    assert model_steps(result, "best") == model_steps(result, "last")
 
 
 @pytest.mark.slow
@@ -630,24 +640,7 @@ def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
     result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=1_600, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
     assert 2 <= len(files) <= 5
-    assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
-
-
-def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(
-    unpaid: tuple[Worlds, TrainingResult], tmp_path: Path
-) -> None:
-    _, result = unpaid
-    record = json.loads((result.run / "run.json").read_text())
-    for name in ("best", "confirmations", "confirmed_seed"):
-        record["result"].pop(name)
-    (tmp_path / "run.json").write_text(
-        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
-    )
-    best = RunRecord.read(tmp_path).result
-    assert best is not None
-    assert best.best_model is not None
-    assert (best.best_model.chosen_by, best.best_model.mean_return) == ("return", 12.5)
-    assert "chosen by return" in best.best_model.text
+    assert model_steps(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
 
 
 # When a training stops
@@ -681,8 +674,8 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     result = learned(tmp_path, build, total=100_000, solved=solved)
     assert build.evaluations == 2
     assert result.steps < 6_000
-    assert result.confirmed_at is not None
-    assert result.confirmed_at.steps == result.steps == steps_of(result, "best")
+    assert result.solved_at is not None
+    assert result.solved_at.steps == result.steps == model_steps(result, "best")
     run = Run.open(result.run)
     verdict = run_verdict(result.run, run.record)
     assert verdict.solved is True
@@ -692,7 +685,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     trained = evaluate_trained(run)
     again = evaluate(run, episodes=verdict.evaluation.episodes, build=build)
     assert [each.total_return for each in trained.outcomes] == [each.total_return for each in again.outcomes]
-    assert trained.seed == again.seed == result.confirmed_seed == confirmation_root(SEED, 1)
+    assert trained.seed == again.seed == result.confirmed_seed == six_digits(SEED, "confirmation", 1)
     assert result.best is not None
     assert result.best.chosen_by == "confirmation"
 
@@ -723,7 +716,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = training_evaluations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = callbacks.CONFIRMATION_PART  # episodes of a confirmation that fails at once
     shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 
@@ -756,7 +749,7 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
     assert again.best is not None
     assert again.best.steps is not None
     assert again.best.steps > result.steps
-    assert steps_of(again, "best") == again.best.steps
+    assert model_steps(again, "best") == again.best.steps
     assert again.confirmed_seed is None  # no confirmation ended it, so its verdict comes from an evaluation
 
 
@@ -822,7 +815,7 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
     assert (
         0
         < result.evaluation_steps
-        <= result.steps * training_evaluations.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
+        <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
     )
 
 
@@ -852,7 +845,7 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(
     unpaid: tuple[Worlds, TrainingResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, few = unpaid
-    monkeypatch.setattr(training_evaluations, "URGENT_SHARE", 2.0)
+    monkeypatch.setattr(callbacks, "URGENT_SHARE", 2.0)
     many = learned(tmp_path, Worlds(poor))
     assert many.evaluation_steps > few.evaluation_steps
     assert many.weights_digest == few.weights_digest
@@ -916,17 +909,6 @@ def test_a_run_of_other_physics_says_so_where_it_is_evaluated(run_copy: Path) ->
     (note,) = evaluate(run_copy, episodes=3, build=stand_in.build).notes
     assert f"was trained with physics {PHYSICS + 1} of deepbots, and this version simulates" in note
     assert Run.open(run_copy).notes_on_physics() == [note]
-
-
-def test_a_run_of_before_is_quoted_from_the_files_of_its_evaluations(run_copy: Path) -> None:
-    run = Run.open(run_copy)
-    run.write_evaluation(evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json"))
-    listed = read_listed(run_copy)
-    record = json.loads((run_copy / "run.json").read_text())
-    for name in ("task", "physics", "plugins", "quoted"):
-        del record[name]
-    (run_copy / "run.json").write_text(json.dumps(record))
-    assert read_listed(run_copy) == listed
 
 
 def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:

@@ -13,7 +13,6 @@ import csv
 import inspect
 import math
 import re
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -38,11 +37,10 @@ from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.learner import Setup, create
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.sb3 import algorithms, defaults, internals, models, networks
-from deepbots_cli.learning.sb3.learner import OffPolicyLearner
+from deepbots_cli.learning.sb3 import algorithms, defaults, internals, networks
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise, DivergenceRate
 from deepbots_cli.learning.sb3.networks import mirrored_actions, mirrored_experience, mirrored_observations
 from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment, ExplorationActor, spaces_only
-from deepbots_cli.learning.sb3.schedules import DecayingNoise, DivergenceRate
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import (
@@ -61,7 +59,7 @@ from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.spaces import action_space
 from deepbots_cli.scenario.training import ALGORITHMS
 from tests.few import few
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import becomes_the_same
 from tests.private_members import private_members
 
 SMALL = Network((8,))
@@ -261,32 +259,6 @@ def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) 
     assert evaluate(reached.run, episodes=20, model="last", build=Reach).successes >= 15
 
 
-@pytest.mark.slow
-def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(
-    reached: TrainingResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    replays = []
-
-    class Seen(OffPolicyLearner):
-        def start(self) -> None:
-            replays.append(
-                deepcopy(
-                    {key: value for key, value in vars(self.model.replay_buffer).items() if key != "env"}
-                )
-            )
-            super().start()
-
-    monkeypatch.setattr("deepbots_cli.learning.sb3.learner.OffPolicyLearner", Seen)
-    result = resume(reached.run, total_timesteps=1_600, build=Reach)
-    (replay,) = replays
-    assert replay["full"]
-    assert replay["buffer_size"] == 500  # 1 000 for two copies, and the ring has gone round
-    # All episodes have ten steps; the oldest has lost some, the newest may not have ended.
-    assert set(np.unique(replay["ep_length"][10:490])) == {10}
-    assert (replay["ep_start"][10:490] % 10 == replay["ep_start"][10] % 10).all()
-    assert result.steps >= 1_600
-
-
 def copies_of(program: Program, world: Any = Reach) -> Any:
     return CollectorEnvironment(LocalCollector(SingleWorlds([world(program), world(program)], [0, 1])))
 
@@ -387,17 +359,6 @@ def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: 
     for copies in (1, 3):
         assert evaluate(remembered.run, episodes=20, copies=copies, build=stand_in.build) == first
     assert evaluate(remembered.run, episodes=3, deterministic=False, build=stand_in.build).episodes == 3
-
-
-@pytest.mark.slow
-def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
-    settings = Run.open(remembered.run).program.agent.training
-    assert settings is not None
-    model = algorithms.create(settings, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
-    models.load(remembered.run / "models" / "agent" / "last.zip", model)
-    assert model.policy.lstm_actor.hidden_size == 16
-    more = remembered.steps + 1
-    assert resume(remembered.run, total_timesteps=more, build=Remember).steps >= more
 
 
 @pytest.mark.parametrize("units", ["0", "-1", "1000000000", "true", "2.5", "'64'"])
@@ -630,13 +591,7 @@ def test_a_training_that_is_interrupted_continues_to_the_bit(tmp_path: Path, cas
     }.get(case, FEW_STEPS)
     base = "cartpole_continuous" if case == "SAC" else "cartpole"
     path = scenario(tmp_path, case.split()[0], settings, base=base)
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    train(path, run=whole, engine="pybullet")
-    train(path, run=parts, engine="pybullet", progress=At(200))
-    resume(parts)
-    expected, continued = outcome(whole), outcome(parts)
-    for part in ("models", "scalars", "monitor", "evaluations"):
-        assert continued[part] == expected[part], part
+    becomes_the_same(path, tmp_path, 200, engine="pybullet")
 
 
 def test_histories_and_frame_stacks_keep_the_columns_of_the_policy(tmp_path: Path) -> None:
@@ -836,11 +791,7 @@ def test_an_update_has_each_sample_and_its_mirror_image() -> None:
 def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> None:
     path = tmp_path / "cart.yaml"
     path.write_text(CART_SYMMETRY)
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    train(path, run=whole, engine="pybullet")
-    train(path, run=parts, engine="pybullet", progress=At(200))
-    resume(parts)
-    assert outcome(parts)["models"] == outcome(whole)["models"]
+    becomes_the_same(path, tmp_path, 200, engine="pybullet")
 
 
 def test_the_previous_action_has_the_sign_of_the_action(tmp_path: Path) -> None:
@@ -1012,7 +963,7 @@ def test_the_library_has_each_private_member() -> None:
     assert {name for name in used if not any(hasattr(part, name) for part in parts)} == set()
 
 
-INTERNALS = {"learning/sb3": "internals.py", "cluster": "ray_internals.py"}
+INTERNALS = {"learning/sb3": "internals.py", "cluster": "ray_cluster.py"}
 
 
 @pytest.mark.parametrize("package", INTERNALS)

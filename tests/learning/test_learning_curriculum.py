@@ -136,7 +136,7 @@ def test_an_evaluation_below_the_criterion_begins_no_stage_and_is_kept_by_a_chec
         curriculum.add(Episode(0.0, 10, True, None), 10, 1) is False
     )  # episodes of the training do not count
     assert curriculum.add_evaluation(0.0, 0.55, 20, 2) is False
-    again.restore(CurriculumState.model_validate_json(curriculum.state().model_dump_json()))
+    again.restore(CurriculumState.model_validate_json(curriculum.state().model_dump_json()), [0])
     assert again.describe(20) == "a (1 of 2): success rate in evaluation 0.55 of 0.6"
     assert again.add_evaluation(0.0, 0.6, 30, 3) is True
     assert again.name == "b"
@@ -243,7 +243,7 @@ def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: P
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(state: dict[str, Any]) -> None:
     with pytest.raises((RunError, ValidationError)):
-        Curriculum(staged(SHORT, None).program).restore(CurriculumState.model_validate(state))
+        Curriculum(staged(SHORT, None).program).restore(CurriculumState.model_validate(state), [0])
 
 
 def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:
@@ -556,7 +556,7 @@ def test_a_training_in_one_level_can_be_evaluated_in_another(
 def test_a_failure_repeats_in_the_level_of_its_world(tmp_path: Path) -> None:
     """The reward has no value in level 2."""
     from deepbots_cli.errors import EvaluationError
-    from deepbots_cli.learning.failures import reproduce
+    from deepbots_cli.learning.environments import reproduce
 
     task = compiled("reward={alive: 1 / (level - 2)}", "curriculum.start=2", "train.environments=1")
     with pytest.raises(EvaluationError, match="divi"):

@@ -34,8 +34,7 @@ from deepbots_cli.learning import (
     evaluate_robustness,
     train,
 )
-from deepbots_cli.learning.keeping import keep, kept_models
-from deepbots_cli.learning.model_files import steps_of
+from deepbots_cli.learning.evaluation import keep, kept_models
 from deepbots_cli.learning.robustness import (
     Change,
     RobustnessLevel,
@@ -51,7 +50,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import EpisodeDraws
@@ -795,19 +794,6 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     assert not {episode.seed for episode in evaluated.outcomes} & seeds_of_the_choice
     kept.run.write_evaluation(evaluated.model_dump(mode="json"))
     assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
-
-
-def test_a_run_of_before_whose_best_model_was_chosen_by_return_is_judged_again(run: Run) -> None:
-    record = json.loads((run.path / "run.json").read_text())
-    record["result"].pop("best")
-    (run.path / "run.json").write_text(
-        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
-    )
-    keep(ModelRef.open(run.path), build=stand_in.build)
-    result = RunRecord.read(run.path).result
-    assert result is not None
-    assert result.best_model is not None
-    assert result.best_model.chosen_by == "new starts"
 
 
 def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:

@@ -23,9 +23,9 @@ from stand_in import hyper
 
 from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli import records
+from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.cli.commands.compare import _data, _lines
-from deepbots_cli.cli.gates import Gates
-from deepbots_cli.cli.sources import open_source
+from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import (

@@ -40,11 +40,10 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.insight.export.network import policy_graph
 from deepbots_cli.learning import TrainingResult, evaluate, learner, load_policy, resume, train
-from deepbots_cli.learning.agents.multi_agent import has_agents, own_model
-from deepbots_cli.learning.evaluation import load_model
-from deepbots_cli.learning.model_files import steps_of
+from deepbots_cli.learning.multi_agent import has_agents, own_model
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.directories import new_directory, numbered_files, run_lock, write_numbered
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, steps_of
 from deepbots_cli.learning.sb3.networks import sampled_actions
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from deepbots_cli.robots.model import Mesh

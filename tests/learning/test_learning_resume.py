@@ -25,6 +25,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,15 +59,15 @@ from deepbots_cli.learning import (
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.executor import SERIAL, Executor
+from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
-from deepbots_cli.learning.sb3.state import StableState
-from deepbots_cli.learning.scaling import measure
+from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
-from deepbots_cli.learning.teaching.teacher import Teaching
+from deepbots_cli.learning.teaching import Teaching
+from deepbots_cli.learning.training import measure_shards
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import (
     ActionNoise,
@@ -86,7 +87,7 @@ from deepbots_cli.scenario import Scenario
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record
 from tests.few import few
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import At, becomes_the_same, outcome
 from tests.plugins import test_plugins
 
 SMALL = Network((16,))
@@ -641,13 +642,10 @@ def taught(name: str, folder: Path, changes: list[str] | None = None, **options:
 def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
     tmp_path: Path, name: str, steps: int
 ) -> None:
-    whole = taught(name, tmp_path / "whole")
-    taught(name, tmp_path / "parts", progress=At(steps))
-    resumed = resume(tmp_path / "parts")
-    assert (resumed.steps, resumed.inexact) == (STEPS, ())
-    parts = outcome(tmp_path / "parts")
-    for part in whole:
-        assert parts[part] == whole[part], part
+    scenario, changes = TAUGHT[name]
+    compiled = api.compile(scenario, overrides=changes)
+    options: dict[str, Any] = {"total_timesteps": STEPS, "stop_when_solved": False}
+    whole = becomes_the_same(compiled, tmp_path, steps, **options)
     assert {"teacher/weight", "teacher/driven_worlds", "teacher/mean_return"} <= whole["scalars"].keys()
 
 
@@ -836,11 +834,7 @@ def test_a_recording_teaches_and_its_training_resumes_to_the_bit(tmp_path: Path,
     path = recorded(scenario, driver, tmp_path / "drive.mcap")
     options: dict[str, Any] = {"total_timesteps": STEPS, "stop_when_solved": False, "demonstrations": path}
     compiled = api.compile(scenario, overrides=changes)
-    train(compiled, run=tmp_path / "whole", **options)
-    train(compiled, run=tmp_path / "parts", progress=At(225), **options)
-    path.unlink()  # the run has a copy
-    assert resume(tmp_path / "parts").inexact == ()
-    assert outcome(tmp_path / "parts") == (whole := outcome(tmp_path / "whole"))
+    whole = becomes_the_same(compiled, tmp_path, 225, path.unlink, **options)  # the run has a copy
     assert {tag for tag in whole["scalars"] if tag.startswith("teacher/")} >= {
         "teacher/weight",
         "teacher/mean_return",
@@ -924,14 +918,8 @@ def test_an_interrupted_training_continues_without_the_run_of_its_teacher(
 ) -> None:
     copy = shutil.copytree(teacher.run, tmp_path / "teacher")
     compiled = api.compile(student(tmp_path), overrides=["train.n_steps=32", "world.engine=pybullet"])
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    train(compiled, run=whole, demonstrations=copy, total_timesteps=768)
-    train(compiled, run=parts, demonstrations=copy, total_timesteps=768, progress=At(300))
-    shutil.rmtree(copy)
-    resume(parts)
-    expected, continued = outcome(whole), outcome(parts)
-    for part in ("models", "scalars", "monitor", "evaluations"):
-        assert continued[part] == expected[part], part
+    remove = partial(shutil.rmtree, copy)
+    becomes_the_same(compiled, tmp_path, 300, remove, demonstrations=copy, total_timesteps=768)
 
 
 @pytest.mark.parametrize(
@@ -1111,7 +1099,7 @@ def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path, installed: Non
     ],
 )
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
-    measured = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
+    measured = measure_shards("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
     assert [timing.shards for timing in measured] == [1, 2]
     for timing in measured:
         parts = (

@@ -41,15 +41,13 @@ from deepbots_cli.errors import DeepbotsError, EngineError, RunError, ScenarioEr
 from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import (
     TrainingResult,
-    checkpoints,
     evaluate,
     evaluate_cases,
     learner,
-    limits,
     resume,
     train,
 )
-from deepbots_cli.learning.failures import FailureRecorder, reproduce
+from deepbots_cli.learning.environments import FailureRecorder, reproduce
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -57,7 +55,6 @@ from deepbots_cli.learning.runs.order import Candidate
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
-from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from deepbots_cli.rollout.source import Source
@@ -209,29 +206,6 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
     assert first.run.parent == tmp_path / "many"
     assert short(tmp_path, run=str(tmp_path / "one"), build=stand_in.build).run == tmp_path / "one"
     assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
-
-
-def test_resuming_takes_up_networks_and_optimizer(run_copy: Path, trained: TrainingResult) -> None:
-    def stop(program: Any, *, render_mode: str | None = None) -> Any:
-        raise DeepbotsError("no world today")
-
-    with pytest.raises(DeepbotsError, match="no world"):
-        resume(run_copy, total_timesteps=100_000, build=stop)
-
-    class Impatient(Telling):
-        def start(self, progress: TrainingProgress) -> None:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    progress = Impatient(0, None)
-    result = resume(run_copy, total_timesteps=100_000, progress=progress, build=stand_in.build)
-    assert result.interrupted
-    assert result.weights_digest == trained.weights_digest
-    kept, before = (run / "models" / "agent" / "last.zip" for run in (run_copy, trained.run))
-    with zipfile.ZipFile(kept) as mine, zipfile.ZipFile(before) as theirs:
-        assert any("optimizer" in name for name in theirs.namelist())
-        assert all(
-            mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth")
-        )
 
 
 @pytest.mark.parametrize(
@@ -437,18 +411,6 @@ def test_every_algorithm_trains_resumes_and_is_evaluated(
     assert evaluate(result.run, episodes=2, model="last", build=stand_in.build).episodes == 2
 
 
-@pytest.mark.slow
-def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
-    training = Training(
-        "DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu")
-    )
-    result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
-    again = resume(result.run, total_timesteps=150, build=stand_in.build)
-    last = checkpoints.latest_checkpoint(Run.open(again.run))
-    assert last is not None
-    assert checkpoints.read_state(last, StableState).segments[-1][1] == again.steps
-
-
 @pytest.mark.parametrize(
     ("training", "reason"),
     [
@@ -621,11 +583,11 @@ def test_the_check_of_an_algorithm_that_does_not_exist_names_those_that_do() -> 
 
 
 def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:
-    limits.check_memory(8, memory=10**9)
+    algorithms.check_memory(8, memory=10**9)
     with pytest.raises(
         UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
     ):
-        limits.check_memory(1024, memory=8 * 10**9)
+        algorithms.check_memory(1024, memory=8 * 10**9)
 
 
 def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_path: Path) -> None:
@@ -1092,8 +1054,6 @@ def failed(trained: TrainingResult, run_copy: Path) -> Path:
     "words",
     [
         ("--engine", "mujoco"),
-        ("--lockstep",),
-        ("--speed", "5"),
         ("--seed", "0"),
         ("--driver", "zero", "--episodes", "1"),
     ],

@@ -25,10 +25,8 @@ from deepbots_cli import compile
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.runs import statistics as stats
 from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.runs.draws import DrawnEffects, draw_labels, drawn_effects
-from deepbots_cli.learning.runs.episodes import EpisodeLog, Statistics, StatisticsState, Summary
-from deepbots_cli.learning.runs.evaluations import DrawLabel
-from deepbots_cli.learning.runs.generations import Generations
+from deepbots_cli.learning.runs.episodes import EpisodeLog, Generations, Statistics, StatisticsState, Summary
+from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
@@ -671,35 +669,14 @@ def test_a_checkpoint_keeps_which_world_an_episode_was_in() -> None:
     for step, (world, success) in enumerate([(0, False), (0, True), (1, True), (0, True)]):
         whole.add(_episode(success), step, 0, world)
         original.add(_episode(success), world)
-    again.restore(CurriculumState.model_validate_json(whole.state().model_dump_json()))
+    again.restore(CurriculumState.model_validate_json(whole.state().model_dump_json()), [0, 0])
     restored.restore(StatisticsState.model_validate_json(original.state().model_dump_json()))
     assert (again.value(4), restored.success_rate) == (whole.value(4), original.success_rate) == (None, 1.0)
     assert again.add(_episode(True), 5, 0, 1) is whole.add(_episode(True), 5, 0, 1) is True
     assert restored.has_episodes(4)
 
 
-def test_a_checkpoint_of_an_earlier_version_is_read() -> None:
-    recent = [{"total_return": 3.0, "length": 5, "is_success": True, "ended_by": None}] * 2
-    old = StatisticsState.model_validate(
-        {
-            "steps": 10,
-            "episodes": 2,
-            "cpu_seconds": 1.0,
-            "solved_at": None,
-            "recent": [Episode(**each) for each in recent],
-        }
-    )
-    single, several = Statistics(0.1, None), Statistics(0.1, None, worlds=2)
-    single.restore(old)
-    several.restore(old)
-    assert single.mean_return == 3.0
-    assert several.mean_return is None  # it is not known which worlds they were in
-    curriculum = Curriculum(_staged(0.9, 2))
-    curriculum.restore(CurriculumState.model_validate({"ends": [], "first_step": 0, "recent": [1.0]}))
-    assert curriculum.add(_episode(True), 20, 3)
-
-
 def test_a_checkpoint_with_worlds_that_the_training_lacks_is_damaged() -> None:
     state = {"ends": [], "first_step": 0, "recent": [1.0], "worlds": [7]}
     with pytest.raises(ValueError, match="do not fit a training with 2 worlds"):
-        Curriculum(_staged(0.9, 2), worlds=2).restore(CurriculumState.model_validate(state))
+        Curriculum(_staged(0.9, 2), worlds=2).restore(CurriculumState.model_validate(state), [0, 0])

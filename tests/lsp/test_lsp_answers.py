@@ -113,16 +113,6 @@ def test_a_function_brings_its_bracket_unless_it_is_there(client, pit, around, i
     assert delta["textEdit"]["newText"] == inserted
 
 
-def test_behind_an_emoji_the_right_letters_are_replaced(typing, client, pit):
-    assert "accelerometer" in typing("gyro: {type: gyro, link: ball}", '"😀": {noise: 0, type: acc¦}')
-    (item,) = [
-        item
-        for item in client.ask("completion", pit, "type: acc¦}")["items"]
-        if item["label"] == "accelerometer"
-    ]
-    assert '"😀": {noise: 0, type: accelerometer}' in edited(client.texts[pit], [item["textEdit"]])
-
-
 def test_paths_are_completed_within_the_project_and_nowhere_else(typing):
     assert "../robots/urdf/" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/¦")
     assert "../robots/urdf/rover.urdf" in typing("urdf: ../robots/urdf/roller.urdf", "urdf: ../robots/urdf/¦")
@@ -330,14 +320,9 @@ def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(
     assert client.actions(pit, "sum¦mary") == []
 
 
-def test_a_fix_behind_an_emoji_replaces_just_its_word(client, pit, changed):
-    changed(("gyro: {type: gyro, link: ball}", '"😀𝄞ü": {type: gyros, link: ball}'))
-    (action,) = client.actions(pit, "type: gyr¦os")
-    assert text_after(client, pit, action) == client.texts[pit].replace("gyros", "gyro")
-
-
 def test_a_warning_can_be_suppressed_on_its_line_and_is_gone_then(client, pit, changed):
-    changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
+    (unused,) = changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
+    assert (unused["severity"], unused["tags"]) == (WARNING, [1])
     (action,) = [
         offer for offer in client.actions(pit, "spa¦re: time") if offer["title"].startswith("Suppress")
     ]
@@ -832,19 +817,6 @@ def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, wo
     assert position(summary, summary.index("parameters"))["character"] == summary.index("parameters") + 1
 
 
-def test_a_finding_behind_an_emoji_of_its_line_is_where_the_editor_shows_it(client, world):
-    uri = client.open(
-        world("pit_escape", ("gyro: {type: gyro, link: ball}", 'gyro: {type: "😀😀", link: bal}'))
-    )
-    findings = client.findings(uri)
-    assert "DB104" in codes_of(findings)
-    assert (
-        underlined_text(client, uri, next(finding for finding in findings if finding["code"] == "DB104"))
-        == '"😀😀"'
-    )
-    client.close(uri)
-
-
 def test_each_change_of_the_text_is_looked_at_and_the_last_word_is_about_the_last_text(client, world):
     uri = client.open(world("pit_escape"))
     text = client.texts[uri]
@@ -915,16 +887,6 @@ def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
     client.close(uri)
 
 
-def test_a_comment_suppresses_a_finding_and_without_it_the_finding_is_reported(client, world):
-    unused = ("signals:\n", "signals:\n  spare: time  # deepbots: ignore[DB205]\n")
-    uri = client.open(world("pit_escape", unused))
-    assert client.findings(uri) == []
-    client.change(uri, client.texts[uri].replace("spare: time  # deepbots: ignore[DB205]", "spare: time"))
-    (only,) = client.findings(uri)
-    assert (only["code"], only["severity"], only["tags"]) == ("DB205", WARNING, [1])
-    client.close(uri)
-
-
 def test_the_settings_of_the_project_of_the_file_count(client, world):
     path = world("pit_escape", ("signals:\n", "signals:\n  spare: time\n"))
     settings = path.parents[1] / "deepbots.toml"
@@ -962,20 +924,6 @@ def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
         assert own.server["capabilities"]["positionEncoding"] == "utf-8"
         (only,) = own.findings(own.open(path))
         assert only["range"]["end"] == {"line": 4, "character": 2 + len("ü😀".encode())}
-
-
-def test_a_document_without_a_file_is_linted_in_the_folder_of_the_editor(client):
-    uri = "untitled:Untitled-1"
-    document = {
-        "uri": uri,
-        "languageId": "yaml",
-        "version": 1,
-        "text": "deepbots: 1\nname: New\nrobots: {cart: {urdf: cartpole}}\n",
-    }
-    client.notify("textDocument/didOpen", {"textDocument": document})
-    client.versions[uri] = 1
-    assert "DB102" in codes_of(client.findings(uri))
-    client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
 
 def test_two_documents_that_are_not_files_yet_have_findings_of_their_own(client):

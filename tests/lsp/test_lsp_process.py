@@ -24,13 +24,20 @@ from lsprotocol.types import Position, Range
 
 from deepbots_cli.installation import install_hint
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
+from deepbots_cli.lsp.hover import definitions, hover
 from deepbots_cli.lsp.server import Checker, CodeActions, Server, diagnostics, formatting
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, path_of, uri_of
+from deepbots_cli.lsp.workspace import (
+    Document,
+    DocumentAnalysis,
+    Workspace,
+    analyze,
+    document_symbols,
+    path_of,
+    uri_of,
+)
 from tests.few import LIGHT, few
 from tests.fuzz.mutations import SEEDS
-from tests.lsp.client import ROOT, Client, position
+from tests.lsp.client import ROOT, Client
 from tools.benchmarks.lsp_cost import heavy_imports
 
 TOGETHER = ("arena.yaml", "maze.yaml", "rover_part.yaml", "wireless.yaml", "balance.yaml")
@@ -230,43 +237,6 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
             formatting(document)
             document_symbols(document)
         answer_all(workspace, document, document.lines.position(end))
-
-
-@pytest.mark.parametrize("seed", few(range(3), "0"))
-def test_a_scenario_with_random_slips_is_answered_for(seed):
-    drawn = random.Random(seed)
-    for path in drawn.sample(SCENARIOS, 3):
-        text = path.read_text(encoding="utf-8")
-        uri = uri_of(path)
-        workspace = Workspace()
-        for version in range(1, 12):
-            slips = list(text)
-            for _ in range(version % 5):
-                slips.insert(drawn.randrange(len(slips)), drawn.choice("{}[],:\"'|>-# \n\t&*!%@x😀(.)"))
-            document = Document(uri, version, "".join(slips), path)
-            workspace.put(document)
-            if version % 3 == 1:
-                workspace.record(analyze(document, workspace.drafts))
-            for _ in range(8):
-                answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
-
-
-@pytest.mark.parametrize(
-    "step", [pytest.param(8 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("method", [*ASKED_OF_A_PLACE, "codeAction"])
-def test_the_server_answers_at_every_place_of_a_scenario_and_of_what_is_left_of_it(client, pit, method, step):
-    text = client.texts[pit]
-    for end in range(0, len(text), step):
-        for document in (text, text[:end]):
-            client.change(pit, document)
-            place = position(document, end)
-            where = (
-                {"range": {"start": place, "end": place}, "context": {"diagnostics": []}}
-                if method == "codeAction"
-                else {"position": place}
-            )
-            client.request(f"textDocument/{method}", {"textDocument": {"uri": pit}, **where})
 
 
 HOSTILE = {

@@ -125,7 +125,7 @@ def test_a_package_that_is_missing_on_the_robot_is_named_with_its_extra(
         (["export", "--new-key", "KEY", "run"], "give it alone"),
         (["export"], "write what to export"),
         (["export", "run", "--sign", "KEY", "--to", "lerobot"], "--sign signs a bundle"),
-        (["serve", "cartpole", "--as-robot", "--trusted", "KEY"], "belong to the policy"),
+        (["serve", "cartpole", "--as-robot", "--trusted", "KEY"], "belongs to the policy"),
     ],
 )
 def test_options_of_keys_that_do_not_fit_are_refused(

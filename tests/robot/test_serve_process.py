@@ -35,7 +35,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight.export.recording import with_probes
+from deepbots_cli.insight.export.devices import with_probes
 from deepbots_cli.insight.real_robot import RESET_BY_ROBOT, SILENT, scored, try_robot
 from deepbots_cli.insight.robot import SimulatedRobot, robot_program, sent_readings, serve_robot
 from deepbots_cli.program import Program
@@ -158,7 +158,7 @@ def _until(holds: object) -> None:
         (["nothing"], "nothing is not a bundle of `deepbots export`: there is no such folder"),
         (
             ["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"],
-            "--ros and --zmq are different links; choose one",
+            "--ros and --zmq cannot be combined",
         ),
         (["BUNDLE", "--ros1"], "there is no option --ros1; use `--ros with ros1_bridge, --zmq ADDRESS"),
         (
@@ -167,11 +167,11 @@ def _until(holds: object) -> None:
         ),
         (
             ["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"],
-            "--interface and --domain belong to ROS 2",
+            "--domain belongs to ROS 2; leave out --zmq",
         ),
         (["BUNDLE", "--interface", "<x>"], "'<x>' is not a network interface of this machine; it has"),
         (["BUNDLE", "--speed", "0"], "--speed 0: write a number above 0, at most 1000"),
-        (["BUNDLE", "--episodes", "3"], "belong to a simulated robot; add --as-robot or leave them out"),
+        (["BUNDLE", "--episodes", "3"], "--episodes belongs to a simulated robot; add --as-robot"),
         (
             ["BUNDLE", "--zmq", "tcp://127.0.0.1:58733", "--seconds", "0.1"],
             "the policy did not act within 0.1 s: no value of position(cart),",
@@ -182,7 +182,7 @@ def _until(holds: object) -> None:
         ),
         (
             ["cartpole", "--as-robot", "--log", "a.mcap"],
-            "--log, --seconds and --trusted belong to the policy",
+            "belongs to the policy; leave out --as-robot",
         ),
         (["multi_cartpole", "--as-robot"], "has copies of a robot"),
     ],
@@ -514,7 +514,7 @@ def test_a_robot_that_is_not_there_is_named_after_a_while(
             ["--robot", "tcp://127.0.0.1:58751", "--driver", "zer"],
             "there is no driver 'zer' (did you mean zero?)",
         ),
-        (["--lockstep"], "--lockstep and --speed need --robot"),
+        (["--lockstep"], "--lockstep needs --robot"),
     ],
 )
 def test_options_that_do_not_fit_are_refused_in_a_sentence(

@@ -31,7 +31,6 @@ from deepbots_cli.learning import learner
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.rollout import Driver, Start, play, result_of, steps
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
 from deepbots_cli.rollout.collector import (
     Actor,
     Decision,
@@ -45,13 +44,13 @@ from deepbots_cli.rollout.collector import (
 from deepbots_cli.rollout.drivers import named_driver, random_driver, sequence_driver
 from deepbots_cli.rollout.episode import Step, random_state
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.rollout.worlds import SingleWorlds
+from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 
 PACKAGE = Path(deepbots_cli.__file__).parent
 STEPPING = {
-    *("rollout/episode.py", "rollout/worlds.py", "rollout/batch_worlds.py"),
+    *("rollout/episode.py", "rollout/worlds.py"),
     "insight/speed.py",  # a benchmark
 }
 

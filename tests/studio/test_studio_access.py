@@ -9,10 +9,8 @@ Test the axes of the learning curves on the page.
 from __future__ import annotations
 
 import asyncio
-import http.client
 import json
 import os
-import random
 import re
 import resource
 import signal
@@ -28,6 +26,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
@@ -40,18 +39,16 @@ from deepbots_cli.cli import main
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import MAX_BYTES
-from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
-from deepbots_cli.studio.charts import comparison_chart, training_chart
+from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
-from deepbots_cli.studio.gate import Guarded
-from deepbots_cli.studio.language import Language
+from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
-from deepbots_cli.studio.trainings import Curves, result_text
-from deepbots_cli.view import access
+from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
+from deepbots_cli.view.server import LOOPBACK, Gate, listening_socket
+from deepbots_cli.view.training_logs import TrainingLog
 
 TOKEN = "a-token-of-22-letters-"
 SCENARIO = "deepbots: 1\nname: Mine\n"
@@ -78,9 +75,9 @@ async def _inner(scope, receive, send) -> None:
 @contextmanager
 def _serving(robot_address: str = "") -> Iterator[int]:
     """A server in a thread; yields its port."""
-    listener = access.listening_socket(access.LOOPBACK, 0)
+    listener = listening_socket(LOOPBACK, 0)
     port = listener.getsockname()[1]
-    application = Guarded(_inner, access.Gate(access.LOOPBACK, port, TOKEN), lambda: robot_address)
+    application = Guarded(_inner, Gate(LOOPBACK, port, TOKEN), lambda: robot_address)
     server = uvicorn.Server(uvicorn.Config(application, log_level="critical", lifespan="on"))
     thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
     thread.start()
@@ -507,37 +504,6 @@ def test_a_running_studio_refuses_the_same(tmp_path):
             )
 
 
-@pytest.mark.slow
-def test_the_process_of_the_robot_asks_for_its_own_token(tmp_path):
-    from deepbots_cli.document.shipped import scenario_names
-    from deepbots_cli.studio.robot import Robot
-
-    assert "cartpole" in scenario_names()
-
-    async def run() -> str:
-        robot = Robot(Permissions(), lambda: None)
-        robot.show("cartpole")
-        await _until(lambda: bool(robot.address), 60)
-        address = robot.address
-        await asyncio.to_thread(check, address)
-        await robot.close()
-        return address
-
-    def check(address: str) -> None:
-        host, _, query = address.removeprefix("http://").partition("/?token=")
-        assert host.startswith("127.0.0.1:")
-        assert len(query) > 16
-        for path, headers in (("/", {}), ("/?token=wrong", {}), ("/", {"Origin": "http://evil.example"})):
-            connection = http.client.HTTPConnection(host, timeout=10)
-            connection.request("GET", path, headers=headers)
-            assert connection.getresponse().status == 403
-            connection.close()
-        with open(f"/proc/{os.getpid()}/cmdline", "rb") as file:
-            assert query.encode() not in file.read()
-
-    asyncio.run(run())
-
-
 TEXTS = st.text(alphabet="ab \n:#é\U0001f600", max_size=40)
 CART = """# A cart with a pole.
 deepbots: 1
@@ -611,90 +577,6 @@ def test_a_text_can_be_sent_with_the_text_that_it_is_based_on(tmp_path):
     file.change(1, "a: 2\nb: 1\nc: 2\n")
     assert not file.change("a: 1\nb: 1\nc: 1\n", "a: 1\nb: 3\nc: 1\n")
     assert file.text == "a: 2\nb: 3\nc: 2\n"
-
-
-class Person:
-    """A browser: its text, and the revision that it is based on."""
-
-    def __init__(self, file: OpenFile) -> None:
-        self.file = file
-        self.pull()
-
-    def pull(self) -> None:
-        self.base, self.text = self.file.revision, self.file.text
-
-    def add_line(self, line: str, draw: random.Random) -> None:
-        lines = self.text.splitlines(keepends=True)
-        lines.insert(draw.randrange(len(lines) + 1), f"{line}\n")
-        self.text = "".join(lines)
-
-    def send(self) -> None:
-        self.file.change(self.base, self.text)
-        self.pull()
-
-
-def _assign(language: Language, file: OpenFile, draw: random.Random) -> None:
-    name, unit = draw.choice([("fall_angle", "deg"), ("speed", "rad/s"), ("cart_mass", "kg")])
-    edit = language.assignment(file, f"parameters.{name}", f"{draw.randrange(1, 90)} {unit}")
-    if edit is not None:
-        file.edit([edit])
-
-
-def _save_or_take_both(file: OpenFile) -> None:
-    """Save; of two texts, the person takes that on disk, and what was typed since the file was saved."""
-    if file.outside is not None:
-        own, saved, outside = file.text, file.saved, file.outside
-        file.take_outside()
-        file.change(file.revision, merged(saved, own, outside))
-    try:
-        file.save()
-    except UsageError:
-        assert file.outside is not None  # and nothing was written
-
-
-def _run_sequence(folder, seed: int, steps: int = 25) -> None:
-    draw = random.Random(seed)
-    path = folder / "mine.yaml"
-    path.write_text(CART, encoding="utf-8")
-    file = OpenFile.open(path)
-    language = Language(Permissions(), lambda path: None, lambda sentence: None)
-    people = [Person(file), Person(file)]
-    added: list[str] = []
-    for step in range(steps):
-        person = draw.choice(people)
-        act = draw.randrange(7)
-        if act <= 1:
-            added.append(f"# note {seed} {step}")
-            person.add_line(added[-1], draw)
-        elif act == 2:
-            person.send()
-        elif act == 3:
-            _assign(language, file, draw)
-        elif act == 4:
-            file.edit([difference(file.text, canonical_text(file.text) or file.text)])
-        elif act == 5:
-            added.append(f"# outside {seed} {step}")
-            present = path.read_text("utf-8")
-            path.write_text(f"{present}{added[-1]}\n", encoding="utf-8")
-            os.utime(path, ns=(step, step))
-            file.read_outside()
-        else:
-            _save_or_take_both(file)
-    for person in people:
-        person.send()
-    _save_or_take_both(file)
-    written = path.read_text("utf-8")
-    comments = [line.partition("#")[2] for line in CART.splitlines() if "#" in line]
-    keys = [line.strip().partition(":")[0] for line in CART.splitlines() if ":" in line]
-    for part in (*added, *comments, *keys):
-        assert part in written, (seed, part, written)
-    assert Counter(written.splitlines()).most_common(1)[0][1] <= 2, written
-
-
-@pytest.mark.parametrize("first", [0, pytest.param(10, marks=pytest.mark.slow)])
-def test_no_comment_and_no_line_is_lost(first, tmp_path):
-    for seed in range(first, 10 if first == 0 else 500):
-        _run_sequence(tmp_path, seed)
 
 
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
@@ -813,18 +695,6 @@ def test_a_text_that_grows_too_large_is_refused(tmp_path):
     assert file.text == "a: 1\n"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
-def test_a_read_only_folder_is_one_sentence(tmp_path, file):
-    file.change(file.revision, "a: 2\n")
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(UsageError, match="permission denied; choose a place that may be written to"):
-            file.save()
-    finally:
-        tmp_path.chmod(0o700)
-    assert file.is_modified
-
-
 def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path, file):
     file.change(file.revision, "a: 1\n" * 100)
     drafts = Drafts(tmp_path / "drafts")
@@ -874,38 +744,50 @@ def test_a_run_stopped_as_solved_only_if_its_record_says_so_and_not_each_episode
     assert result_text(run) == text
 
 
-def _axis(curves: Curves) -> dict[str, Any]:
-    return training_chart(curves, has_successes=False, dark=False)["yAxis"][0]
+def _log(*returns: float, **fields: Any) -> TrainingLog:
+    """A training with these returns, 100 timesteps apart."""
+    steps = 100.0 * np.arange(len(returns))
+    return TrainingLog(Path("run"), "", returns=(steps, np.array(returns)), **fields)
+
+
+def _chart(log: TrainingLog) -> dict[str, Any]:
+    return training_chart(log, has_successes=False, dark=False)
 
 
 def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before():
-    below = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    above = Curves(returns=below.returns, evaluations=((100.0, 70.0),), solved_return=50.0)
+    dot = np.array([100.0]), np.array([70.0])
+    below, above = _log(10, 20, solved_return=50.0), _log(10, 20, solved_return=50.0, evaluations=dot)
     # The page merges the second options into the first ones.
-    merged = _axis(below) | _axis(above)
+    merged = _chart(below)["yAxis"][0] | _chart(above)["yAxis"][0]
     assert merged.get("max") is None
     assert merged.get("min") is None
     assert merged["boundaryGap"][1] != 0
 
 
 def test_the_axis_reaches_up_to_the_goal_which_a_comparison_has_once():
-    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    options = training_chart(curves, has_successes=False, dark=False)
+    log = _log(10, 20, solved_return=50.0)
+    options = _chart(log)
     assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
     assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
-    options = comparison_chart({"a": curves, "b": curves}, dark=True)
+    options = comparison_chart({"a": log, "b": log}, dark=True)
     assert [entry["name"] for entry in options["legend"]["data"]] == ["a", "b", "solved: 50"]
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():
-    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), planned=1000.0)
-    assert training_chart(curves, has_successes=False, dark=False)["xAxis"]["max"] == 1000.0
-    ended = replace(curves, planned=0.0)
-    assert training_chart(ended, has_successes=False, dark=False)["xAxis"]["max"] == 100.0
+    assert _chart(_log(10, 20, planned_steps=1000.0))["xAxis"]["max"] == 1000.0
+    assert _chart(_log(10, 20))["xAxis"]["max"] == 100.0
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])
 def test_the_axis_begins_at_zero_without_negative_values(lowest, begins_at_zero):
-    axis = _axis(Curves(returns=((0.0, lowest), (100.0, 200.0))))
+    axis = _chart(_log(lowest, 200))["yAxis"][0]
     assert axis["scale"] is not begins_at_zero
     assert (axis["boundaryGap"][0] == 0) is begins_at_zero
+
+
+def test_a_curve_of_more_points_than_the_page_shows_has_its_breaks():
+    returns = np.zeros(1_001)
+    returns[601] = np.nan
+    (line,) = _chart(_log(*returns))["series"]
+    assert [at for at, value in line["data"] if value is None] == [60_100.0]
+    assert len(line["data"]) <= 401

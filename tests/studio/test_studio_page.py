@@ -116,25 +116,6 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     assert not page.tab.errors
 
 
-def test_a_training_and_unsaved_text_outlive_the_server(folder, new_tab):
-    with served(folder, "mine.yaml") as first:
-        page = StudioTab(new_tab(), first.address)
-        page.click_line("  alive: 1")
-        page.type("  # unsaved words")
-        page.click("Train")
-        page.click_line("  alive: 1")
-        page.type(", more words")
-        page.wait("document.querySelector('.studio-work').innerText.includes('mine-1')")
-        time.sleep(4)
-        first.stop(9)
-    with served(folder, "mine.yaml") as second:
-        page = StudioTab(new_tab(), second.address)
-        page.wait("document.body.innerText.includes('unsaved changes of an earlier session')")
-        page.wait("document.querySelector('.cm-content').innerText.includes('# unsaved words, more words')")
-        page.wait("/mine-1: finished/.test(document.querySelector('.studio-work').innerText)", 120)
-    assert [path.name for path in (folder / "runs").glob("mine-*")] == ["mine-1"]
-
-
 def test_both_tabs_show_what_one_of_them_writes(studio: Served, new_tab):
     first, second = StudioTab(new_tab(), studio.address), StudioTab(new_tab(), studio.address)
     first.click_line("name: Mine")
@@ -259,23 +240,6 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         )
 
 
-def test_an_empty_folder_says_how_to_get_a_scenario(tmp_path, new_tab):
-    with served(tmp_path) as studio:
-        tab = new_tab()
-        tab.call("Page.navigate", url=studio.address)
-        status = "document.querySelector('.studio-robot .studio-status')?.innerText"
-        tab.wait(f"({status} ?? '').includes('New ... at the top writes one')", 60)
-
-
-def test_a_long_line_is_wrapped(studio: Served, new_tab):
-    page = StudioTab(new_tab(), studio.address)
-    page.click_line("  alive: 1")
-    page.type("  # " + "a long comment " * 12)
-    page.wait("[...document.querySelectorAll('.cm-line')].some(line => line.clientHeight > 40)")
-    scroller = "document.querySelector('.cm-scroller')"
-    assert page.tab.run(f"{scroller}.scrollWidth <= {scroller}.clientWidth")
-
-
 def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
     tab = new_tab()
     with served(folder, "mine.yaml") as first:
@@ -294,16 +258,6 @@ def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
         page.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
         page.save()
         page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Saved')")
-    assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
-
-
-def test_a_removed_file_keeps_its_text(studio: Served, folder, new_tab):
-    page = StudioTab(new_tab(), studio.address)
-    page.click_line("name: Mine")
-    page.type("craft")
-    (folder / "mine.yaml").unlink()
-    page.click("Write the file again")
-    page.wait("!document.body.innerText.includes('has removed')")
     assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
 
 

@@ -54,7 +54,7 @@ tune:
 
 DRIVER = """\
 import os, sys
-from deepbots_cli.cli.commands import runs, train, tune
+from deepbots_cli.cli.commands import compare, train
 from deepbots_cli.learning.campaigns import study, trials
 assert "optuna" not in sys.modules
 
@@ -280,39 +280,6 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
         round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9)
         for run in first.runs
     ]
-
-
-@pytest.mark.slow
-def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_return(
-    whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = Path(shutil.copytree(whole.path, tmp_path / "study"))
-    runs = sorted(path.parent for path in study.rglob("run.json"))
-    assert len(runs) == 2
-    for run in runs:
-        record = json.loads((run / "run.json").read_text())
-        for name in ("best", "confirmations", "confirmed_seed"):
-            record["result"].pop(name)
-        (run / "run.json").write_text(
-            json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
-        )
-        (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
-    again = f"choose again with: deepbots eval {runs[0]} --keep"
-    of_run = f"an earlier version chose its best model by return; {again}"
-    of_group = f"trial-0: an earlier version chose the best model of one of its runs by return; {again}"
-    of_study = f"study: an earlier version chose the best model of 2 of its runs by return; for each, {again}"
-    for folder, message in (
-        (runs[0], of_run),
-        (runs[0].parent, f"{runs[0].name}: {of_run}"),
-        (study, of_group),
-        (tmp_path, of_study),
-    ):
-        assert main(["runs", str(folder)]) == 0
-        assert message in capsys.readouterr().err
-    for path in [path for path in runs[0].rglob("*.zip") if path.stem != "best"]:
-        path.unlink()
-    assert main(["runs", str(runs[0])]) == 0
-    assert "chose its best model by return\n" in capsys.readouterr().err  # there is nothing to choose
 
 
 def test_a_study_is_not_a_run_and_the_message_names_a_trial(whole: Study) -> None:

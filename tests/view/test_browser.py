@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from deepbots_cli.view.page import Page
 from tests.view.browser import CHROMIUM, browser
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
-CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read_text(encoding="utf-8")
 
 
 @contextmanager
@@ -123,12 +121,12 @@ def test_keys_buttons_and_tabs_work(new_tab):
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
-        _soon(lambda: page.world.shows_names)
+        _soon(lambda: page.playback.worlds[0].scene.visible_parts["names"])
 
 
 def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
     with served("find_ball") as page:
-        page.submit(page.step_once)
+        page.submit(page.playback.step_once)
         tab = new_tab()
         tab.open(page.address, 480, 800)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
@@ -141,7 +139,7 @@ def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
 
 def test_two_worlds_are_seen_side_by_side(new_tab):
     with served("find_ball", compare=Showing("find_ball"), driver="around") as page:
-        page.submit(page.step_once)
+        page.submit(page.playback.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait(
@@ -152,51 +150,10 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
         assert tab.errors == []
 
 
-def test_worlds_of_a_batch_are_chosen(new_tab):
-    with served(Showing("find_ball", engine="mujoco", worlds=4), driver="random") as page:
-        page.submit(page.step_once)
-        tab = new_tab()
-        tab.open(page.address)
-        tab.wait("document.body.innerText.includes('world 0 of 4')")
-        _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))
-        first = _world(tab)
-        page.submit(lambda: page.playback.choose_world(2))
-        tab.wait("document.body.innerText.includes('world 2 of 4')")
-        _soon(lambda: (np.abs(_world(tab) - first).sum(axis=2) > 60).sum() > 20)  # the robot stands elsewhere
-        assert tab.errors == []
-
-
 def _columns(image, color):
     """How many things of a color stand side by side."""
     there = (np.abs(image - color).sum(axis=2) < 60).any(axis=0)
     return int((np.diff(np.flatnonzero(there)) > 20).sum()) + int(there.any())
-
-
-def test_a_saved_mistake_and_its_repair_are_seen(new_tab, tmp_path):
-    file = tmp_path / "mine.yaml"
-    text = CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole")
-    file.write_text(text)
-    with served(str(file), watch=True) as page:
-        tab = new_tab()
-        tab.open(page.address)
-        tab.wait("document.body.innerText.includes('reward terms of this step')")
-        file.write_text(text.replace("timestep: 32 ms", "timestep: 32 kg"))
-        tab.wait("document.body.innerText.includes('mine.yaml:11')")
-        file.write_text(text)
-        tab.wait("!document.body.innerText.includes('mine.yaml:11')")
-
-
-def test_two_browsers_see_one_world_and_closed_ones_leave_nothing(new_tab):
-    with served("cartpole", driver="zero") as page:
-        tabs = []
-        for _ in range(2):  # a tab in the background draws nothing
-            tabs.append(new_tab())
-            tabs[-1].open(page.address)
-            tabs[-1].wait("document.body.innerText.includes('reward terms of this step')")
-        _soon(lambda: len(page.server.get_clients()) == 2)
-        for tab in tabs:
-            tab.call("Page.navigate", url="about:blank")
-        _soon(lambda: not page.server.get_clients())
 
 
 def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
@@ -210,18 +167,3 @@ def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
     tab.open(out.as_uri())
     _soon(lambda: _is_world(tab.see().astype(int), (215, 200, 80), 60))
     assert not [address for address in tab.requests if address.startswith(("http", "ws"))]
-
-
-def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
-    from deepbots_cli.cli import main
-
-    path = tmp_path / "found.mcap"
-    assert main(["render", "find_ball", "--driver", "around", "--output", str(path)]) == 0
-    with served(str(path)) as page:
-        tab = new_tab()
-        tab.open(page.address)
-        tab.wait("document.body.innerText.includes('reward terms of this step')")
-        page.submit(lambda: page.seek(40))
-        tab.wait("document.body.innerText.includes('step 40,')")
-        tab.wait("document.body.innerText.includes('message to epuck')")
-        assert tab.errors == []

@@ -34,12 +34,12 @@ from deepbots_cli.program import RANDOM
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import Recording
-from deepbots_cli.view import access, server, viser_internals
+from deepbots_cli.view import server
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
-from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
-from deepbots_cli.view.players import open_player
+from deepbots_cli.view.playback import ManualInput
+from deepbots_cli.view.replay import open_player
 from tests.private_members import private_members
 
 pytest.importorskip("viser")
@@ -102,33 +102,6 @@ def _run(page, until, seconds=30.0):
     assert until()
 
 
-def test_time_stands_still_while_nobody_looks():
-    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
-        page.run(iter([False] * 10 + [True]).__next__)
-        assert page.player.frame.step == 0
-        _run(page, lambda: page.player.frame.step > 0)
-
-
-@pytest.mark.slow
-def test_time_goes_on_stands_still_and_begins_again():
-    with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
-        _run(page, lambda: page.player.frame.step > 3)
-        page.play(False)
-        step = page.player.frame.step
-        page.run(iter([False] * 5 + [True]).__next__)
-        assert page.player.frame.step == step
-        page.step_once()
-        assert page.player.frame.step == step + 1
-        page.playback.begin()
-        first = page.player.frame
-        page.playback.begin(1)
-        assert first.step == page.player.frame.step == 0
-        assert first.links != page.player.frame.links
-        page.play(True)
-        _run(page, lambda: page.player.frame.ended_by is not None)
-        assert "failure: fallen" in page.banner.content
-
-
 @pytest.mark.parametrize(("goal", "color"), [(5, "#009E73"), (6, "#808080")])
 def test_an_episode_that_reaches_the_return_of_a_solved_task_is_green(tmp_path, goal, color):
     path = tmp_path / "mine.yaml"
@@ -136,7 +109,7 @@ def test_an_episode_that_reaches_the_return_of_a_solved_task_is_green(tmp_path, 
     path.write_text(short, encoding="utf-8")
     with closing(Page(Showing(str(path)), port=0, driver="zero")) as page:
         for _ in range(5):
-            page.step_once()
+            page.playback.step_once()
         assert page.player.frame.truncated
         assert f"return so far 5, goal {goal}" in page.banner.content
         assert color in page.banner.content
@@ -146,10 +119,10 @@ def test_keys_drive_and_let_go():
     with closing(Page(Showing("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
         page.playback.manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
-        page.step_once()
+        page.playback.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
         time.sleep(0.3)
-        page.step_once()
+        page.playback.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
         assert page.playback.rival.driver_name == "onward"
         assert "onward" in page.banner.content
@@ -168,7 +141,7 @@ def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, nam
             (robot,), before = page.player.env.world.robots, page.player.frame.links
             for _ in range(5):
                 page.playback.manual_input.hold(frozenset({key}), ())
-                page.step_once()
+                page.playback.step_once()
             first, last = (
                 roll_pitch_yaw(links[robot.name, robot.model.root][1])[2]
                 for links in (before, page.player.frame.links)
@@ -235,11 +208,11 @@ def test_rays_are_drawn_between_two_steps_as_the_robot_is(monkeypatch):
     with closing(Page(Showing("find_ball"), port=0, driver="around")) as page:
         ends = []
         for _ in range(2):
-            page.step_once()
-            page.world.draw(1.0)
+            page.playback.step_once()
+            page.playback.worlds[0].scene.draw(1.0)
             ends.append(lines_of["rays"].points.copy())
         assert np.abs(ends[1] - ends[0]).max() > 1e-3
-        page.world.draw(0.25)
+        page.playback.worlds[0].scene.draw(0.25)
         assert lines_of["rays"].points == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], abs=1e-6)
         frame, layout = page.player.frame, page.player.reader.layout
         key = next(iter(layout.sensor_rays))
@@ -256,7 +229,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         assert "press a key to begin" in page.banner.content
         for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
             page.playback.manual_input.hold(frozenset(keys), ())
-            page.step_once()
+            page.playback.step_once()
         page.playback.record()
         page.playback.record()
         driven = page.player.frame
@@ -273,14 +246,14 @@ def _banner(page):
 def _drive_to_the_end(page):
     while page.player.frame.ended_by is None:
         page.playback.manual_input.hold(frozenset({"KeyD"}), ())
-        page.step_once()
+        page.playback.step_once()
 
 
 def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, deepbots):
     pytest.importorskip("mcap")
     path = tmp_path / "drive.mcap"
     with closing(Page(Showing("cartpole"), port=0, playing=True, seed=4, output=path)) as page:
-        page.step_once()
+        page.playback.step_once()
         page.playback.begin()  # which leaves out the episode before
         assert not path.exists()
         _drive_to_the_end(page)
@@ -366,15 +339,20 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
     assert "already exists; overwrite it with --force" in capsys.readouterr().err
 
 
-def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_limit(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deepbots_cli.view.playback.MAX_RECORDINGS", 2)
-    monkeypatch.setattr("deepbots_cli.view.playback.record", lambda player, path, *_, **__: path.touch())
-    with closing(Page(Showing("cartpole"), port=0, playing=True)) as page:
+@pytest.mark.parametrize("kind", ["playing", "embedded"])
+def test_a_page_to_play_in_or_in_another_page_asks_for_its_token_on_loopback(kind):
+    with closing(Page(Showing("cartpole"), port=0, **{kind: True})) as page:
         address, _, token = page.address.partition("?token=")
         assert len(token) > 16
         with pytest.raises(InvalidStatus, match="403"):  # a program of another user of the machine
             connect(address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"])
+
+
+def test_a_page_to_play_in_records_up_to_a_limit(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("deepbots_cli.view.playback.MAX_RECORDINGS", 2)
+    monkeypatch.setattr("deepbots_cli.view.playback.record", lambda player, path, *_, **__: path.touch())
+    with closing(Page(Showing("cartpole"), port=0, playing=True)) as page:
         for _ in range(30):
             page.playback.record()
     assert len(list(tmp_path.iterdir())) == 2
@@ -483,7 +461,7 @@ def test_a_page_that_its_user_paused_stays_paused_after_an_error_is_fixed(tmp_pa
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
     with closing(Page(Showing(str(file)), port=0)) as page:
-        page.play(False)
+        page.playback.play(False)
         for text in (CARTPOLE.replace("fall_angle", "fall_angel", 1), CARTPOLE):
             file.write_text(text)
             page.reload()
@@ -557,11 +535,6 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
         _run(page, lambda: page.player is not None)
 
 
-def test_actions_to_repeat_drive_the_page_too():
-    with closing(Page(Showing("cartpole"), port=0, driver="forward,backward")) as page:
-        assert page.player.driver_name == "forward,backward"
-
-
 def test_a_source_that_cannot_be_opened_is_an_error(deepbots):
     with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
         Page(Showing("nothing_here"), port=0)
@@ -582,19 +555,19 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
     path = tmp_path / "cartpole.mcap"
     assert main(["render", "cartpole", "--episodes", "2", "--output", str(path)]) == 0
     with closing(Page(Showing(str(path)), port=0)) as page:
-        page.play(False)
-        page.seek(7)
+        page.playback.play(False)
+        page.playback.seek(7)
         assert [frame.step for frame in page.playback.worlds[0].frames] == list(range(8))
         assert "step 7," in page.banner.content
         page.panel.update_texts()
         assert page.panel.slider.value == 7
-        page.play(True)
+        page.playback.play(True)
         _run(page, lambda: page.player.frame.ended_by is not None)
         page.playback.begin(1)
         assert page.playback.episode == 1
         page.playback.begin(1)
         assert page.playback.episode == 0
-        page.seek(page.player.length - 1)
+        page.playback.seek(page.player.length - 1)
         page.playback.step_once()
         assert page.playback.episode == 1
 
@@ -675,7 +648,7 @@ def test_a_slider_begins_at_the_value_that_was_saved(tmp_path):
 
 def test_messages_are_shown_with_their_age():
     with closing(Page(Showing("cartpole_wireless"), port=0)) as page:
-        page.step_once()
+        page.playback.step_once()
         page.panel.update_texts()
         assert "message to cart" in page.panel.values.content
         assert re.findall(r"\d+ ms old", page.panel.values.content) == 2 * ["32 ms old"]
@@ -686,7 +659,7 @@ def page():
     """The port of a server on loopback, and what arrived by `/drive`."""
     arrived: list[object] = []
     running, address = server.serve(
-        access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
+        server.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
     )
     assert address == f"http://127.0.0.1:{running.get_port()}/"
     yield running.get_port(), arrived
@@ -737,18 +710,6 @@ def test_it_serves_no_file(page, path):
     answer, body = _get(page[0], path)
     assert answer.status == 404
     assert b"root:" not in body
-
-
-def test_a_foreign_host_or_origin_is_refused(page):
-    port, _ = page
-    assert _get(port, Host=f"evil.example:{port}")[0].status == 403
-    assert _get(port, Host="127.0.0.1:1")[0].status == 403
-    assert _get(port, Origin="http://evil.example")[0].status == 403
-    with pytest.raises(InvalidStatus, match="403"):
-        _open(port, origin="http://evil.example")
-    with pytest.raises(InvalidStatus, match="403"):
-        _open(port, "/drive", origin=f"http://localhost:{port + 1}")
-    _open(port, origin=f"http://127.0.0.1:{port}").close()
 
 
 def test_beyond_loopback_a_token_is_asked_for():
@@ -850,12 +811,12 @@ def test_another_version_of_the_page_is_refused(page):
 
 def test_a_port_in_use_and_an_unknown_host_are_errors(page):
     with pytest.raises(UsageError, match=f"port {page[0]} of 127.0.0.1 is in use"):
-        server.serve(access.LOOPBACK, page[0], "test", lambda keys, axes: None)
+        server.serve(server.LOOPBACK, page[0], "test", lambda keys, axes: None)
     with pytest.raises(UsageError, match="there is no host"):
         server.serve("no-such-host.invalid", 0, "test", lambda keys, axes: None)
 
 
-MODULE = Path(viser_internals.__file__)
+MODULE = Path(server.__file__)
 USERS = [
     path for path in sorted(MODULE.parent.glob("*.py")) if "viser" in path.read_text() and path != MODULE
 ]
@@ -863,7 +824,7 @@ USERS = [
 
 def test_the_library_has_each_private_member() -> None:
     with redirect_stdout(StringIO()):
-        page = viser.ViserServer(access.LOOPBACK, 0, verbose=False)
+        page = viser.ViserServer(server.LOOPBACK, 0, verbose=False)
     try:
         box = page.gui.add_checkbox("Box", initial_value=True)
         used = {name for _, name in private_members(MODULE)}

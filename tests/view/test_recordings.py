@@ -32,13 +32,12 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import RANDOM, ZERO
-from deepbots_cli.rollout.drivers import HAND, POLICY
+from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.rollout.recordings import Recording, RecordingError
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, SensorRays, WorldFrame, action_fields, observation_fields
-from deepbots_cli.view.players import open_player
-from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
+from deepbots_cli.view.replay import ReplayPlayer, open_player, verify, version_changes
 from tests.few import few
 
 pytest.importorskip("mcap")
@@ -201,14 +200,6 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
     path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=edit)
     assert main(["replay", "--verify", str(path), "--tolerance", "1e-6"]) == (0 if same else 1)
     assert main(["replay", "--verify", str(path)]) == 1
-
-
-@pytest.mark.slow
-def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, deepbots):
-    for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag_scripted"):
-        path = tmp_path / f"{name}.mcap"
-        deepbots("render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", path)
-        assert "17 episodes and " in deepbots("replay", "--verify", path).out
 
 
 def test_foxglove_finds_its_types(find_ball):
@@ -404,37 +395,7 @@ def test_options_and_files_of_the_command(tmp_path, monkeypatch, deepbots, find_
     assert json.loads(deepbots("replay", "two.mcap", "--json").out)["scenario"] == "CartPole"
 
 
-SCENARIOS = (
-    "cartpole",
-    "find_ball_random",
-    "quadruped",
-    "multi_cartpole",
-    "see_ball",
-    "panda_push",
-    "line_follower",
-)
 BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:4]))
-def test_an_episode_is_the_same_with_and_without_frames(name):
-    episodes = []
-    for read in (False, True):
-        with closing(deepbots_cli.make(name)) as env:
-            observation, _ = env.reset(seed=3)
-            reader = FrameReader(env) if read else None
-            rewards = []
-            for _ in range(15):
-                action = env.action_space.sample()
-                observation, reward, terminated, truncated, _ = env.step(action)
-                rewards.append(reward)
-                if reader is not None:
-                    reader.read(observation, action)
-                if terminated or truncated:
-                    break
-            episodes.append((rewards, str(observation)))
-    assert episodes[0] == episodes[1]
 
 
 def test_no_message_of_the_episode_before_is_in_the_first_frame():
@@ -556,13 +517,6 @@ def test_fields_have_units_ranges_and_options():
     assert choice.text(1.0) == choice.options[1]
 
 
-def test_a_person_drives_by_the_names_of_action_fields():
-    with closing(Player(Showing("find_ball").open(), HAND)) as player:
-        player.begin(0, 0)
-        player.manual_values = {"gas": 1.0, "wheel": -0.5}
-        assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
-
-
 def test_messages_are_those_that_receivers_go_by():
     """A message that arrives k ticks after it was sent has an age of k ticks, and the value of the tick in
     which it was sent."""
@@ -573,15 +527,6 @@ def test_messages_are_those_that_receivers_go_by():
         sent_at = frame.step - round(message.age / player.program.period)
         assert message.values == frames[sent_at].readings["cart.pole_angle"]
     assert {frame.messages["cart/to_robot"].received for frame in frames} == {True, False}
-
-
-def test_what_was_drawn_makes_the_same_episode():
-    with closing(deepbots_cli.make("find_ball")) as env:
-        reader = FrameReader(env)
-        first = reader.read(env.reset(seed=5)[0])
-        assert {"reset.place.epuck.x", "reset.place.epuck.y", "reset.place.epuck.yaw"} <= set(first.drawn)
-        repeated = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
-    assert repeated.links == first.links
 
 
 def test_frames_contain_the_allowed_options():
@@ -679,23 +624,6 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
         text = page.panel.training.text.content
     (done,) = run.record.result.stages
     assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
-
-
-def test_the_tab_training_shows_the_evaluations_of_the_run_that_is_shown_now(tmp_path):
-    pytest.importorskip("viser")
-    from deepbots_cli.view.page import Page
-
-    first = _trained(tmp_path, "cartpole")
-    second = shutil.copytree(first, tmp_path / "second")
-    for run, value in ((first, 8.0), (second, 9.0)):
-        line = {"steps": 64, "stage": None, "returns": [value], "lengths": [8], "successes": [False]}
-        (run / "evaluations" / "training.jsonl").write_text(json.dumps(line) + "\n")
-    with closing(Page(Showing(str(first)), port=0)) as page:
-        panel = page.panel
-        page.show_source(str(second))
-        assert page.panel is panel
-        assert panel.training.mean_returns == (9.0,)
-        assert "return 9<" in panel.training.text.content
 
 
 def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):

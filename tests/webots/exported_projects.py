@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli import api, diagnostics
-from deepbots_cli.cli.new_files import write_new
+from deepbots_cli.cli.written_files import write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name
@@ -243,6 +243,14 @@ def node(simulation: Simulation, name: str) -> Node:
 def device(simulation: Simulation, name: str, robot: int = 0):
     """Return a device of a robot."""
     return device_object(simulation, simulation.scene.robots[robot].devices[name])
+
+
+def turning(simulation: Simulation, velocity: float, name: str = "rotational motor"):
+    """Return a motor of the first robot under velocity control."""
+    motor = device(simulation, name)
+    motor.setPosition(inf)
+    motor.setVelocity(velocity)
+    return motor
 
 
 def solid(shape: str, fields: str = "", mass: float = 1.0, name: str = "BODY") -> str:

@@ -6,14 +6,25 @@ Radars, light sensors, rotating lidars and ball joints of worlds against closed 
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import dataclass
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
-from tests.webots.exported_projects import FLOOR, ROD_INERTIA, device, hinge, node, run, simulate, solid
+from deepbots_cli.webots.sensors import NotImplementedCallError
+from tests.webots.exported_projects import (
+    FLOOR,
+    ROD_INERTIA,
+    device,
+    hinge,
+    node,
+    run,
+    simulate,
+    solid,
+    turning,
+)
 
 
 def robot(devices: str, fields: str = "", mass: float = 1.0) -> str:
@@ -28,6 +39,17 @@ def reading(simulation, name: str, period: int = 8):
     sensor.enable(period)
     simulation.run_step()
     return sensor
+
+
+def readings(simulation, name: str, count: int, call: str = "getValues"):
+    """Enable a sensor, and return what it reads after each step."""
+    sensor = device(simulation, name)
+    sensor.enable(8)
+    values = []
+    for _ in range(count):
+        simulation.run_step()
+        values.append(getattr(sensor, call)())
+    return values
 
 
 # Sampling
@@ -76,9 +98,55 @@ def test_a_sampling_period_is_positive(period: int):
 # Motion
 
 
-def test_a_gyro_measures_in_its_own_frame():
-    simulation = simulate(robot("Gyro { rotation 0 0 1 1.5707963 }", "angularVelocity 1 2 3"), gravity=0)
-    assert reading(simulation, "gyro").getValues() == pytest.approx([2, -1, 3], abs=0.05)
+TURNED = 2 * 0.008
+
+
+@pytest.mark.parametrize(
+    ("sensor", "fields", "call", "expected"),
+    [
+        pytest.param(
+            "Gyro { rotation 0 0 1 1.5707963 }",
+            "angularVelocity 1 2 3",
+            "getValues",
+            [2, -1, 3],
+            id="its own frame",
+        ),
+        pytest.param("Gyro { yAxis FALSE }", "", "getValues", [0, math.nan, 0], id="an axis that is off"),
+        pytest.param(
+            "Gyro { lookupTable [ -10 -1000 0, 10 1000 0 ] }",
+            "angularVelocity 0 0 3",
+            "getValues",
+            [0, 0, 300],
+            id="table",
+        ),
+        pytest.param("InertialUnit { }", "rotation 0 0 1 0.7", "getRollPitchYaw", [0, 0, 0.7], id="angles"),
+        pytest.param(
+            "InertialUnit { }",
+            "rotation 0 0 1 0.7",
+            "getQuaternion",
+            [0, 0, math.sin(0.35), math.cos(0.35)],
+            id="quaternion",
+        ),
+        pytest.param("Compass { }", "rotation 0 0 1 1.5707963", "getValues", [1, 0, 0], id="north"),
+        pytest.param(
+            "GPS { translation 0 0.1 0 }",
+            "translation 1 2 3 angularVelocity 0 0 2",
+            "getValues",
+            [1 - 0.1 * math.sin(TURNED), 2 + 0.1 * math.cos(TURNED), 3],
+            id="at its place",
+        ),
+        pytest.param(
+            "GPS { translation 0 0.1 0 }", "angularVelocity 0 0 2", "getSpeed", 0.2, id="speed at its place"
+        ),
+        pytest.param(
+            "GPS { resolution 0.25 }", "translation 0.4 0.3 -0.1", "getValues", [0.5, 0.25, 0], id="rounded"
+        ),
+    ],
+)
+def test_a_sensor_of_motion_measures(sensor: str, fields: str, call: str, expected):
+    name = {"InertialUnit": "inertial unit"}.get(sensor.split()[0], sensor.split()[0].lower())
+    values = getattr(reading(simulate(robot(sensor, fields), gravity=0), name), call)()
+    assert values == pytest.approx(expected, rel=1e-3, abs=0.01, nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -104,9 +172,7 @@ def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
       boundingObject Box { size 1 0.02 0.02 }""",
     )
     simulation = simulate(text, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(4)
+    turning(simulation, 4)
     sensor = device(simulation, "accelerometer")
     sensor.enable(8)
     run(simulation, 1)
@@ -117,65 +183,20 @@ def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
     )
 
 
-def test_an_axis_that_is_off_reads_nan():
-    values = reading(simulate(robot("Gyro { yAxis FALSE }")), "gyro").getValues()
-    assert [math.isnan(value) for value in values] == [False, True, False]
-
-
-def test_a_lookup_table_answers_for_a_gyro():
-    text = robot("Gyro { lookupTable [ -10 -1000 0, 10 1000 0 ] }", "angularVelocity 0 0 3")
-    assert reading(simulate(text, gravity=0), "gyro").getValues()[2] == pytest.approx(300, rel=1e-3)
-
-
-def test_an_inertial_unit_measures_roll_pitch_and_yaw():
-    simulation = simulate(robot("InertialUnit { }", "rotation 0 0 1 0.7"), gravity=0)
-    unit = reading(simulation, "inertial unit")
-    assert unit.getRollPitchYaw() == pytest.approx([0, 0, 0.7])
-    assert unit.getQuaternion() == pytest.approx([0, 0, math.sin(0.35), math.cos(0.35)])
-
-
-def test_a_compass_points_north_in_its_own_frame():
-    simulation = simulate(robot("Compass { }", "rotation 0 0 1 1.5707963"), gravity=0)
-    assert reading(simulation, "compass").getValues() == pytest.approx([1, 0, 0], abs=1e-6)
-
-
-def test_a_gps_measures_position_and_speed_at_its_place():
-    simulation = simulate(
-        robot("GPS { translation 0 0.1 0 }", "translation 1 2 3 angularVelocity 0 0 2"), gravity=0
-    )
-    gps = reading(simulation, "gps")
-    angle = 2 * 0.008
-    assert gps.getValues() == pytest.approx([1 - 0.1 * math.sin(angle), 2 + 0.1 * math.cos(angle), 3])
-    assert gps.getSpeed() == pytest.approx(0.2)
-
-
 def test_noise_has_its_deviation():
-    simulation = simulate(robot("GPS { accuracy 0.5 }"), gravity=0)
-    gps = device(simulation, "gps")
-    gps.enable(8)
-    values = []
-    for _ in range(500):
-        simulation.run_step()
-        values.append(gps.getValues()[0])
-    assert math.sqrt(sum(value**2 for value in values) / len(values)) == pytest.approx(0.5, rel=0.15)
+    values = readings(simulate(robot("GPS { accuracy 0.5 }"), gravity=0), "gps", 500)
+    assert statistics.pstdev(x for x, _, _ in values) == pytest.approx(0.5, rel=0.15)
 
 
 def test_a_position_sensor_reads_its_joint():
     simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1e6 } PositionSensor { }"), gravity=0)
-    motor, sensor = device(simulation, "rotational motor"), device(simulation, "position sensor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(2)
+    motor, sensor = turning(simulation, 2), device(simulation, "position sensor")
     sensor.enable(8)
     run(simulation, 0.8)
     assert sensor.getValue() == pytest.approx(2 * 0.8, rel=1e-3)
     assert sensor.getMotor() is motor
     assert motor.getPositionSensor() is sensor
     assert motor.getBrake() is None
-
-
-def test_a_resolution_rounds():
-    simulation = simulate(robot("GPS { resolution 0.25 }", "translation 0.4 0.3 -0.1"), gravity=0)
-    assert reading(simulation, "gps").getValues() == pytest.approx([0.5, 0.25, 0])
 
 
 # Motors
@@ -190,36 +211,25 @@ def test_a_motor_reports_its_torque():
     assert abs(motor.getTorqueFeedback()) == pytest.approx(2 * 9.81 * 0.5, rel=0.02)
 
 
-def test_a_velocity_and_a_torque_beyond_the_limit_are_limited_with_a_warning(capsys):
-    simulation = simulate(hinge(devices="RotationalMotor { }"))
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(-20)
-    assert motor.getVelocity() == -10
-    assert "exceeds maxVelocity 10" in capsys.readouterr().err
-    motor.setTorque(30)
-    assert "exceeds the limit 10" in capsys.readouterr().err
-
-
-def test_a_position_beyond_the_range_of_a_motor_is_limited(capsys):
-    text = hinge(devices="RotationalMotor { minPosition -1 maxPosition 1 maxTorque 1e6 }")
-    motor = device(simulate(text), "rotational motor")
-    motor.setPosition(3)
-    assert motor.getTargetPosition() == 1
-    assert "outside -1 .. 1" in capsys.readouterr().err
-
-
-def test_less_available_torque_is_less_acceleration():
-    simulation = simulate(hinge(devices="RotationalMotor { maxVelocity 1000 }"), gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(1000)
-    motor.setAvailableTorque(0.1)
-    run(simulation, 0.8)
-    first = node(simulation, "ROD").getVelocity()[4]
-    motor.setAvailableTorque(10)
-    run(simulation, 0.08)
-    assert (node(simulation, "ROD").getVelocity()[4] - first) / first == pytest.approx(10, rel=0.01)
+@pytest.mark.parametrize(
+    ("call", "value", "getter", "limit", "warning"),
+    [
+        ("setVelocity", -20, "getVelocity", -10, "exceeds maxVelocity 10"),
+        ("setTorque", 30, "getMaxTorque", 10, "exceeds the limit 10"),
+        ("setPosition", 3, "getTargetPosition", 1, "outside -1 .. 1"),
+    ],
+)
+def test_a_command_beyond_the_limit_of_a_motor_is_limited_with_a_warning(
+    call: str, value: float, getter: str, limit: float, warning: str, capsys
+):
+    motor = device(
+        simulate(hinge(devices="RotationalMotor { minPosition -1 maxPosition 1 }")), "rotational motor"
+    )
+    if call == "setVelocity":
+        motor.setPosition(math.inf)
+    getattr(motor, call)(value)
+    assert getattr(motor, getter)() == limit
+    assert warning in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -327,38 +337,30 @@ def distance_reading(sensor: str, wall: str = WALL % 1) -> float:
     return reading(simulate(text), "distance sensor").getValue()
 
 
-@pytest.mark.parametrize("kind", ["generic", "infra-red", "sonar", "laser"])
-def test_a_distance_sensor_answers_by_its_table(kind: str):
-    assert distance_reading(f'type "{kind}"') == pytest.approx(500, rel=1e-3)
+EDGE = "Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }"
+TWO = "numberOfRays 2 aperture 0.2"
 
 
-def test_a_distance_sensor_looks_along_x_of_its_pose():
-    assert distance_reading("rotation 0 0 1 0.5") == pytest.approx(500 / math.cos(0.5), rel=1e-3)
-    assert distance_reading("rotation 0 0 1 3.1416") == 1000
-    assert distance_reading("translation 0.2 0 0") == pytest.approx(300, rel=1e-3)
-
-
-def test_a_sonar_hears_no_slanted_wall():
-    assert distance_reading('type "sonar" rotation 0 0 1 0.38') == pytest.approx(
-        500 / math.cos(0.38), rel=1e-3
-    )
-    assert distance_reading('type "sonar" rotation 0 0 1 0.41') == 1000
-
-
-def test_rays_are_averaged_and_a_sonar_takes_the_nearest():
-    edge = "Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }"
-    two = "numberOfRays 2 aperture 0.2"
-    assert distance_reading(two, edge) == pytest.approx((1000 + 400 / math.cos(0.1)) / 2, rel=1e-3)
-    assert distance_reading(f'{two} type "sonar"', edge) == pytest.approx(400 / math.cos(0.1), rel=1e-3)
-
-
-def test_infra_red_sees_dark_walls_less():
-    dark, light = (distance_reading('type "infra-red"', WALL % red) for red in (0.0, 1.0))
-    assert light == pytest.approx(500, rel=1e-3)
-    assert dark == 1000  # 0.5 m / 0.2 is beyond the table
-    assert distance_reading('type "infra-red" translation 0.4 0 0', WALL % 0.5) == pytest.approx(
-        100 / 0.6, rel=1e-3
-    )
+@pytest.mark.parametrize(
+    ("sensor", "wall", "value"),
+    [
+        *((f'type "{kind}"', WALL % 1, 500) for kind in ("generic", "infra-red", "sonar", "laser")),
+        # Along x of its pose.
+        ("rotation 0 0 1 0.5", WALL % 1, 500 / math.cos(0.5)),
+        ("rotation 0 0 1 3.1416", WALL % 1, 1000),
+        ("translation 0.2 0 0", WALL % 1, 300),
+        # A sonar hears no slanted wall, and takes the nearest of its rays.
+        ('type "sonar" rotation 0 0 1 0.38', WALL % 1, 500 / math.cos(0.38)),
+        ('type "sonar" rotation 0 0 1 0.41', WALL % 1, 1000),
+        (TWO, EDGE, (1000 + 400 / math.cos(0.1)) / 2),
+        (f'{TWO} type "sonar"', EDGE, 400 / math.cos(0.1)),
+        # Infra-red sees dark walls less: 0.5 m / 0.2 is beyond the table.
+        ('type "infra-red"', WALL % 0.0, 1000),
+        ('type "infra-red" translation 0.4 0 0', WALL % 0.5, 100 / 0.6),
+    ],
+)
+def test_a_distance_sensor_answers_by_its_table(sensor: str, wall: str, value: float):
+    assert distance_reading(sensor, wall) == pytest.approx(value, rel=1e-3)
 
 
 def test_the_own_robot_stops_no_ray():
@@ -401,16 +403,9 @@ def test_a_display_and_a_speaker_have_no_effect():
 
 def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
     text = f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ lookupTable [ 0 0 0.1, 1 1000 0.1 ] }} ] }}"""
-    simulation = simulate(text)
-    sensor = device(simulation, "distance sensor")
-    sensor.enable(8)
-    values = []
-    for _ in range(400):
-        simulation.run_step()
-        values.append(sensor.getValue())
-    mean = sum(values) / len(values)
-    deviation = math.sqrt(sum((value - mean) ** 2 for value in values) / len(values))
-    assert (mean, deviation) == (pytest.approx(500, rel=0.02), pytest.approx(50, rel=0.15))
+    values = readings(simulate(text), "distance sensor", 400, "getValue")
+    deviation = statistics.pstdev(values)
+    assert (statistics.mean(values), deviation) == (pytest.approx(500, rel=0.02), pytest.approx(50, rel=0.15))
 
 
 def test_a_bumper_is_pressed_while_it_touches():
@@ -493,17 +488,14 @@ def test_strength_and_direction_are_those_of_the_emitter():
         ('type "infra-red"', 'type "infra-red"', 1),
         ('type "infra-red" aperture 1 rotation 0 0 1 0.9273', 'type "infra-red"', 1),
         ('type "infra-red" aperture 1', 'type "infra-red"', 0),
+        ("bufferSize 4", "", 0),
+        ("bufferSize 5", "", 1),
         ("", "bufferSize 4", 0),
         ("", "bufferSize 5", 1),
     ],
 )
 def test_a_message_arrives_where_channel_range_and_cone_allow(emitter: str, receiver: str, count: int):
     assert exchange(emitter, receiver)[0].getQueueLength() == count
-
-
-def test_a_message_beyond_the_buffer_is_not_sent():
-    inbox, sent = exchange("bufferSize 4")
-    assert (sent, inbox.getQueueLength()) == (0, 0)
 
 
 def test_messages_keep_their_order():
@@ -557,15 +549,6 @@ def test_a_solid_name_is_free_to_repeat():
     assert simulate(solid("Box { }") + solid("Box { }", "translation 1 0 0", name="OTHER"))
 
 
-def measured(text: str, name: str, period: int = 8, **info: object):
-    """Return a sensor after its first measurement."""
-    simulation = simulate(text, **info)
-    sensor = device(simulation, name)
-    sensor.enable(period)
-    simulation.run_step()
-    return sensor
-
-
 # Radars
 
 RADAR = "DEF ROBOT Robot { %s children [ Radar { minRange 1 maxRange 50 transmittedPower 1 %s } ] }"
@@ -579,7 +562,7 @@ def target(place: str, velocity: str = "0 0 0", section: float = 1.0, name: str 
 
 def radar_targets(text: str, fields: str = "", robot: str = ""):
     """Return the targets of a radar at the origin that looks along x."""
-    return measured(RADAR % (robot, fields) + text, "radar", gravity=0).getTargets()
+    return reading(simulate(RADAR % (robot, fields) + text, gravity=0), "radar").getTargets()
 
 
 def test_a_radar_measures_distance_speed_and_azimuth():
@@ -604,13 +587,8 @@ def test_the_noise_of_an_azimuth_may_leave_the_field_of_view():
     """As in Webots, which limits an azimuth to the field of view, and then adds the noise."""
     at_the_edge = target("10 -3.9 0").replace("radius 0.001", "radius 1")
     robot = RADAR % ("", "horizontalFieldOfView 0.6 angularNoise 0.05")
-    simulation = simulate(robot + at_the_edge, gravity=0)
-    radar = device(simulation, "radar")
-    radar.enable(8)
-    azimuths = []
-    for _ in range(200):
-        simulation.run_step()
-        azimuths.append(radar.getTargets()[0].azimuth)
+    seen = readings(simulate(robot + at_the_edge, gravity=0), "radar", 200, "getTargets")
+    azimuths = [targets[0].azimuth for targets in seen]
     assert sum(azimuths) / 200 == pytest.approx(0.3, abs=4 * 0.05 / math.sqrt(200))
     assert max(azimuths) > 0.35
 
@@ -621,41 +599,36 @@ def test_a_moving_radar_measures_relative_speed():
     assert target_seen.speed == pytest.approx(3)
 
 
-@pytest.mark.parametrize(
-    ("place", "fields", "count"),
-    [
-        ("49.9 0 0", "", 1),
-        ("50.1 0 0", "", 0),
-        ("0.9 0 0", "", 0),
-        ("10 3.9 0", "", 1),  # 0.372 rad, of 0.39
-        ("10 4.3 0", "", 0),
-        ("10 0 0.4", "", 1),
-        ("10 0 0.6", "", 0),
-        ("-10 0 0", "", 0),
-        ("10 4.3 0", "horizontalFieldOfView 1", 1),
-        ("10 0 0", "minDetectableSignal -70.1", 1),  # -70.04 dBm arrive
-        ("10 0 0", "minDetectableSignal -70", 0),
-    ],
-)
-def test_a_radar_sees_within_its_range_and_field(place: str, fields: str, count: int):
-    assert len(radar_targets(target(place), fields)) == count
+HIDING = 'Solid { name "wall" translation 5 0 0 boundingObject Box { size 0.1 2 2 } }'
+LEAVING = target("10 0 0", "-2 0 0")
 
 
 @pytest.mark.parametrize(
-    ("fields", "count"),
+    ("text", "fields", "count"),
     [
-        ("minAbsoluteRadialSpeed 1.9", 1),
-        ("minAbsoluteRadialSpeed 2.1", 0),
-        ("minRadialSpeed -3 maxRadialSpeed -1", 1),
-        ("minRadialSpeed 0 maxRadialSpeed 5", 0),
+        (target("49.9 0 0"), "", 1),
+        (target("50.1 0 0"), "", 0),
+        (target("0.9 0 0"), "", 0),
+        (target("10 3.9 0"), "", 1),  # 0.372 rad, of 0.39
+        (target("10 4.3 0"), "", 0),
+        (target("10 0 0.4"), "", 1),
+        (target("10 0 0.6"), "", 0),
+        (target("-10 0 0"), "", 0),
+        (target("10 4.3 0"), "horizontalFieldOfView 1", 1),
+        (target("10 0 0"), "minDetectableSignal -70.1", 1),  # -70.04 dBm arrive
+        (target("10 0 0"), "minDetectableSignal -70", 0),
+        (target("10 0 0", section=0.0), "", 0),
+        (LEAVING, "minAbsoluteRadialSpeed 1.9", 1),
+        (LEAVING, "minAbsoluteRadialSpeed 2.1", 0),
+        (LEAVING, "minRadialSpeed -3 maxRadialSpeed -1", 1),
+        (LEAVING, "minRadialSpeed 0 maxRadialSpeed 5", 0),
+        (HIDING + target("10 0 0"), "", 1),
+        (HIDING + target("10 0 0"), "occlusion TRUE", 0),
+        (target("10 0 0"), "occlusion TRUE", 1),
     ],
 )
-def test_a_radar_sees_within_its_range_of_speeds(fields: str, count: int):
-    assert len(radar_targets(target("10 0 0", "-2 0 0"), fields)) == count
-
-
-def test_a_solid_without_a_cross_section_is_not_a_target():
-    assert radar_targets(target("10 0 0", section=0.0)) == []
+def test_a_radar_sees_what_its_fields_allow(text: str, fields: str, count: int):
+    assert len(radar_targets(text, fields)) == count
 
 
 def test_targets_in_one_cell_are_one():
@@ -668,69 +641,54 @@ def test_targets_in_one_cell_are_one():
     assert len(radar_targets(pair, "cellDistance 0.5 cellSpeed 0.1")) == 1
 
 
-def test_a_wall_hides_a_target_if_occlusion_counts():
-    wall = 'Solid { name "wall" translation 5 0 0 boundingObject Box { size 0.1 2 2 } }'
-    assert (
-        len(radar_targets(wall + target("10 0 0"))),
-        radar_targets(wall + target("10 0 0"), "occlusion TRUE"),
-    ) == (1, [])
-    assert len(radar_targets(target("10 0 0"), "occlusion TRUE")) == 1
-
-
 # Light
 
 SENSOR = """Robot { children [ LightSensor { lookupTable [ 0 0 0, 1000 1000 0 ] %s } ] }"""
 
 
 def irradiance(lights: str, fields: str = "") -> float:
-    return measured(SENSOR % fields + lights, "light sensor").getValue()
+    return reading(simulate(SENSOR % fields + lights), "light sensor").getValue()
 
 
-def test_a_directional_light_arrives_by_the_cosine_of_its_angle():
-    assert irradiance("DirectionalLight { direction -1 0 0 intensity 30 }") == pytest.approx(30)
-    assert irradiance("DirectionalLight { direction -1 1 0 intensity 30 }") == pytest.approx(30 / 2**0.5)
-    assert irradiance("DirectionalLight { direction 1 0 0 intensity 30 }") == 0
-    assert irradiance("DirectionalLight { direction -1 0 0 intensity 30 on FALSE }") == 0
+DIRECTED = "DirectionalLight { direction %s intensity 30 %s }"
+POINT = "PointLight { attenuation 0.5 0.2 0.1 location 3 4 0 intensity 100 }"
+SPOT = """SpotLight { location 2 0 0 direction %r %r 0 beamWidth 0.3 cutOffAngle 0.4 intensity 50 }"""
+SHADED = (
+    DIRECTED % ("-1 0 0", "ambientIntensity 0.5")
+    + "Solid { translation 1 0 0 boundingObject Box { size 0.1 1 1 } }"
+)
 
 
-def test_a_point_light_fades_with_the_distance():
-    light = "PointLight { attenuation 0.5 0.2 0.1 location 3 4 0 intensity 100 }"
-    assert irradiance(light) == pytest.approx(100 * (3 / 5) / (0.5 + 0.2 * 5 + 0.1 * 25))
-    assert irradiance(f"Pose {{ translation 0 -4 0 children [ {light} ] }}") == pytest.approx(100 / 2.0)
-
-
-@pytest.mark.parametrize(("angle", "share"), [(0.2, 1.0), (0.35, 0.5), (0.45, 0.0)])
-def test_a_spot_light_ends_at_its_cone(angle: float, share: float):
-    light = f"""SpotLight {{ location 2 0 0 direction {-math.cos(angle)!r} {math.sin(angle)!r} 0
-      beamWidth 0.3 cutOffAngle 0.4 intensity 50 }}"""
-    assert irradiance(light) == pytest.approx(50 * share, abs=1e-6)
-
-
-def test_ambient_light_has_no_direction():
-    light = "DirectionalLight { direction 1 0 0 intensity 9 ambientIntensity 0.5 }"
-    assert irradiance(light) == pytest.approx(0.5)
-
-
-def test_a_light_with_an_attenuation_has_no_ambient_part():
-    light = "PointLight { location 2 0 0 attenuation 0 0 1 intensity 8 ambientIntensity 0.5 }"
-    assert irradiance(light) == pytest.approx(8 / 2.0**2)
-
-
-def test_colors_pass_a_filter():
-    light = "DirectionalLight { direction -1 0 0 intensity 30 color 1 0.5 0 }"
-    assert (irradiance(light), irradiance(light, "colorFilter 0 1 0")) == (
-        pytest.approx(30 * 1.5 / 3),
-        pytest.approx(30 * 0.5 / 3),
-    )
-
-
-def test_a_wall_shades_direct_light_if_occlusion_counts():
-    scene = """DirectionalLight { direction -1 0 0 intensity 30 ambientIntensity 0.5 }
-      Solid { translation 1 0 0 boundingObject Box { size 0.1 1 1 } }"""
-    assert (irradiance(scene), irradiance(scene, "occlusion TRUE")) == (
-        pytest.approx(30.5),
-        pytest.approx(0.5),
-    )
+@pytest.mark.parametrize(
+    ("lights", "fields", "value"),
+    [
+        pytest.param(DIRECTED % ("-1 0 0", ""), "", 30, id="ahead"),
+        pytest.param(DIRECTED % ("-1 1 0", ""), "", 30 / 2**0.5, id="by the cosine of its angle"),
+        pytest.param(DIRECTED % ("1 0 0", ""), "", 0, id="from behind"),
+        pytest.param(DIRECTED % ("-1 0 0", "on FALSE"), "", 0, id="off"),
+        pytest.param(DIRECTED % ("1 0 0", "ambientIntensity 0.5"), "", 0.5, id="ambient"),
+        pytest.param(DIRECTED % ("-1 0 0", "color 1 0.5 0"), "", 30 * 1.5 / 3, id="color"),
+        pytest.param(DIRECTED % ("-1 0 0", "color 1 0.5 0"), "colorFilter 0 1 0", 30 * 0.5 / 3, id="filter"),
+        pytest.param(POINT, "", 100 * (3 / 5) / (0.5 + 0.2 * 5 + 0.1 * 25), id="point"),
+        pytest.param(
+            f"Pose {{ translation 0 -4 0 children [ {POINT} ] }}", "", 100 / 2.0, id="point in a pose"
+        ),
+        pytest.param(
+            "PointLight { location 2 0 0 attenuation 0 0 1 intensity 8 ambientIntensity 0.5 }",
+            "",
+            8 / 2.0**2,
+            id="no ambient part with an attenuation",
+        ),
+        *(
+            pytest.param(SPOT % (-math.cos(angle), math.sin(angle)), "", 50 * share, id=f"spot at {angle}")
+            for angle, share in ((0.2, 1.0), (0.35, 0.5), (0.45, 0.0))
+        ),
+        pytest.param(SHADED, "", 30.5, id="a wall without occlusion"),
+        pytest.param(SHADED, "occlusion TRUE", 0.5, id="a wall"),
+    ],
+)
+def test_a_light_sensor_measures(lights: str, fields: str, value: float):
+    assert irradiance(lights, fields) == pytest.approx(value, abs=1e-6)
 
 
 # Rotating lidars
@@ -778,7 +736,7 @@ def test_a_lidar_sees_nothing_nearer_than_its_range():
         ROOM
         + "Robot { children [ Lidar { numberOfLayers 1 horizontalResolution 3 minRange 2.1 maxRange 4 } ] }"
     )
-    image = measured(text, "lidar").getRangeImage()
+    image = reading(simulate(text), "lidar").getRangeImage()
     assert image[1] == math.inf
     assert image[0] == pytest.approx(2 / math.cos(math.pi / 6), rel=1e-3)
 

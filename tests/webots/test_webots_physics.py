@@ -9,12 +9,10 @@ import math
 
 import pytest
 
-from deepbots_cli.webots.findings import WorldError
-from deepbots_cli.webots.project import Files
-from deepbots_cli.webots.scene import Contact, Scene
+from deepbots_cli.webots.sensors import NotImplementedCallError
 from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
+from deepbots_cli.webots.syntax import WorldError
 from deepbots_cli.webots.tree import Field, Node
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.exported_projects import (
     FLOOR,
     HEADER,
@@ -26,13 +24,8 @@ from tests.webots.exported_projects import (
     run,
     simulate,
     solid,
+    turning,
 )
-
-
-def test_gravity_is_a_number_of_the_world():
-    simulation = simulate(solid("Box { }"), gravity=1)
-    run(simulation, 2)
-    assert node(simulation, "BODY").getPosition() == pytest.approx([0, 0, -2.0], rel=0.01)
 
 
 def test_a_supervisor_sets_gravity():
@@ -86,42 +79,26 @@ def test_two_materials_have_the_friction_of_their_pair():
         assert node(simulation, name).getPosition()[0] == pytest.approx(distance, rel=0.03)
 
 
-def test_materials_without_a_pair_have_the_default_contact(tmp_path):
-    assert Scene([], Files(tmp_path)).contact("wood", "ice") == Contact()
-
-
-@pytest.mark.parametrize("bounce", [0.3, 0.5, 0.8])
-def test_a_ball_bounces_with_its_share_of_the_speed(bounce: float):
-    text = FLOOR + solid("Sphere { radius 0.1 }", "translation 0 0 1.1")
-    simulation = simulate(text, 8, contactProperties=f"[ ContactProperties {{ bounce {bounce} }} ]")
-    run(simulation, 0.44)
-    fast = 0.0
-    for _ in range(100):
-        simulation.run_step()
-        fast = max(fast, node(simulation, "BODY").getVelocity()[2])
-    assert fast == pytest.approx(bounce * math.sqrt(2 * 9.81 * 1.0), rel=0.04)
-
-
-def test_a_motor_at_its_limit_accelerates_its_load():
-    text = hinge(devices="RotationalMotor { maxTorque 0.5 maxVelocity 1000 }")
-    simulation = simulate(text, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(1000)
-    run(simulation, 0.8)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(0.5 / ROD_INERTIA * 0.8, rel=0.01)
-
-
-@pytest.mark.parametrize("step", [8, 32])
-def test_a_motor_reaches_its_velocity_in_one_step(step: int):
-    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1000 }"), step, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(3)
-    simulation.run_step()
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-3)
-    run(simulation, 1)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-4)
+@pytest.mark.parametrize(
+    ("motor", "step", "command", "seconds", "velocity"),
+    [
+        pytest.param("RotationalMotor { maxTorque 1000 }", 8, 3, 0.008, 3, id="in one step"),
+        pytest.param("RotationalMotor { maxTorque 1000 }", 32, 3, 0.032, 3, id="in one step of 32 ms"),
+        pytest.param(
+            "RotationalMotor { maxTorque 1e6 acceleration 4 }", 8, 8, 1, 4, id="by its acceleration"
+        ),
+        pytest.param(
+            "LinearMotor { maxForce 3 maxVelocity 1000 }", 8, 1000, 0.8, 3 / 2 * 0.8, id="along its axis"
+        ),
+    ],
+)
+def test_a_motor_reaches_its_velocity(motor: str, step: int, command: float, seconds: float, velocity: float):
+    is_linear = motor.startswith("Linear")
+    text = hinge(devices=motor, kind="SliderJoint" if is_linear else "HingeJoint")
+    simulation = simulate(text, step, gravity=0)
+    turning(simulation, command, "linear motor" if is_linear else "rotational motor")
+    run(simulation, seconds)
+    assert node(simulation, "ROD").getVelocity()[0 if is_linear else 4] == pytest.approx(velocity, rel=0.01)
 
 
 def test_a_motor_without_commands_keeps_its_position():
@@ -152,35 +129,6 @@ def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
     assert 1 - position.getSFFloat() == pytest.approx(0.4 * math.exp(-5 * 0.4), rel=0.1)
 
 
-def test_an_acceleration_limits_the_velocity():
-    text = hinge(devices="RotationalMotor { maxTorque 1e6 acceleration 4 }")
-    simulation = simulate(text, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(8)
-    run(simulation, 1)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(4, rel=0.01)
-
-
-def test_a_torque_acts_until_another_command():
-    simulation = simulate(hinge(devices="RotationalMotor { }"), gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setTorque(0.7)
-    run(simulation, 0.8)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(0.7 / ROD_INERTIA * 0.8, rel=0.01)
-
-
-def test_a_slider_moves_along_its_axis():
-    text = hinge(devices="LinearMotor { maxForce 3 maxVelocity 1000 }", kind="SliderJoint")
-    simulation = simulate(text)
-    motor = device(simulation, "linear motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(1000)
-    run(simulation, 0.8)
-    assert node(simulation, "ROD").getVelocity()[0] == pytest.approx(3 / 2 * 0.8, rel=0.01)
-    assert node(simulation, "ROD").getPosition()[0] == pytest.approx(3 / 2 * 0.8**2 / 2, rel=0.015)
-
-
 def test_a_spring_swings_with_its_period():
     text = hinge("position 0.2 springConstant 32", kind="SliderJoint")
     simulation = simulate(text)
@@ -189,32 +137,17 @@ def test_a_spring_swings_with_its_period():
     assert field.getSFFloat() == pytest.approx(-0.2, rel=0.01)
 
 
-def test_damping_slows_exponentially():
-    text = hinge("dampingConstant 4", "RotationalMotor { maxTorque 1e6 }")
-    simulation = simulate(text, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(math.inf)
-    motor.setVelocity(3)
+@pytest.mark.parametrize(("parameters", "brake"), [("dampingConstant 4", ""), ("", "Brake { }")])
+def test_damping_slows_exponentially(parameters: str, brake: str):
+    simulation = simulate(hinge(parameters, f"RotationalMotor {{ maxTorque 1e6 }} {brake}"), gravity=0)
+    motor = turning(simulation, 3)
     simulation.run_step()
     motor.setTorque(0)
+    if brake:
+        device(simulation, "brake").setDampingConstant(4)
     run(simulation, 0.2)
     left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
     assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(left, rel=0.03)
-
-
-def test_a_brake_adds_damping():
-    text = hinge(devices="RotationalMotor { maxTorque 1e6 } Brake { }")
-    simulation = simulate(text, gravity=0)
-    motor, brake = device(simulation, "rotational motor"), device(simulation, "brake")
-    motor.setPosition(math.inf)
-    motor.setVelocity(3)
-    simulation.run_step()
-    motor.setTorque(0)
-    brake.setDampingConstant(4)
-    run(simulation, 0.2)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(
-        3 * math.exp(-4 / ROD_INERTIA * 0.2), rel=0.03
-    )
 
 
 def test_stops_hold_a_joint():
@@ -343,9 +276,7 @@ def test_a_robot_that_pushes_a_wall_does_not_sink_into_it():
     robot = "DEF ROBOT E-puck { translation 0 0.27 0 rotation 0 0 1 -1.5708 }"
     simulation = simulate(f"{FLOOR} {wall} {robot}", 32)
     for side in ("left", "right"):
-        motor = device(simulation, f"{side} wheel motor")
-        motor.setPosition(math.inf)
-        motor.setVelocity(1)
+        turning(simulation, 1, f"{side} wheel motor")
     nearest = math.inf
     for _ in range(200):
         simulation.run_step()
@@ -358,9 +289,7 @@ def test_bb8_rocks_in_the_pit():
     pit = """Pit { size 20 20 4 pitRadius 2.7 }
       DEF ROBOT BB-8 { } Solid { name "ground" translation 0 0 -9 boundingObject Plane { } }"""
     simulation = simulate(pit, step=32)
-    motor, gyro = (device(simulation, f"body {name}") for name in ("pitch motor", "gyro"))
-    motor.setPosition(math.inf)
-    motor.setVelocity(8.72)
+    motor, gyro = turning(simulation, 8.72, "body pitch motor"), device(simulation, "body gyro")
     gyro.enable(32)
     reached = 0.0
     for _ in range(450):
@@ -388,21 +317,32 @@ def supervisor(text: str = WORLD, **info: object) -> Supervisor:
         deactivate()
 
 
-def test_nodes_are_named_by_def_and_by_paths_of_them():
-    it = supervisor()
-    assert it.getFromDef("NOWHERE") is None
-    assert it.getFromDef("ROBOT.INNER.PART") == it.getFromDef("PART")
-    assert it.getFromDef("BALL.PART") is None
-    assert it.getSelf() == it.getFromDef("ROBOT")
-    part = it.getFromDef("PART")
-    assert (part.getDef(), part.getTypeName(), part.getParentNode().getDef()) == ("PART", "Solid", "INNER")
-    assert it.getFromId(part.getId()) == part
-
-
-def test_the_root_has_the_nodes_of_the_world_as_its_children():
-    children = supervisor().getRoot().getField("children")
-    names = [children.getMFNode(index).getDef() for index in range(children.getCount())]
-    assert names == ["", "ROBOT", "BALL", "MARK"]
+@pytest.mark.parametrize(
+    ("read", "value"),
+    [
+        (lambda it: it.getFromDef("NOWHERE"), None),
+        (lambda it: it.getFromDef("ROBOT.INNER.PART") == it.getFromDef("PART"), True),
+        (lambda it: it.getFromDef("BALL.PART"), None),
+        (lambda it: it.getSelf() == it.getFromDef("ROBOT"), True),
+        (lambda it: it.getFromId(it.getFromDef("PART").getId()).getDef(), "PART"),
+        (lambda it: it.getFromDef("PART").getTypeName(), "Solid"),
+        (lambda it: it.getFromDef("PART").getParentNode().getDef(), "INNER"),
+        (lambda it: it.getRoot().getField("children").getCount(), 4),
+        (lambda it: it.getRoot().getField("children").getMFNode(2).getDef(), "BALL"),
+        (lambda it: it.getFromDef("BALL").getField("physics").getSFNode().getField("mass").getSFFloat(), 2),
+        (lambda it: it.getFromDef("PART").getField("name").getSFString(), "part"),
+        (lambda it: it.getSelf().getField("supervisor").getSFBool(), True),
+        (lambda it: it.getSelf().getField("nothing"), None),
+        (lambda it: it.getFromDef("BALL").getType(), Node.SOLID),
+        (lambda it: it.getSelf().getType(), Node.ROBOT),
+        (lambda it: it.getFromDef("BALL").getField("translation").getType(), Field.SF_VEC3F),
+        (lambda it: it.getFromDef("BALL").getField("name").getType(), Field.SF_STRING),
+        (lambda it: it.getFromDef("BALL").getField("physics").getType(), Field.SF_NODE),
+        (lambda it: it.getFromDef("BALL").getField("children").getType(), Field.MF_NODE),
+    ],
+)
+def test_a_supervisor_reads_nodes_and_fields(read, value):
+    assert read(supervisor()) == value
 
 
 def test_a_pose_is_that_in_the_world():
@@ -424,14 +364,6 @@ def test_fields_of_a_pose_are_those_of_now_in_the_node_above():
     assert it.getSelf().getField("rotation").getSFRotation() == pytest.approx(
         [0, 0, 1, math.pi / 2], abs=1e-6
     )
-
-
-def test_other_fields_are_as_the_world_says():
-    it = supervisor()
-    assert it.getFromDef("BALL").getField("physics").getSFNode().getField("mass").getSFFloat() == 2
-    assert it.getFromDef("PART").getField("name").getSFString() == "part"
-    assert it.getSelf().getField("supervisor").getSFBool() is True
-    assert it.getSelf().getField("nothing") is None
 
 
 def test_a_proto_has_the_fields_of_its_interface():
@@ -652,11 +584,3 @@ def test_solids_in_groups_and_poses_at_the_top_are_moved_in_their_frame():
     first.getField("translation").setSFVec3f([2, 0, 0])
     second.getField("translation").setSFVec3f([2, 0, 0])
     assert (first.getPosition(), second.getPosition()) == ([2, 0, 0], pytest.approx([0, 2, 5], abs=1e-6))
-
-
-def test_types_of_nodes_and_fields_are_numbers():
-    it = supervisor()
-    ball = it.getFromDef("BALL")
-    assert (ball.getType(), it.getSelf().getType()) == (Node.SOLID, Node.ROBOT)
-    types = [ball.getField(name).getType() for name in ("translation", "name", "physics", "children")]
-    assert types == [Field.SF_VEC3F, Field.SF_STRING, Field.SF_NODE, Field.MF_NODE]

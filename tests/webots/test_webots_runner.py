@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots.recorder import VideoRecorder
+from deepbots_cli.webots.rendering import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
-from tests.webots.copied_process import ENVIRONMENT, CopiedProcess
-from tests.webots.exported_projects import HEADER, simulate
+from tests.webots.exported_projects import HEADER, ROOT, simulate
 
 WORLD = """WorldInfo { basicTimeStep 32 }
 Robot { name "boss" supervisor TRUE controller "boss" children [ Emitter { } Receiver { } ] }
@@ -29,10 +29,9 @@ DEF CART Robot { name "cart" controller "cart" children [ Emitter { } Receiver {
 class Project:
     """A project with one world, in a folder of a test."""
 
-    def __init__(self, folder: Path, process: CopiedProcess) -> None:
-        self.folder = folder
-        self.process = process
-        (folder / "worlds").mkdir()
+    def __init__(self, folder: Path, deepbots: Any) -> None:
+        self.folder, self._deepbots = folder, deepbots
+        self.words = ["webots", str(folder / "worlds" / "w.wbt"), "--allow-code"]
         self.write("worlds/w.wbt", HEADER + WORLD)
 
     def write(self, name: str, text: str) -> None:
@@ -43,28 +42,21 @@ class Project:
     def controller(self, name: str, text: str) -> None:
         self.write(f"controllers/{name}/{name}.py", text)
 
-    def run(self, *options: str, allow: bool = True, code: int = 0) -> subprocess.CompletedProcess[str]:
+    def run(self, *options: str, allow: bool = True, code: int = 0) -> Any:
         """Run the world, and assert the exit code."""
-        words = [
-            "webots",
-            str(self.folder / "worlds" / "w.wbt"),
-            *(["--allow-code"] if allow else []),
-            *options,
-        ]
-        ran = self.process.run(words, self.folder)
-        assert ran.returncode == code, ran.stderr
-        return ran
+        return self._deepbots(*(self.words if allow else self.words[:-1]), *options, code=code)
 
-
-@pytest.fixture(scope="module")
-def process() -> Iterator[CopiedProcess]:
-    with CopiedProcess() as process:
-        yield process
+    def start(self, *options: str) -> subprocess.Popen[str]:
+        """Run the world in a process of its own."""
+        words = [sys.executable, "-m", "deepbots_cli", *self.words, *options]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen(words, cwd=self.folder, env=environment, text=True, **pipes)
 
 
 @pytest.fixture
-def project(tmp_path: Path, process: CopiedProcess) -> Project:
-    return Project(tmp_path, process)
+def project(tmp_path: Path, deepbots: Any) -> Project:
+    return Project(tmp_path, deepbots)
 
 
 CART = """
@@ -99,22 +91,22 @@ def test_messages_are_one_step_late_in_each_direction(project: Project):
     project.controller("cart", CART)
     project.controller("boss", BOSS)
     ran = project.run()
-    assert ran.stdout.splitlines() == [
+    assert ran.out.splitlines() == [
         "[boss] 0 []",
         "[boss] 1 ['0!']",
         "[boss] 2 ['1!']",
         "[boss] 3 ['2!']",
         "[cart] the end",
     ]
-    assert "4 steps, 0.128 s of simulated time" in ran.stderr
+    assert "4 steps, 0.128 s of simulated time" in ran.err
 
 
 def test_no_code_runs_without_permission(project: Project):
     project.controller("cart", "open('ran', 'w')")
     project.controller("boss", "open('ran', 'w')")
     ran = project.run(allow=False)
-    assert "--allow-code" in ran.stdout
-    assert [line.split()[:3] for line in ran.stdout.splitlines()[2:4]] == [
+    assert "--allow-code" in ran.out
+    assert [line.split()[:3] for line in ran.out.splitlines()[2:4]] == [
         ["boss", "yes", "boss"],
         ["cart", "no", "cart"],
     ]
@@ -125,9 +117,9 @@ def test_the_devices_of_a_large_robot_fit_the_page(project: Project):
     project.write("worlds/w.wbt", f'{HEADER}WorldInfo {{ }} E-puck {{ controller "cart" }}')
     project.controller("cart", CART)
     ran = project.run(allow=False)
-    assert max(map(len, ran.stdout.splitlines())) <= 100
-    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in " ".join(ran.stdout.split())
-    (row,) = json.loads(project.run("--json", allow=False).stdout)
+    assert max(map(len, ran.out.splitlines())) <= 100
+    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in " ".join(ran.out.split())
+    (row,) = json.loads(project.run("--json", allow=False).out)
     assert "ps3, ls3, ps4" in row["devices"]
 
 
@@ -157,7 +149,7 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
             print(__main__.__file__.endswith("{name}.py"))
             """,
         )
-    lines = project.run().stdout.splitlines()
+    lines = project.run().out.splitlines()
     assert sorted(lines) == [
         "[boss] True",
         "[boss] boss boss inside 3 boss [] __main__",
@@ -166,63 +158,108 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
     ]
 
 
-def test_a_supervisor_quits_with_an_exit_code(project: Project):
-    project.controller("cart", CART)
-    project.controller(
-        "boss",
-        """
-        from controller import Supervisor
-        boss = Supervisor()
-        boss.step(32)
-        boss.simulationQuit(7)
-        print(boss.step(32))
-        """,
-    )
-    assert project.run(code=7).stdout.splitlines()[0] == "[boss] -1"
+SLOW = pytest.mark.slow
+ONE_STEP = "from controller import Robot\nRobot().step(32)\n"
+QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\nboss.simulationQuit(7)\nprint(boss.step(32))"
 
 
-def test_a_crash_names_its_robot(project: Project):
-    project.controller("cart", CART.replace("emitter.send(", "emitter.sned("))
-    project.controller("boss", BOSS)
-    ran = project.run(code=1)
-    assert (
-        "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'"
-        in ran.stderr
-    )
-    assert "[cart] " in ran.stderr
-    assert "runner.py" not in ran.stderr
+@pytest.mark.parametrize(
+    ("cart", "boss", "options", "code", "line", "error"),
+    [
+        pytest.param(CART, QUITS, "", 7, "[boss] -1", "", id="a supervisor quits"),
+        pytest.param(
+            CART.replace("emitter.send(", "emitter.sned("),
+            BOSS,
+            "",
+            1,
+            "",
+            "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'",
+            id="a crash names its robot",
+        ),
+        pytest.param(
+            CART,
+            "from controller import Mouse",
+            "",
+            1,
+            "",
+            "ImportError: controller.Mouse is not implemented",
+            id="a class that is missing",
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise SystemExit(5)", BOSS, "", 5, "[boss] 3 []", "", id="an exit code is kept"
+        ),
+        pytest.param(
+            "print('done', end='')",
+            BOSS,
+            "",
+            0,
+            "[cart] done",
+            "the controller of 'cart' ended; the others go on",
+            id="an early end",
+        ),
+        pytest.param(
+            f"{ONE_STEP}import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
+            BOSS,
+            "--processes",
+            1,
+            "",
+            "its process was ended by signal 9",
+            id="process: signal",
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise ValueError('no')",
+            BOSS,
+            "--processes",
+            1,
+            "",
+            "error: the controller of 'cart' failed: ValueError: no",
+            id="process: error",
+            marks=SLOW,
+        ),
+        pytest.param(
+            f"{ONE_STEP}raise SystemExit(5)", BOSS, "--processes", 5, "", "", id="process: exit", marks=SLOW
+        ),
+        pytest.param(
+            f"{ONE_STEP}import os; os._exit(6)",
+            BOSS,
+            "--processes",
+            6,
+            "",
+            "",
+            id="process: hard exit",
+            marks=SLOW,
+        ),
+        pytest.param(
+            f"{ONE_STEP}while True: pass",
+            BOSS,
+            "--processes --timeout 1",
+            1,
+            "",
+            "error: the controller of 'cart' made no step for 1 s",
+            id="process: endless",
+            marks=SLOW,
+        ),
+    ],
+)
+def test_the_end_of_a_controller_is_reported(
+    project: Project, cart: str, boss: str, options: str, code: int, line: str, error: str
+):
+    project.controller("cart", cart)
+    project.controller("boss", boss)
+    ran = project.run(*options.split(), code=code)
+    assert line in ran.out
+    assert error in ran.err
+    assert not re.search(r"runner\.py|client\.py", ran.err)
 
 
-def test_an_exit_code_of_a_controller_is_kept(project: Project):
-    project.controller("cart", "from controller import Robot\nRobot().step(32)\nraise SystemExit(5)")
-    project.controller("boss", BOSS)
-    assert "[boss] 3 []" in project.run(code=5).stdout
-
-
-def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
-    project.controller("cart", "print('done', end='')")
-    project.controller("boss", BOSS)
-    ran = project.run()
-    assert "[cart] done" in ran.stdout
-    assert "[boss] 3 []" in ran.stdout
-    assert "the controller of 'cart' ended; the others go on" in ran.stderr
-
-
-@pytest.mark.slow
-def test_a_controller_that_never_steps_ends_the_run(project: Project):
-    project.controller("cart", "while True: pass")
-    project.controller("boss", BOSS)
-    ran = project.run("--timeout", "1", code=1)
-    assert "error: the controller of 'cart' made no step for 1 s" in ran.stderr
-
-
-def test_a_controller_that_ignores_the_end_is_ended(project: Project):
+@pytest.mark.parametrize("options", [[], pytest.param(["--processes"], marks=SLOW)])
+def test_a_controller_that_ignores_the_end_is_ended(project: Project, options: list[str]):
     project.controller("cart", CART)
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
-    ran = project.run("--steps", "50", "--json")
-    result = json.loads(ran.stdout)
+    ran = project.run("--steps", "50", "--json", *options)
+    result = json.loads(ran.out)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
     assert [row["robot"] for row in result["controllers"]] == ["boss", "cart"]
 
@@ -231,8 +268,8 @@ def test_a_controller_in_another_language_is_named_and_not_run(project: Project)
     project.write("controllers/cart/cart.cpp", "int main() {}")
     project.controller("boss", BOSS)
     ran = project.run()
-    assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.stderr
-    assert "[boss] 3 []" in ran.stdout
+    assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.err
+    assert "[boss] 3 []" in ran.out
 
 
 def test_a_controller_with_a_longer_period_runs_less_often(project: Project):
@@ -241,7 +278,7 @@ def test_a_controller_with_a_longer_period_runs_less_often(project: Project):
         "from controller import Robot\nrobot = Robot()\nwhile robot.step(100) != -1: print(robot.getTime())",
     )
     project.controller("boss", BOSS.replace("range(4)", "range(9)"))
-    lines = [line for line in project.run().stdout.splitlines() if line.startswith("[cart]")]
+    lines = [line for line in project.run().out.splitlines() if line.startswith("[cart]")]
     assert lines == ["[cart] 0.128", "[cart] 0.256"]
 
 
@@ -254,7 +291,7 @@ def test_a_reset_empties_the_queues(project: Project):
             "        boss.step(32)\n        if number == 2:\n            boss.simulationReset()\n            boss.step(32)\n",
         ),
     )
-    lines = [line for line in project.run().stdout.splitlines() if line.startswith("[boss]")]
+    lines = [line for line in project.run().out.splitlines() if line.startswith("[boss]")]
     assert lines == ["[boss] 0 []", "[boss] 1 ['0!']", "[boss] 2 []", "[boss] 3 []"]
 
 
@@ -268,7 +305,7 @@ def test_two_supervisors_run_until_both_end(project: Project):
         "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
     )
     project.controller("boss", BOSS)
-    assert project.run().stdout.splitlines()[-1] == "[cart] 0.288"
+    assert project.run().out.splitlines()[-1] == "[cart] 0.288"
 
 
 @pytest.mark.parametrize(
@@ -284,13 +321,22 @@ def test_wrong_options_are_refused(project: Project, options: list[str], words: 
     project.controller("cart", CART)
     project.controller("boss", BOSS)
     ran = project.run(*options, code=2)
-    assert ran.stdout == ""
-    assert words in " ".join(ran.stderr.split())
+    assert ran.out == ""
+    assert words in " ".join(ran.err.split())
 
 
 def test_an_option_of_a_run_needs_permission(project: Project):
     ran = project.run("--steps", "3", allow=False, code=2)
-    assert "--steps runs the programs of the project; add --allow-code" in ran.stderr
+    assert "--steps runs the programs of the project, which you should trust; add --allow-code" in ran.err
+
+
+@pytest.mark.slow
+def test_a_controller_that_never_steps_ends_the_run(project: Project):
+    project.controller("cart", "while True: pass")
+    project.controller("boss", BOSS)
+    process = project.start("--timeout", "1")
+    assert "error: the controller of 'cart' made no step for 1 s" in process.communicate(timeout=60)[1]
+    assert process.returncode == 1
 
 
 def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: Project):
@@ -306,10 +352,7 @@ def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: 
 def test_ctrl_c_ends_the_processes_of_controllers(project: Project):
     project.controller("cart", CART)
     project.controller("boss", "print('begins', flush=True)\nwhile True: pass")
-    world = str(project.folder / "worlds" / "w.wbt")
-    words = [sys.executable, "-m", "deepbots_cli", "webots", world, "--allow-code", "--processes"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
-    with process:
+    with project.start("--processes") as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "[boss] begins\n"
         process.send_signal(signal.SIGINT)
@@ -327,25 +370,19 @@ def command_lines() -> list[str]:
 def test_a_world_with_errors_runs_nothing(project: Project):
     project.write("worlds/w.wbt", HEADER + WORLD + "\nRobt { }")
     ran = project.run(code=1)
-    assert ran.stderr.count("error: there is no node Robt") == 1
-    assert "w.wbt:5:1" in ran.stderr
+    assert ran.err.count("error: there is no node Robt") == 1
+    assert "w.wbt:5:1" in ran.err
 
 
 def test_a_world_without_controllers_says_so(project: Project):
     project.write("worlds/w.wbt", HEADER + "Solid { }")
-    assert "no robot of the world has a controller that can run" in project.run(code=2).stderr
+    assert "no robot of the world has a controller that can run" in project.run(code=2).err
 
 
 def test_the_packages_of_another_environment_are_found(project: Project):
     project.controller("cart", CART)
     project.controller("boss", "from controller import Supervisor\nSupervisor()\nimport json\nprint('ok')")
-    assert project.run("--python", sys.executable).stdout.splitlines()[0] == "[boss] ok"
-
-
-def test_a_class_that_is_missing_says_so_by_name(project: Project):
-    project.controller("cart", CART)
-    project.controller("boss", "from controller import Mouse")
-    assert "ImportError: controller.Mouse is not implemented" in project.run(code=1).stderr
+    assert project.run("--python", sys.executable).out.splitlines()[0] == "[boss] ok"
 
 
 # A process per controller
@@ -356,8 +393,8 @@ def test_processes_run_the_same_simulation(project: Project):
     project.controller("cart", CART)
     project.controller("boss", BOSS)
     ran = project.run("--processes")
-    assert sorted(ran.stdout.splitlines()) == sorted(project.run().stdout.splitlines())
-    assert "4 steps, 0.128 s" in ran.stderr
+    assert sorted(ran.out.splitlines()) == sorted(project.run().out.splitlines())
+    assert "4 steps, 0.128 s" in ran.err
 
 
 def test_a_process_uses_the_whole_interface(project: Project):
@@ -396,7 +433,7 @@ def test_a_process_uses_the_whole_interface(project: Project):
         """,
     )
     ran = project.run("--processes")
-    assert [line.removeprefix("[boss] ") for line in ran.stdout.splitlines() if "boss" in line] == [
+    assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
         "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
         "True True",
         "0.0 3 1 None -1",
@@ -422,56 +459,9 @@ def test_processes_share_nothing(project: Project):
             print(random.random(), sys.shared)
             """,
         )
-    first, second = sorted(project.run("--processes").stdout.splitlines())
+    first, second = sorted(project.run("--processes").out.splitlines())
     assert (first.split()[0], first.split()[2], second.split()[2]) == ("[boss]", "boss", "cart")
     assert first.split()[1] == second.split()[1]
-
-
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize(
-    ("program", "code", "words"),
-    [
-        pytest.param(
-            "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
-            1,
-            "its process was ended by signal 9",
-            id="signal",
-        ),
-        pytest.param(
-            "raise ValueError('no')",
-            1,
-            "error: the controller of 'cart' failed: ValueError: no",
-            id="error",
-            marks=SLOW,
-        ),
-        pytest.param("raise SystemExit(5)", 5, "", id="exit", marks=SLOW),
-        pytest.param("import os; os._exit(6)", 6, "", id="hard exit", marks=SLOW),
-        pytest.param(
-            "while True: pass",
-            1,
-            "error: the controller of 'cart' made no step for 1 s",
-            id="endless",
-            marks=SLOW,
-        ),
-    ],
-)
-def test_the_end_of_a_process_is_reported(project: Project, program: str, code: int, words: str):
-    project.controller("cart", f"from controller import Robot\nRobot().step(32)\n{program}")
-    project.controller("boss", BOSS)
-    ran = project.run("--processes", "--timeout", "1" if "while" in program else "60", code=code)
-    assert words in ran.stderr
-    assert "client.py" not in ran.stderr
-
-
-@pytest.mark.slow
-def test_a_process_that_ignores_the_end_is_ended(project: Project):
-    project.controller("cart", CART)
-    project.controller(
-        "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
-    )
-    assert json.loads(project.run("--steps", "50", "--processes", "--json").stdout)["steps"] == 50
 
 
 # Videos and keys
@@ -519,7 +509,7 @@ def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
             """,
         )
     ran = project.run("--record", "run.gif")
-    assert sorted(ran.stdout.splitlines()) == ["[boss] True [0, 0, 0]", "[cart] True [0, 0, 0]"]
+    assert sorted(ran.out.splitlines()) == ["[boss] True [0, 0, 0]", "[cart] True [0, 0, 0]"]
     with Image.open(project.folder / "run.gif") as video:
         assert (video.size, video.n_frames) == ((640, 480), 3)
         picture = video.convert("RGB")

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,16 +32,15 @@ from websockets.sync.client import ClientConnection, connect
 
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.view import access
+from deepbots_cli.view import server
 from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.looks import MAX_PICTURE_BYTES
-from deepbots_cli.webots.pace import MAX_DELAY_S, Pace
 from deepbots_cli.webots.project import Program
 from deepbots_cli.webots.runner import Runner
 from deepbots_cli.webots.scene_builder import build_scene
-from deepbots_cli.webots.simulation import Simulation
+from deepbots_cli.webots.sensors import NotImplementedCallError
+from deepbots_cli.webots.shapes import MAX_PICTURE_BYTES
+from deepbots_cli.webots.simulation import MAX_DELAY_S, Pace, Simulation
 from deepbots_cli.webots.supervisor import Keyboard
-from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from deepbots_cli.webots.viewer import FRAME_RATE, Viewer
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA
@@ -90,7 +89,7 @@ class Page:
 def viewed(simulation: Simulation, pace: Pace | None = None) -> Iterator[tuple[Viewer, Page]]:
     """A viewer of a world, which `supervisor` acts on."""
     pace = pace or Pace(simulation, is_fast=True)
-    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0) as viewer:
+    with Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0) as viewer:
         supervisor.activate(simulation)
         try:
             yield viewer, Page(viewer)
@@ -186,10 +185,10 @@ def test_a_busy_port_and_a_missing_extra_are_errors(monkeypatch):
     simulation = simulate(BALL)
     pace = Pace(simulation, is_fast=True)
     with viewed(simulation, pace) as (_, page), pytest.raises(UsageError, match=f"port {page.port} of"):
-        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, page.port)
+        Viewer(simulation, pace, "w.wbt", server.LOOPBACK, page.port)
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingExtraError, match="a page in the browser needs the 'view' extra"):
-        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0)
+        Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0)
 
 
 # Keys
@@ -201,40 +200,32 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
         keyboard, other = Keyboard(), Keyboard()
         keyboard.enable(8)
         other.enable(16)
+        shift_a = ord("A") + Keyboard.SHIFT
         with page.open("/drive", page.cookie) as wire:
-            shift_a = ord("A") + Keyboard.SHIFT
-            wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-
-            def arrived() -> bool:
-                simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-                return keyboard.getKey() == shift_a
-
-            _wait(arrived)
-            assert [keyboard.getKey() for _ in range(3)] == [Keyboard.LEFT, -1, -1]
-
-            def arrived_there() -> bool:
-                simulation.run_step()
-                wire.send(f"{shift_a}+{Keyboard.LEFT}||")
-                return [other.getKey() for _ in range(3)] == [shift_a, Keyboard.LEFT, -1]
-
-            _wait(arrived_there)
-
-            def has_seven() -> bool:
-                wire.send("+".join(map(str, range(65, 75))) + "||")
-                simulation.run_step()
-                return [keyboard.getKey() for _ in range(8)] == [*range(65, 72), -1]
-
-            _wait(has_seven)
-
-        def released() -> bool:
-            simulation.run_step()
-            return keyboard.getKey() == -1
-
-        _wait(released, 2.0)
+            for keys, reader, expected in (
+                ([shift_a, Keyboard.LEFT], keyboard, [shift_a, Keyboard.LEFT, -1]),
+                ([shift_a, Keyboard.LEFT], other, [shift_a, Keyboard.LEFT, -1]),
+                ([*range(65, 75)], keyboard, [*range(65, 72), -1]),
+            ):
+                _wait(lambda: _pressed(simulation, reader, len(expected), wire, keys) == expected)  # noqa: B023
+        _wait(lambda: _pressed(simulation, keyboard, 1) == [-1], 2.0)
         keyboard.disable()
         assert (keyboard.getSamplingPeriod(), keyboard.getKey()) == (0, -1)
     assert capsys.readouterr().err == ""
+
+
+def _pressed(
+    simulation: Simulation,
+    keyboard: Keyboard,
+    count: int,
+    wire: ClientConnection | None = None,
+    keys: Sequence[int] = (),
+) -> list[int]:
+    """Hold keys on the page for a step, and return the first keys that a keyboard reads."""
+    if wire is not None:
+        wire.send("+".join(map(str, keys)) + "||")
+    simulation.run_step()
+    return [keyboard.getKey() for _ in range(count)]
 
 
 def test_rubbish_for_keys_presses_none(capfd):
@@ -270,15 +261,21 @@ def test_a_world_in_real_time_waits_and_does_not_catch_up():
     assert time.monotonic() - begin > 0.38 - MAX_DELAY_S
 
 
-def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
-    controller = tmp_path / "controllers" / "c" / "c.py"
-    controller.parent.mkdir(parents=True)
-    controller.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
+def paused(folder: Path, **options: float) -> tuple[Pace, Runner]:
+    """Return a run of a controller that only steps, and its pace, which is paused."""
+    program = folder / "c.py"
+    program.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
     simulation = simulate('Robot { controller "c" }')
     pace = Pace(simulation, is_fast=True)
     pace.pause()
-    programs = [(simulation.scene.robots[0], Program("c", controller))]
-    runner = Runner(simulation, programs, steps=40, timeout=0.3, pace=pace)
+    return pace, Runner(
+        simulation, [(simulation.scene.robots[0], Program("c", program))], pace=pace, **options
+    )
+
+
+def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
+    pace, runner = paused(tmp_path, steps=40, timeout=0.3)
+    simulation = runner.simulation
     outcomes = []
     thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
     thread.start()
@@ -305,16 +302,9 @@ def test_a_run_leaves_the_environment_of_the_process_as_it_was(tmp_path, monkeyp
 
 
 def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
-    path = tmp_path / "program.py"
-    path.write_text(
-        "from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1:\n    pass\n",
-        encoding="utf-8",
-    )
-    simulation = simulate('Robot { name "box" controller "program" }')
-    pace = Pace(simulation, is_fast=True)
-    pace.pause()
-    runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))], pace=pace)
-    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0, can_restart=True) as viewer:
+    pace, runner = paused(tmp_path)
+    simulation = runner.simulation
+    with Viewer(simulation, pace, "w.wbt", server.LOOPBACK, 0, can_restart=True) as viewer:
         threading.Timer(0.5, pace.restart).start()
         outcome = runner.run()
         assert (outcome.exit_code, outcome.is_stuck, pace.wants_restart) == (0, False, True)
@@ -396,10 +386,10 @@ def test_a_run_with_a_page_is_the_same_run(project: Path, options: list[str]):
     assert "Keyboard" not in seen[1]
 
 
-def test_a_port_needs_the_page(project: Path):
-    process = _start(project, 1, "--port", "0")
-    assert "--port needs --view" in process.communicate(timeout=60)[1]
-    assert process.returncode == 2
+def test_a_port_needs_the_page(project: Path, deepbots):
+    assert (
+        "--port needs --view" in deepbots("webots", "worlds/w.wbt", "--allow-code", "--port", "0", code=2).err
+    )
 
 
 @pytest.mark.browser
@@ -651,17 +641,13 @@ def test_a_range_finder_sees_a_slanted_wall_by_its_closed_form():
 
 
 @needs_opengl
-def test_a_range_finder_reads_infinity_beyond_its_range():
-    for limits in ("maxRange 1.9", "minRange 2.1 maxRange 9"):
-        finder = seeing(
-            WALL % ("0", "1 0 0", "8") + robot(f"RangeFinder {{ width 2 height 1 {limits} }}"), "range-finder"
-        )
-        assert finder.getRangeImage() == [math.inf, math.inf]
-
-
-@needs_opengl
-def test_a_range_finder_that_sees_only_sky_reads_infinity_at_any_range():
-    finder = seeing(robot("RangeFinder { width 2 height 1 maxRange 5000 }"), "range-finder")
+@pytest.mark.parametrize(
+    ("wall", "limits"), [("8", "maxRange 1.9"), ("8", "minRange 2.1 maxRange 9"), ("0.001", "maxRange 5000")]
+)
+def test_a_range_finder_reads_infinity_beyond_its_range(wall: str, limits: str):
+    finder = seeing(
+        WALL % ("0", "1 0 0", wall) + robot(f"RangeFinder {{ width 2 height 1 {limits} }}"), "range-finder"
+    )
     assert finder.getRangeImage() == [math.inf, math.inf]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.cli.arguments import open_robot
 from deepbots_cli.document import shipped
 from deepbots_cli.frames import add, cross, dot, scaled, subtract
 from deepbots_cli.port import View

@@ -25,7 +25,7 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
+from deepbots_cli.rollout.worlds import BatchWorlds
 from tests.agents.carts import OF_ONE, OF_TWO
 from tools.benchmarks.report import Row, options, pairs, ratio, show
 

@@ -25,8 +25,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.batch_worlds import BatchWorlds
-from deepbots_cli.rollout.worlds import SingleWorlds, Worlds
+from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds
 from tools.benchmarks.report import Row, options, pairs, ratio, show
 
 AGENTS = {

@@ -250,15 +250,15 @@ async def curve_delays(folder: Path, steps: int) -> list[float]:
     task = session.commands.run(words, Path("runs/a"))
     try:
         log = folder / "runs" / "a" / "monitor.csv"
-        shown, waiting_since = session.shown.training.curves if session.shown.training else None, 0.0
+        shown, waiting_since = session.shown.training.log if session.shown.training else None, 0.0
         size = 0
         begin = time.monotonic()
         while task.is_running:
             now = time.monotonic()
             if now > begin + _TRAINING_S:
                 raise SystemExit(f"the training did not end within {_TRAINING_S:g} s")
-            if session.shown.training is not None and session.shown.training.curves != shown:
-                shown = session.shown.training.curves
+            if session.shown.training is not None and session.shown.training.log != shown:
+                shown = session.shown.training.log
                 if waiting_since:
                     delays.append(now - waiting_since)
                 waiting_since = 0.0

@@ -32,10 +32,10 @@ def measure(seed: int, folder: Path) -> tuple[float, float, tuple[float, float],
     run = Run.open(result.run)
     printed = evaluate_trained(run)
     fresh = evaluate(run, episodes=FRESH_EPISODES, seed=next(n for n in count(900_000) if n != printed.seed))
-    assert result.best_model is not None
-    assert result.best_model.mean_return is not None
+    assert result.best is not None
+    assert result.best.mean_return is not None
     assert printed.return_interval is not None
-    return result.best_model.mean_return, printed.mean_return, printed.return_interval, fresh.mean_return
+    return result.best.mean_return, printed.mean_return, printed.return_interval, fresh.mean_return
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

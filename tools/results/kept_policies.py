@@ -16,7 +16,7 @@ import torch
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.keeping import kept_models
+from deepbots_cli.learning.evaluation import kept_models
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import wilson
 
@@ -58,8 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     compiled, total_timesteps=STEPS, seed=seed, run=path, keep_checkpoints=CHECKPOINTS
                 )
                 rates = success_rates(Run.open(path))
-                assert result.best_model is not None
-                kept_steps = result.best_model.steps
+                assert result.best is not None
+                kept_steps = result.best.steps
                 assert kept_steps is not None
                 kept, best = rates[kept_steps], max(rates.values())
                 low, high = wilson(round(best * EPISODES), EPISODES)

@@ -1,7 +1,8 @@
 """The commands in the groups and the order of `deepbots --help`, and the line of each in the help.
 
-A command is the function `command` of the module with its name, which is imported when it is called. The rest
-of its help is in `../help/NAME.txt`.
+A command is the function `command` of the module with its name, or `command_NAME` in the module of another
+command (`BESIDE`). The module is imported when the command is called. The rest of its help is in
+`../help/NAME.txt`.
 """
 
 from __future__ import annotations
@@ -92,7 +93,90 @@ GONE: Mapping[str, str] = {
 """The options, and the values of options, that are gone, and what to do instead."""
 
 
-def module_name(name: str) -> str:
-    """Return the name of the module of a command; that of a keyword of Python, such as `try`, ends with
-    `_`."""
-    return f"{name}_" if iskeyword(name) else name
+NEEDS: Mapping[str, Mapping[str, str]] = {
+    "bench": {"--worlds": "--engine", "--workers --cluster": "--shards"},
+    "eval": {"--junit": "--min-success --min-return --require-solved"},
+    "lint": {"--unsafe-fixes": "--fix --diff"},
+    "lsp": {"--for --output": "--schema"},
+    "new": {"--kind --task --xacro-arg --copy": "--urdf", "--protos": "--webots"},
+    "replay": {
+        "--tolerance --scenario": "--verify",
+        "--set": "--scenario; changes a scenario, and not the recording",
+    },
+    "serve": {
+        "--episodes --seed --set --engine --allow-path --allow-code": "--as-robot; belongs to a simulated robot"
+    },
+    "try": {"--lockstep --speed": "--robot"},
+    "webots": {
+        "--open --port": "--view",
+        "--steps --record --view": "--allow-code; runs the programs of the project, which you should trust",
+    },
+}
+"""The options, by command, that need one of other options, and after a semicolon what they do."""
+_EPISODES_OF_RUN = "--scenario --set --case --stage --engine --seed --last --stochastic"
+EXCLUDES: Mapping[str, Mapping[str, str]] = {
+    "": {"--workers": "--cluster"},
+    "bench": {"--shards": "--steps --pairs --quick"},
+    "compare": {"--own": "--scenario; evaluates each run in its own scenario"},
+    "compile": {
+        "--program": "--json --target --project; prints the scenario itself, as JSON",
+        "--project": "--output --target; writes the module for one world",
+    },
+    "eval": {"--keep": f"{_EPISODES_OF_RUN}; judges models in the scenario of their training"},
+    "export": {
+        "--new-key": "--output --to --last --check --sign; makes a key and exports nothing",
+        "--sign": "--check --to; signs a bundle",
+        "--check": "--output --last --to; writes nothing",
+    },
+    "lint": {
+        "--deep --exploits": "--fix --diff --unsafe-fixes; has findings without automatic fixes",
+        "--set": "--fix --diff; changes no file",
+        "--diff": "--format --json --statistics; prints changes instead of findings",
+        "--watch": "--fix --diff; reads files and changes none",
+    },
+    "new": {
+        "--template --from --urdf --webots": "--template --from --urdf --webots",
+        "--project": "--schema; writes a schema for all its scenarios",
+    },
+    "render": {"--follow": "--from --at; moves the camera"},
+    "serve": {
+        "--ros --zmq --websocket": "--ros --zmq --websocket",
+        "--interface --domain": "--zmq --websocket; belongs to ROS 2",
+        "--log --seconds --trusted": "--as-robot; belongs to the policy",
+    },
+    "train": {"--seed": "--seeds"},
+    "transfer": {
+        "--log": "--engine --scenario --set --min-success --min-return; compares a log with the simulation of one"
+        " run"
+    },
+}
+"""The options, by command and for all commands, that exclude others, and after a semicolon what they do."""
+BESIDE: Mapping[str, str] = {
+    "apply": "train",
+    "diagnose": "transfer",
+    "diff": "compare",
+    "doctor": "bench",
+    "fmt": "lint",
+    "lsp": "compile",
+    "play": "view",
+    "plot": "render",
+    "replay": "view",
+    "report": "render",
+    "resume": "train",
+    "robustness": "transfer",
+    "runs": "compare",
+    "scenarios": "new",
+    "serve": "export",
+    "studio": "view",
+    "test": "try_",
+    "tune": "train",
+}
+"""The commands that share the module of another one."""
+
+
+def function_name(name: str) -> tuple[str, str]:
+    """Return the names of the module and of the function of a command; the module of a keyword of Python, such
+    as `try`, ends with `_`."""
+    if name in BESIDE:
+        return BESIDE[name], f"command_{name}"
+    return f"{name}_" if iskeyword(name) else name, "command"

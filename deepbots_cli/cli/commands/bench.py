@@ -1,15 +1,27 @@
-"""`deepbots bench`: the time of a step of an environment, and of the physics in it."""
+"""`deepbots bench`: the time of a step of an environment, and of the physics in it; `doctor`: a check of the
+packages, the engines and the learner."""
 
 from __future__ import annotations
 
 import math
+import os
+import platform
+import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
 from pathlib import Path
 from statistics import median
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
-from deepbots_cli import api
-from deepbots_cli.cli import processes, terminal
+import typer
+
+import deepbots_cli
+from deepbots_cli import api, engines
+from deepbots_cli.cli import arguments, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
     ClusterAddress,
@@ -22,15 +34,18 @@ from deepbots_cli.cli.command import (
     known_engine,
     option,
 )
-from deepbots_cli.cli.processes import available_cores
+from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.cli.throughput import speed_table
-from deepbots_cli.document import Permissions
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.engine_kinds import chosen, with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight import speed
-from deepbots_cli.program import Program
+from deepbots_cli.installation import install_hint, requirements
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.drivers import random_driver
 from deepbots_cli.words import counted
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.speed import Speed
 
 LIMIT_S = 20.0
 """The default time limit of a measurement by the clock, in s."""
@@ -90,6 +105,8 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Measure the time of a step of an environment, and of the physics in it."""
+    from deepbots_cli.insight import speed  # numpy, without which `doctor` works
+
     names = [] if engine is None else engine.split(",")
     for name in names:
         known_engine("mujoco" if name == speed.BATCH else name)
@@ -99,9 +116,6 @@ def command(
     if shards is not None:
         if several:
             raise UsageError("--shards measures a training with one engine; name one with --engine")
-        options = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
-        if present := [name for name, value in options.items() if value is not None]:
-            raise UsageError(f"--shards and {present[0]} cannot be combined")
         _bench_shards(
             scenario,
             with_engine(overrides, engine),
@@ -113,8 +127,6 @@ def command(
             permissions=permissions,
         )
         return
-    if workers is not None or address is not None:
-        raise UsageError("--workers and --cluster need --shards")
     end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
     compiled = api.compile(
         scenario,
@@ -138,30 +150,18 @@ def command(
         measured = speed.measure(
             compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show
         )
-    text = speed_table(compiled.program.name, measured)
+    lines = [_speed_table(compiled.program.name, measured)]
     if several:
-        terminal.show([*map(speed.medians, measured)], text, as_json=as_json)
+        terminal.show([*map(speed.medians, measured)], *lines, as_json=as_json)
         return
-    _show_one(compiled.program, measured[0], steps, faster, text, as_json=as_json)
-
-
-def _show_one(
-    program: Program,
-    rounds: list[speed.Speed],
-    steps: int,
-    faster: speed.FasterEngine | None,
-    text: str,
-    *,
-    as_json: bool,
-) -> None:
-    """Show the speed of one engine, with the ratio of a step to its physics."""
-    only = speed.medians(rounds)
-    ratios = sorted(measured.ratio for measured in rounds)
-    figures = {
-        "scenario": program.name,
+    (of_engine,) = measured
+    only = speed.medians(of_engine)
+    ratios = sorted(each.ratio for each in of_engine)
+    data = {
+        "scenario": compiled.program.name,
         "engine": only.engine,
-        "format": program.format,
-        "pairs": len(rounds),
+        "format": compiled.program.format,
+        "pairs": len(ratios),
         "steps": steps,
         "step_us": only.without_resets_us,
         "bare_us": only.physics_us,
@@ -171,10 +171,10 @@ def _show_one(
         "steps_per_second": 1e6 / only.without_resets_us,
         "faster_engine": faster,
     }
-    ratio = (
-        f"  ratio of a step to its physics: {median(ratios):.3f} (min {ratios[0]:.3f}, max {ratios[-1]:.3f})"
-    )
-    terminal.show(figures, text, ratio, *([] if faster is None else [faster.text]), as_json=as_json)
+    least, most = ratios[0], ratios[-1]
+    lines.append(f"  ratio of a step to its physics: {median(ratios):.3f} (min {least:.3f}, max {most:.3f})")
+    lines += [] if faster is None else [faster.text]
+    terminal.show(data, *lines, as_json=as_json)
 
 
 def counts(text: str, option: str = "--worlds") -> list[int]:
@@ -208,15 +208,15 @@ def _bench_shards(
     )
     terminal.note_warnings(compiled.findings, scenario)
     with terminal.transient_line("loading PyTorch ..."):
-        from deepbots_cli.learning import scaling
+        from deepbots_cli.learning import training
     if address is None and workers is None and max(numbers) > 1:
-        workers = min(max(numbers), available_cores())
+        workers = min(max(numbers), arguments.available_cores())
     terminal.note(
-        f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
+        f"training for about {training.MEASURED_SECONDS:.0f} s with each number of shards, after the start of their"
         " processes"
     )
-    with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
-        timings = scaling.measure(
+    with arguments.executor(workers, address) as executor, terminal.progress("measurements") as show:
+        timings = training.measure_shards(
             scenario,
             numbers,
             executor,
@@ -249,3 +249,145 @@ def _bench_shards(
 def _affordable_steps(per_second: float, rounds: int) -> int:
     """Return the steps of a round with which all rounds take three quarters of the limit on a free core."""
     return max(100, min(2000, 100 * round(0.75 * LIMIT_S * per_second / rounds / 100)))
+
+
+_EXTRAS = {
+    "sim": "simulation",
+    "train": "training",
+    "contrib": "MaskablePPO, RecurrentPPO and TQC",
+    "agents": "several agents as an environment of PettingZoo, self-play",
+    "view": "the page of view and play",
+    "editor": "the language server",
+    "studio": "the studio",
+    "export": "policies as ONNX",
+    "ros": "ROS 2 topics of serve",
+    "zmq": "ZeroMQ of serve",
+    "cluster": "--cluster",
+    "tune": "searches by tune",
+    "robot": "policies on a robot",
+    "sign": "signatures of exported policies",
+}
+"""The purpose of each extra. The metadata of the installation name its packages."""
+
+
+State = Literal["ok", "missing", "broken"]
+
+
+class Check(NamedTuple):
+    """The state of one part: a missing part can be installed, a broken part needs repair."""
+
+    what: str
+    state: State
+    found: str
+
+
+def command_doctor(as_json: Json = False) -> None:
+    """Check the installation."""
+    rows = [check._asdict() for check in checks()]
+    broken = [check["what"] for check in rows if check["state"] == "broken"]
+    states = {check["what"]: check["state"] for check in rows}
+    missing = [purpose for extra, purpose in _EXTRAS.items() if states[f"extra {extra}"] != "ok"]
+    if as_json:
+        terminal.show_json({"ok": not broken, "checks": rows})
+    else:
+        terminal.print_result(table(rows, indent=""))
+        without = f" except what needs a missing extra: {', '.join(missing)}" if missing else ""
+        terminal.note(f"broken: {', '.join(broken)}" if broken else f"everything works{without}")
+    if broken:
+        raise typer.Exit(FAILED)
+
+
+def checks() -> Iterator[Check]:
+    """Yield the checks of everything that deepbots depends on, in the order of dependence."""
+    yield Check("deepbots", "ok", deepbots_cli.__version__)
+    yield Check(
+        "python",
+        "ok" if sys.version_info >= (3, 11) else "broken",
+        f"{platform.python_version()} at {sys.executable}",
+    )
+    yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
+    needed = requirements()
+    versions = {name: _version(name) for extra in ("", *_EXTRAS) for name in needed.get(extra, ())}
+    for name, release in versions.items():
+        absent: State = "broken" if name in needed[""] else "missing"
+        yield Check(name, "ok" if release else absent, release or "not installed")
+    complete = {extra: extra in needed and all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
+    for extra, is_complete in complete.items():
+        yield Check(
+            f"extra {extra}",
+            "ok" if is_complete else "missing",
+            "complete" if is_complete else install_hint(extra),
+        )
+    names = shipped.scenario_names()
+    yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
+    yield _tried("linting", _linting)
+    if complete["sim"]:
+        for name, kind in engines.ENGINES.items():
+            yield (
+                _tried(f"engine {name}", partial(_stepping, name))
+                if kind.is_installed
+                else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.help}")
+            )
+    if complete["train"]:
+        yield _tried("learning", _threads)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _linting() -> Check:
+    errors = [finding for finding in api.lint("cartpole") if finding.severity == "error"]
+    return Check("linting", "broken" if errors else "ok", f"cartpole: {len(errors)} errors")
+
+
+def _stepping(engine: str) -> Check:
+    with closing(api.make("cartpole", engine=engine)) as environment:
+        for _ in islice(steps(environment, random_driver(environment), Start(0)), 2):
+            pass
+    return Check(f"engine {engine}", "ok", "one step of cartpole")
+
+
+def _threads() -> Check:
+    import torch
+
+    return Check("learning", "ok", f"torch can use {torch.get_num_threads()} threads; training uses 1")
+
+
+def _tried(what: str, check: Callable[[], Check]) -> Check:
+    """Return the result of a check; a part that raises an error is broken."""
+    try:
+        return check()
+    # Packages that do not fit together raise what they like: numpy a ValueError about the size of a dtype.
+    except Exception as error:  # noqa: BLE001
+        return Check(what, "broken", str(error))
+
+
+def _speed_table(name: str, measured: list[list[Speed]]) -> str:
+    """Return the table of the rounds of each engine, the meaning of its columns, and a remark on a busy
+    machine."""
+    from deepbots_cli.insight.speed import LARGE_SPREAD, busy_note, medians, spread
+
+    speeds = [*map(medians, measured)]
+    rounds = len(measured[0])
+    rows = [
+        {
+            "engine": speed.engine,
+            "worlds": speed.worlds,
+            "steps/s": round(speed.steps_per_second),
+            "times": round(speed.steps_per_second / speeds[0].steps_per_second, 1),
+            "CPU us/step": round(speed.step_us, 1),
+            "physics": round(speed.physics_us, 1),
+            "resets": round(speed.reset_us, 1),
+            "the rest": round(speed.without_resets_us - speed.physics_us, 1),
+            "physics share": round(speed.physics_share, 2),
+        }
+        for speed in speeds
+    ]
+    of_rounds = "one round" if rounds == 1 else f"medians of {rounds} rounds"
+    largest = max(map(spread, measured))
+    busy = f"\n{busy_note(largest)}" if largest > LARGE_SPREAD else ""
+    return f"{name}, random actions, {of_rounds}; CPU times are per step of one world\n{table(rows)}{busy}"

@@ -1,8 +1,10 @@
-"""`deepbots compare`: the table of groups, and the table of differences from the first group."""
+"""`deepbots compare`: groups of runs, their differences from the first one, and matches of agents that compete;
+`diff`: the differences of two scenarios; `runs`: runs, groups and studies, and the evaluations of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
@@ -11,21 +13,35 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import processes, records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
-from deepbots_cli.cli.matches import match_lines
+from deepbots_cli.analysis.changes import Change, Effect, scenario_changes
+from deepbots_cli.cli import arguments, records, terminal
+from deepbots_cli.cli.arguments import open_source
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    ClusterAddress,
+    Json,
+    Overrides,
+    Workers,
+    integer,
+    option,
+)
+from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions, shipped
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.words import counted, sentence_list
+from deepbots_cli.words import counted, number_text, rate_text, sentence_list
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning.comparison import Comparison, GroupResult
+    from deepbots_cli.learning.matches import Match, MatchTable
 
 _BETTER = {
     "success_rate": "a success where the first run has none",
@@ -90,7 +106,7 @@ def command(
         judged = _compiled(scenario, permissions)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare
-    with processes.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
+    with arguments.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
         comparison = compare(
             runs,
             episodes=episodes,
@@ -260,3 +276,287 @@ def _data(comparison: Comparison) -> dict[str, Any]:
 def _paths(meanings: Meanings) -> dict[str, list[str]]:
     """Return the differing places of two scenarios, by the meaning that they change."""
     return {name: [change.path for change in changes] for name, changes in vars(meanings).items()}
+
+
+def match_lines(result: MatchTable) -> Iterator[str]:
+    """Yield a row for each player of the first agent, with its result against each of the second one."""
+    first_agent, second_agent = result.agents
+    starts = records.held_out(result.starts)
+    if result.is_symmetric:
+        measured = "share of decided episodes that the row wins against the column"
+        where = f"on {starts} from evaluation seed {result.seed}, both sides of each"
+        yield f"{result.scenario}: {measured}, {where}"
+    else:
+        measured = "success rate" if result.success_defined else "mean return"
+        yield f"{result.scenario}: {measured} of {first_agent} (rows) against {second_agent} (columns)"
+        yield f"{starts} of each match, from evaluation seed {result.seed}"
+    cells = {(match.row, match.column): _cell(result, match) for match in result.matches}
+    if result.is_symmetric:
+        cells |= {(match.column, match.row): _cell(result, _swapped(match)) for match in result.matches}
+    head = "" if result.is_symmetric else first_agent
+    yield table(
+        [
+            {head or "player": row, **{column: cells.get((row, column), "") for column in result.columns}}
+            for row in result.rows
+        ]
+    )
+    yield "in parentheses: intervals at 95 %"
+    yield from (f"note: {note}" for note in result.notes)
+
+
+def _cell(result: MatchTable, match: Match) -> str:
+    """Return the measure of the row in a match, with its interval."""
+    if result.is_symmetric:
+        if match.win_rate is None:
+            return f"none of {match.episodes} decided"
+        undecided = match.episodes - (match.wins or 0) - (match.losses or 0)
+        text = _with_interval(match.win_rate, match.win_interval)
+        return f"{text}, {undecided} undecided" if undecided else text
+    scores = match.agents[result.agents[0]]
+    if scores.success_rate is not None:
+        return _with_interval(scores.success_rate, scores.success_interval)
+    interval = records.interval_text(scores.return_interval)
+    return f"{number_text(scores.mean_return)}{f' ({interval})' if interval else ''}"
+
+
+def _with_interval(share: float, interval: tuple[float, float] | None) -> str:
+    return f"{rate_text(share)} ({records.interval_text(interval, rate_text)})"
+
+
+def _swapped(match: Match) -> Match:
+    """Return a match of both sides as it was for the column."""
+    if match.win_rate is None or match.win_interval is None:
+        return match
+    low, high = match.win_interval
+    return match.model_copy(
+        update={
+            "wins": match.losses,
+            "losses": match.wins,
+            "win_rate": 1 - match.win_rate,
+            "win_interval": (1 - high, 1 - low),
+        }
+    )
+
+
+_HEADINGS = {
+    Effect.policy: "a policy trained in one scenario does not fit the other",
+    Effect.task: "sensors, actuators, rewards or endings differ",
+    Effect.world: "world, messages or starts differ, so the difficulty differs",
+    Effect.training: "training or evaluation differs",
+    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colors,"
+    " order of keys, rounding",
+}
+_Side = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|GROUP",
+        help="A scenario file, the name of a shipped scenario, the directory of a run or a group, or a model"
+        " of a run.",
+    ),
+]
+
+
+def command_diff(
+    one: _Side,
+    other: _Side,
+    overrides: Overrides = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Show the differences of two scenarios."""
+    try:
+        sides = [
+            open_source(name, settings, permissions)
+            for name, settings in ((one, ()), (other, overrides or ()))
+        ]
+    except ScenarioError as error:
+        terminal.show_findings(error.findings)
+        raise typer.Exit(WRONG_USAGE) from None
+    changes = scenario_changes(*sides)
+    data = {
+        "one": one,
+        "other": other,
+        "same_meaning": all(change.group is Effect.cosmetic for change in changes),
+        "policy_fits": all(change.group is not Effect.policy for change in changes),
+        "differences": changes,
+    }
+    terminal.show(data, *_change_lines(changes, one, other), as_json=as_json)
+    if any(change.group is not Effect.cosmetic for change in changes):
+        raise typer.Exit(FAILED)
+
+
+def _change_lines(changes: Sequence[Change], first_name: str, second_name: str) -> Iterator[str]:
+    if not changes:
+        yield f"{first_name} and {second_name} have the same meaning"
+    for group, heading in _HEADINGS.items():
+        group_changes = [change for change in changes if change.group is group]
+        if group_changes:
+            yield f"{group.value}: {heading}"
+            for change in group_changes:
+                yield from (f"  {change.path}", *change.lines)
+            yield ""
+
+
+class Sort(StrEnum):
+    date = "date"
+    name = "name"
+    steps = "steps"
+    cpu = "cpu"
+    returns = "return"
+    success = "success"
+
+
+def command_runs(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="A folder of runs, a study, a group, or a run; by default `runs`."
+        ),
+    ] = Path("runs"),
+    scenario: Annotated[
+        str | None,
+        option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME."),
+    ] = None,
+    solved: Annotated[bool, option("--solved", "Only runs that solve their task.")] = False,
+    live: Annotated[bool, option("--live", "Only runs that are training now.")] = False,
+    sort: Annotated[
+        Sort,
+        option(
+            "--sort",
+            "Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the"
+            " largest value.",
+        ),
+    ] = Sort.date,
+    as_json: Json = False,
+) -> None:
+    """List trainings, with their results."""
+    if folder_kind(folder) is SourceKind.RUN:
+        _show_run(folder, as_json=as_json)
+        return
+    if not folder.is_dir() and folder != Path("runs"):
+        raise UsageError(f"there is no folder {folder}")
+    name_part = "" if scenario is None else scenario.lower().replace("_", "")
+    runs = [
+        run
+        for run in sort_runs(list_runs(folder), sort.value)
+        if name_part in run.scenario.lower().replace("_", "")
+        and (run.solved or not solved)
+        and (run.state == "training" or not live)
+    ]
+    if as_json:
+        terminal.show_json([_run_data(run) for run in runs])
+    elif runs:
+        files: dict[str, set[str]] = {}
+        for run in runs:
+            files.setdefault(run.scenario, set()).add(run.source)
+        rows = [_run_row(run, with_file=len(files[run.scenario]) > 1) for run in runs]
+        words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(
+            folder_kind(folder) or SourceKind.RUN, "runs in"
+        )
+        terminal.print_result(f"{words} {folder}\n" + table(rows))
+        for note in (note for run in runs for note in _run_notes(run)):
+            terminal.note(note)
+    elif scenario is not None or solved or live:
+        terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
+    else:
+        terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
+
+
+def _run_notes(run: ListedRun) -> Iterator[str]:
+    """Yield notes on a run that the table does not show, with its name."""
+    name = run.path.name
+    yield from (f"{name}: {note}" for note in _own_notes(run))
+    yield from (
+        f"{name}/{inner.path.name}: {inner.decline.text}" for inner in run.runs if inner.decline is not None
+    )
+    if run.remarks:
+        yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
+
+
+def _own_notes(run: ListedRun) -> Iterator[str]:
+    """Yield notes that the table does not show: damage, and a training that got worse."""
+    if run.problem is not None:
+        yield run.problem
+    if run.decline is not None:
+        yield run.decline.text
+
+
+def _run_data(run: ListedRun) -> dict[str, Any]:
+    fall = None if run.decline is None else run.decline.as_json()
+    return {
+        **vars(run),
+        "name": run.path.name,
+        "decline": fall,
+        "runs": [_run_data(inner) for inner in run.runs],
+    }
+
+
+def _run_row(run: ListedRun, *, with_file: bool = False) -> Row:
+    """Return a row of the table; `with_file` if scenarios of several files have the same name."""
+    finished = sum(inner.state == "finished" for inner in run.runs)
+    state: str = run.state
+    if run.planned is not None:
+        state += f", {len(run.runs)} of {run.planned} trials"
+    elif run.runs and state != "finished":
+        state += f", {finished} of {len(run.seeds)} done"
+    elif state == "training" and run.total_timesteps:
+        state += f" {rate_text((run.steps or 0) / run.total_timesteps)}"
+    return {
+        "run": run.path.name,
+        "scenario": f"{run.scenario} ({Path(run.source).name})" if with_file else run.scenario,
+        "seed": _seeds(run.seeds),
+        "state": state,
+        "steps": run.steps,
+        "best_at": run.best_steps,
+        "level": None if run.mean_level is None else round(run.mean_level, 2),
+        **records.scores(run, intervals=False),
+        "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
+        "solved": run.solved,
+        "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
+        "teacher": run.teacher,
+        "set": short_settings(run.settings),
+        "digest": run.digest[:8],
+        "updated": run.updated[:16].replace("T", " "),
+    }
+
+
+def _seeds(seeds: tuple[int, ...]) -> str:
+    """Return seeds as text; `0..4` for seeds that follow each other."""
+    if len(seeds) > 2 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
+        return f"{seeds[0]}..{seeds[-1]}"
+    return ", ".join(map(str, seeds))
+
+
+def _show_run(folder: Path, *, as_json: bool) -> None:
+    """Show a run, and its evaluations."""
+    run = read_listed(folder)
+    entries = evaluations(folder)
+    data = [
+        {"number": number, "problem": entry}
+        if isinstance(entry, str)
+        else {"number": number, **entry.model_dump(exclude={"outcomes"})}
+        for number, entry in entries
+    ]
+    rows = [_evaluation(folder, number, entry) for number, entry in entries if not isinstance(entry, str)]
+    tables = [f"run {folder}\n{table([_run_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
+    terminal.show({**_run_data(run), "evaluations": data}, *tables, as_json=as_json)
+    notes = list(_own_notes(run))
+    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {quote(str(folder))}"]
+    notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
+    if not as_json:
+        for note in notes:
+            terminal.note(note)
+
+
+def _evaluation(folder: Path, number: int, record: EvaluationResult) -> Row:
+    return {
+        "number": number,
+        "evaluated": record.evaluated[:16].replace("T", " "),
+        "model": records.shown_model(folder, record.model),
+        "after_steps": record.model_steps,
+        "remarks": "; ".join(record.remarks) or record.elsewhere or records.case_label(record),
+        "episodes": record.episodes,
+        "seed": str(record.seed),
+        **records.scores(record.own_scores),
+        "solved": record.solved,
+    }

@@ -1,23 +1,31 @@
-"""`deepbots compile`: the Python module of a scenario, or a project around it."""
+"""`deepbots compile`: the Python module of a scenario, or a project around it; `lsp`: the language server, or the JSON
+Schema of scenario files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
+
+import typer
 
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
-from deepbots_cli.cli.new_files import Files, check_new_folder, write_new
+from deepbots_cli.cli.written_files import Files, check_new_folder, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
+from deepbots_cli.compiler.inventory import scenario_names
+from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.installation import clone_folder
 from deepbots_cli.program import identity
+from deepbots_cli.scenario.json_schema import schema_text
 
 
 def command(
@@ -52,17 +60,9 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Print the Python module of a scenario, or write a project around it."""
-    if program and as_json:
-        raise UsageError("--program and --json cannot be combined; --program already prints JSON")
-    if program and target != "scalar":
-        raise UsageError("--program is the same for both targets; leave out --target")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; use scalar or batch")
     if project is not None:
-        if output is not None or program or target != "scalar":
-            raise UsageError(
-                "--project writes the module for one world; leave out --output, --program and --target"
-            )
         check_new_folder(project, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     output = terminal.output_file(output)
@@ -139,3 +139,68 @@ def _requirements() -> str:
         f"# deepbots {version} is installed from a clone; write its path here if it has moved\n"
         f"deepbots-cli[train] @ {clone.as_uri()}\n"
     )
+
+
+def command_lsp(
+    port: Annotated[
+        int | None,
+        option(
+            "--tcp PORT",
+            "Listen on this port; by default, use standard input and output.",
+            ADVANCED,
+            min=1,
+            max=65535,
+        ),
+    ] = None,
+    schema: Annotated[
+        bool, option("--schema", "Print the JSON Schema of scenario files, and run no server.")
+    ] = False,
+    scenario: Annotated[
+        str | None,
+        option(
+            "--for SCENARIO",
+            "Also list the joints, links, sensors and other names of this scenario in the schema.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        option(
+            "--output -o FILE",
+            "Write the schema to this file. By default, or with - as FILE, print to standard output.",
+            OUTPUT,
+        ),
+    ] = None,
+    force: Force = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Run the language server, or print the JSON Schema of scenario files."""
+    if schema:
+        _schema(scenario, output, force=force, folders=permissions.folders)
+        return
+    if find_spec("pygls") is None:
+        raise MissingExtraError("editor", "the language server")
+    from deepbots_cli.lsp.server import serve
+
+    raise typer.Exit(serve(port, permissions=permissions))
+
+
+def _schema(scenario: str | None, output: Path | None, *, force: bool, folders: Sequence[str | Path]) -> None:
+    """Print or write the JSON Schema of scenario files; with the names of a scenario, if there is one."""
+    output = terminal.output_file(output)
+    if scenario is None:
+        terminal.print_or_write(schema_text(), output, force=force)
+        return
+    checked = api.load(scenario, permissions=Permissions(folders))
+    if output is not None:
+        terminal.refuse_input(output, checked.document.files, checked.inputs.contents().values())
+    terminal.print_or_write(schema_text(scenario_names(checked)), output, force=force)
+    if checked.findings.errors:
+        terminal.note(
+            f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint"
+            f" {quote(scenario)}"
+        )
+    if output is not None and Path(scenario).is_file():
+        terminal.note(
+            f"write as the first line of {checked.document.path.name}:"
+            f" {modeline(checked.document.path, output)}"
+        )

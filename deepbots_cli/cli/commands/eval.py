@@ -4,25 +4,29 @@ its result."""
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.analysis import possible_returns
+from deepbots_cli.cli import arguments, records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
+    FAILED_EPISODES,
     MAX_SEED,
     SCENARIO,
     ClusterAddress,
     Force,
     Overrides,
     Workers,
+    episodes_or_failed,
     fraction,
     integer,
     known_engine,
@@ -30,29 +34,36 @@ from deepbots_cli.cli.command import (
     written_options,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.failed_episodes import FAILED_EPISODES, episodes_or_failed, repeat_failed
-from deepbots_cli.cli.gates import Gates, Requirement
 from deepbots_cli.cli.tables import table
-from deepbots_cli.diagnostics.junit import Case, xml_report
+from deepbots_cli.diagnostics.render import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.runs.episodes import check_common_measure, check_defines_success
+from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.words import counted
+from deepbots_cli.words import beside, counted
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
+    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.executor import Executor
-    from deepbots_cli.learning.keeping import KeptModel
     from deepbots_cli.program import Program
+    from deepbots_cli.rollout import Episode
     from deepbots_cli.rollout.policies import StopCondition
 
 _REQUIREMENTS = "Requirements"
+_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
+"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
+success."""
+_MAX_FAILED = 10
+"""The number of failed episodes of which `--episodes failed` prints the margin."""
 
 
 def _engines(names: list[str] | None) -> list[str] | None:
@@ -199,18 +210,11 @@ def command(
             present,
             options,
         )
-        repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
+        _repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
-    _check_files(csv, junit, gates, force=force)
+    check_output(*filter(None, (csv, junit)), force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
-    if keep:
-        judging = ("scenario", "overrides", "case", "stage", "engine", "seed", "last", "stochastic")
-        _refuse(
-            "cannot be combined with --keep, which judges models in the scenario of their training",
-            present,
-            judging,
-        )
     if engine is not None and len(engine) > 1:
         _refuse("needs a single engine; name only one with --engine", present, single)
     if source.kind is SourceKind.GROUP:
@@ -303,10 +307,10 @@ def _evaluate_run(
         from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
-    processes.check_dividable(request.workers, request.address, parts, reason)
+    arguments.check_dividable(request.workers, request.address, parts, reason)
     evaluations: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
-    with processes.executor(request.workers, request.address, parts) as executor:
+    with arguments.executor(request.workers, request.address, parts) as executor:
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
             # Engines are compared on the same starts, so that each of several plays all episodes.
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
@@ -439,6 +443,45 @@ class _EngineEvaluations:
             yield "\n" + records.drawn_text(self.result)
 
 
+def _repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:
+    """Repeat the failed episodes of the last evaluation of a run or a model, count their endings, and show
+    the first."""
+    from deepbots_cli.insight import trace
+    from deepbots_cli.insight.episode import explain, explanation_json
+
+    path, evaluation = records.last_evaluation(ref)
+    run = ref.run
+    failed = evaluation.failed(run.program)
+    first = failed[:_MAX_FAILED]
+    rows = []
+    with terminal.progress("episodes", always=False) as show:
+        again = (
+            trace.trace_episodes(run, failed, **evaluation.replay_options, permissions=permissions)
+            if failed
+            else ()
+        )
+        for number, traced in zip(failed, again, strict=True):
+            statements = explain(traced)
+            rows.append({"number": number, **explanation_json(traced, statements)})
+            if show is not None:
+                show(len(rows), len(failed))
+            if not as_json and number in first:
+                terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s")
+                if ends := [statement.text for statement in statements if statement.cause in _ENDS]:
+                    terminal.print_result(f"  {' '.join(ends)}")
+    lines = [f"and {len(failed) - len(first)} more; --json shows all"] if len(failed) > len(first) else []
+    lines.append(f"{len(failed)} of {len(evaluation.outcomes)} episodes of {path} failed")
+    lines += [
+        f"  '{ending}' ended {count}"
+        for ending, count in Counter(row["ended_by"] for row in rows).most_common()
+    ]
+    name = quote(str(ref.path if ref.is_named else run.path))
+    commands = [f"deepbots diagnose {name} --episode {number}" for number in failed[:1]]
+    commands += [f"deepbots render {name} -o failed.mp4 --episodes failed"] if failed else []
+    data = {"run": run.path, "evaluation": path, "episodes": len(evaluation.outcomes), "failed": rows}
+    terminal.show(data, *lines, as_json=as_json, next_commands=commands)
+
+
 def _show_unfinished(evaluations: Sequence[_EngineEvaluations], *, details: bool, as_json: bool) -> None:
     """Show what was evaluated before an interruption, and name the rest."""
     unfinished = evaluations[-1].unfinished
@@ -454,9 +497,9 @@ def _kept(
 ) -> KeptModel:
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.keeping import keep
+        from deepbots_cli.learning.evaluation import keep
     with (
-        processes.executor(workers, address) as executor,
+        arguments.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,
     ):
         kept_model = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
@@ -518,15 +561,6 @@ def evaluation_scenario(
     return compiled
 
 
-def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: bool) -> None:
-    """Check before a long evaluation that its files can be written, and have a content."""
-    check_output(*filter(None, (csv, junit)), force=force)
-    if junit is not None and gates == Gates(None, None, False):
-        raise UsageError(
-            "--junit needs a requirement to write; add --min-success, --min-return or --require-solved"
-        )
-
-
 def _evaluate_group(request: _Request, **further_options: Any) -> None:
     """Evaluate a group in each engine; `further_options` are options of `evaluate_group`."""
     group = Group.open(request.source)
@@ -534,11 +568,11 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
     scenarios = request.scenarios(group.record.engine)
     ready = group.runs_with_model
     reason = f"{request.run} contains {counted(len(ready), 'trained run')}"
-    processes.check_dividable(request.workers, request.address, len(ready), reason)
+    arguments.check_dividable(request.workers, request.address, len(ready), reason)
     options = {**request.options, **further_options, "case": request.case, "stage": request.stage}
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
-    with processes.executor(request.workers, request.address, len(ready)) as executor:
+    with arguments.executor(request.workers, request.address, len(ready)) as executor:
         with terminal.transient_line("loading the policies ..."):
             from deepbots_cli.learning.comparison import compare_engines, evaluate_group
         for compiled in scenarios:
@@ -630,3 +664,124 @@ def _require(
             terminal.print_error(f"not met: {words} ({reason})")
     if not all(met for _, met, _ in requirements):
         raise typer.Exit(FAILED)
+
+
+class Requirement(NamedTuple):
+    """A requirement in words, whether it is met, and the reason."""
+
+    words: str
+    met: bool
+    reason: str
+
+    def with_words(self, before: str = "", after: str = "") -> Requirement:
+        """Return the requirement with further words around its own."""
+        return self._replace(words=f"{before}{self.words}{after}")
+
+
+@dataclass(frozen=True)
+class Gates:
+    """The requirements of `--min-success`, `--min-return` and `--require-solved`."""
+
+    min_success: float | None
+    min_return: float | None
+    solved: bool
+
+    def check(self, program: Program) -> None:
+        """Check that the scenario has what the requirements need.
+
+        Raises:
+            UsageError: The scenario lacks success, or `solved`.
+        """
+        solved = program.agent.solved
+        if self.solved or self.min_success is not None or self.min_return is not None:
+            check_common_measure(program, "require something of one: --agent NAME")
+        if self.min_success is not None:
+            check_defines_success(
+                program, "--min-return" if solved is None else "--min-return or --require-solved"
+            )
+        if self.solved and solved is None:
+            alternatives = "--min-success or --min-return" if program.defines_success else "--min-return"
+            raise UsageError(
+                f"--require-solved: {program.name} has no `solved` criterion; use {alternatives},"
+                " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
+            )
+
+    def verdicts(
+        self, episodes: Sequence[Episode], planned: int, bounds: Interval
+    ) -> Iterator[tuple[str, Verdict]]:
+        """Yield each requirement of a number in words, and its answer after these of `planned` episodes;
+        `bounds` are those of a return."""
+        if self.min_success is not None:
+            successes = sum(episode.is_success for episode in episodes)
+            yield (
+                f"success rate of at least {self.min_success:g}",
+                gate_rate(self.min_success, successes, len(episodes), planned),
+            )
+        if self.min_return is not None:
+            returns = [episode.total_return for episode in episodes]
+            yield (
+                f"mean return of at least {self.min_return:g}",
+                gate_mean(self.min_return, returns, planned, bounds),
+            )
+
+    def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
+        """Return whether every requirement is certainly met, or one certainly not."""
+        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
+        return bool(answers) and (False in answers or None not in answers)
+
+    def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
+        """Return the condition that ends the episodes once every requirement of a number is certain; None if
+        all planned episodes are needed."""
+        return (
+            None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
+        )
+
+    def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
+        """Return the answers for a run. A requirement that another one has left undecided is left out."""
+        requirements = []
+        if self.solved:
+            requirements.append(Requirement("the task is solved", bool(result.solved), result.answer))
+        answers = self.verdicts(result.outcomes, planned, result.possible_returns)
+        requirements += [
+            Requirement(words, verdict.met, verdict.reason)
+            for words, verdict in answers
+            if verdict.met is not None
+        ]
+        remarks = in_parentheses(result.circumstances)
+        return [requirement.with_words(after=remarks) for requirement in requirements]
+
+    def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
+        """Return whether the remaining planned episodes of all runs cannot change the answer to
+        `--min-success`.
+
+        Other requirements need all episodes, because a confidence sequence does not cover other seeds, and
+        returns have no limit.
+        """
+        if self.min_success is None or self.min_return is not None or self.solved:
+            return False
+        successes = sum(episode.is_success for episode in episodes)
+        least, most = successes / planned, (successes + planned - len(episodes)) / planned
+        return least >= self.min_success or most < self.min_success
+
+    def requirements_of_group(self, group: GroupResult, planned: int) -> list[Requirement]:
+        """Return the answers for the means over the seeds of a group."""
+        left = planned - sum(result.episodes for result in group.evaluations)
+        over = f"over {counted(len(group.evaluations), 'seed')}"
+        over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
+        requirements = []
+        if self.solved:
+            unsolved = [result.run.name for result in group.evaluations if not result.solved]
+            reason = f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed"
+            requirements.append(Requirement("the task is solved", not unsolved, reason))
+        for name, required, mean in (
+            ("success rate", self.min_success, group.success_rate),
+            ("mean return", self.min_return, group.mean_return),
+        ):
+            if required is not None:
+                measured, bar = beside(mean, required)
+                words = f"{'' if name.startswith('mean') else 'mean '}{name} {measured} {over}"
+                requirements.append(Requirement(f"{name} of at least {bar}", mean >= required, words))
+        remarks = in_parentheses(
+            words for evaluation in group.evaluations for words in evaluation.circumstances
+        )
+        return [requirement.with_words(after=remarks) for requirement in requirements]

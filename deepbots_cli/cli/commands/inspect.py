@@ -1,4 +1,4 @@
-"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`."""
+"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`, with captions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.arguments import OpenedSource, is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, XacroArguments, option
-from deepbots_cli.cli.inspected import BRIEF_TABLES, CAPTIONS, root_of
-from deepbots_cli.cli.sources import is_robot, open_robot, open_source, xacro_arguments
 from deepbots_cli.cli.tables import row_as_lines, table
+from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import Permissions, shipped
+from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
 from deepbots_cli.insight import inspection
@@ -166,3 +166,37 @@ def _lines(tables: inspection.Tables) -> Iterator[str]:
     for name, rows in tables.items():
         yield f"{name}{f': {CAPTIONS[name]}' if name in CAPTIONS else ''}"
         yield (table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n"
+
+
+CAPTIONS = {
+    "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
+    "critic": "what only the value function sees, in training",
+    "mirror_images": "the value of a number in the mirror image is `sign` times the value of `mirror_image`",
+    "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
+    "drawn": "values that each reset draws",
+    "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or"
+    " of the library",
+    "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the"
+    " first physics step is 1",
+}
+BRIEF_TABLES = (
+    "run",
+    "scenario",
+    "robots",
+    "message_fields",
+    "observation",
+    "critic",
+    "action",
+    "mirror_images",
+    "reward",
+    "endings",
+    "training",
+)
+"""The tables without `--full`."""
+
+
+def root_of(side: OpenedSource, reference: str) -> MappingNode:
+    """Return the mapping of a scenario, an empty one if it has none."""
+    if isinstance(side.root, MappingNode):
+        return side.root
+    return MappingNode(Span(Source(reference, ""), 0, 0), {})

@@ -1,25 +1,25 @@
-"""`deepbots lint`: findings of files, folders and standard input, and their fixes."""
+"""`deepbots lint`: findings of files, folders and standard input, and their fixes; `fmt`: the canonical layout."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal
 
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import rewriting, terminal
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
-from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
-from deepbots_cli.cli.sources import (
+from deepbots_cli.cli import terminal, written_files
+from deepbots_cli.cli.arguments import (
     STDIN,
     is_robot,
     robot_findings,
@@ -27,19 +27,23 @@ from deepbots_cli.cli.sources import (
     scenario_names,
     xacro_arguments,
 )
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
+from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Edit, Finding, Severity, Span
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
-from deepbots_cli.document import Permissions
+from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
+from deepbots_cli.document import Permissions, files
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import MappingNode
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import READS, file_stamps, is_file, recorded_reads
 from deepbots_cli.lint import all_findings, find_exploits, simulate
-from deepbots_cli.lint.fixes import Fixer, LintResult
-from deepbots_cli.lint.settings import settings
+from deepbots_cli.lint.fixes import Fixer, LintResult, Rewrite
+from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import counted
@@ -163,21 +167,15 @@ def command(
         exploits=exploits,
     )
     for option_name in ["--deep"] * deep + ["--exploits"] * exploits:
-        _check_simulator(option_name, fix or diff or unsafe_fixes)
+        _check_simulator(option_name)
     names = scenario_names(scenarios or ["."], project)
     arguments = xacro_arguments(xacro, of_robot=all(map(is_robot, names)))
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name, arguments)
     _check_names(names, look, is_watching=watch, may_fix=fix or diff)
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
-    is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
     _check_together(
-        statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats"
-    )
-    if fix or diff or unsafe_fixes:
-        _check_fixing(fix, diff, overrides, names)
-    _check_together(
-        diff and (as_json or format is not None),
-        "--diff cannot be combined with --format or --json: it prints changes instead of findings",
+        statistics and format_ not in (Format.full, Format.concise, Format.json),
+        "--statistics prints a table or JSON; leave out other formats",
     )
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
@@ -254,10 +252,8 @@ def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, 
     _check_together(
         look.exploits and has_stdin, "--exploits needs a file: it records episodes of the scenario"
     )
-    _check_together(
-        is_watching and (may_fix or has_stdin),
-        "--watch reads files and changes none; leave out --fix, --diff and -",
-    )
+    _check_together(is_watching and has_stdin, "--watch reads files; leave out -")
+    _check_together(may_fix and has_stdin, "--fix cannot change standard input; pass the name of the file")
 
 
 def _check_together(wrong: bool, sentence: str) -> None:
@@ -300,25 +296,12 @@ def _words(option: str, codes: Codes) -> RuleSelectors | None:
     return RuleSelectors(tuple(word.strip() for word in text.split(",")), SourceText(option, text))
 
 
-def _check_simulator(option_name: str, fixing: bool) -> None:
+def _check_simulator(option_name: str) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
-    if fixing:
-        raise UsageError(
-            f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes"
-        )
     require_simulator(f"lint {option_name}")
     if option_name == "--exploits" and find_spec("mcap") is None:
         raise MissingExtraError("sim", "a recording")
-
-
-def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Sequence[str]) -> None:
-    if not (fix or diff):
-        raise UsageError("--unsafe-fixes needs --fix, or --diff to show the changes")
-    if overrides:
-        raise UsageError("--set cannot be combined with --fix or --diff: it does not change files")
-    if STDIN in names:
-        raise UsageError("--fix cannot change standard input; pass the name of the file")
 
 
 def _fixed(
@@ -330,9 +313,9 @@ def _fixed(
     rewrites = fixer.fix()
     for rewrite in rewrites:
         if show:
-            rewriting.show(rewrite)
+            written_files.show_difference(rewrite)
         else:
-            rewriting.write(rewrite)
+            written_files.write_change(rewrite)
     for finding in fixer.fixed:
         edit = finding.fix.edits[0] if finding.fix else None
         terminal.note(
@@ -484,9 +467,7 @@ class LintOptions:
 
     def _exploits(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
         """Return the findings of a search for exploits, whose episodes are recorded."""
-        from deepbots_cli.cli import exploits
-
-        exploits.folder_of(checked)
+        written_files.folder_of_exploits(checked)
         with terminal.transient_line(f"{called}: searching for exploits"):
             searched = find_exploits(checked)
         if searched.incomplete:
@@ -497,7 +478,7 @@ class LintOptions:
                 " succeeds serves the search"
             )
         with terminal.transient_line(f"{called}: recording exploits"):
-            return exploits.keep(searched, checked, name, self.overrides, self.permissions)
+            return written_files.keep_exploits(searched, checked, name, self.overrides, self.permissions)
 
     def called(self, name: str) -> str:
         """Return the name of the scenario `name` in findings."""
@@ -567,8 +548,6 @@ def report(
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
-            from deepbots_cli.diagnostics.junit import junit  # only this needs XML
-
             return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")
@@ -584,3 +563,69 @@ def _page(code: str) -> tuple[str, str]:
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
+
+
+def command_fmt(
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FILE", help="Scenario files, or folders of them; by default this folder."),
+    ] = None,
+    check: Annotated[
+        bool, option("--check", "Write nothing, and exit with 1 if a file would change.")
+    ] = False,
+    diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
+) -> None:
+    """Format scenario files in the canonical layout."""
+    rewrites = []
+    refused = False
+    for path in _scenario_files(paths or [Path(".")]):
+        rewrite = _tidied(path)
+        refused = refused or rewrite is None
+        if rewrite is not None and rewrite.after != rewrite.before:
+            rewrites.append(rewrite)
+            if diff:
+                written_files.show_difference(rewrite)
+            elif not check:
+                written_files.write_change(rewrite)
+            terminal.note(f"{'would change' if check or diff else 'changed'} {path}")
+    if refused or (rewrites and (check or diff)):
+        raise typer.Exit(FAILED)
+
+
+def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
+    """Yield the named files, and the scenarios in named folders that the project does not exclude."""
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"there is no file {path}")
+    project = settings() if any(path.is_dir() for path in paths) else None
+    for path in paths:
+        if project is not None and path.is_dir():
+            yield from scenarios_in(path, project)
+        else:
+            yield path
+
+
+def _tidied(path: Path) -> Rewrite | None:
+    """Return the file in the canonical layout; None after an error message if it cannot be formatted."""
+    data = _scenario_bytes(path)
+    findings = Findings()
+    source, readable = files.decode(data, str(path), findings)
+    root = parse(source, findings) if readable else None
+    if root is None or findings.errors:
+        terminal.print_error(
+            f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}"
+        )
+        return None
+    new_text = canonical_text(source.text)
+    if new_text is None:
+        terminal.print_error(f"{path} is not changed because a new layout would change its values")
+        return None
+    return Rewrite(path.resolve(), data, (BOM_UTF8 if data.startswith(BOM_UTF8) else b"") + new_text.encode())
+
+
+def _scenario_bytes(path: Path) -> bytes:
+    if not path.is_file():
+        raise UsageError(
+            f"{path} {'is not a regular file' if path.exists() else 'does not exist'}; name a scenario file"
+        )
+    return files.read(path)

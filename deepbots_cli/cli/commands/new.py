@@ -1,12 +1,13 @@
 """`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a
-copy of a shipped one with the files that it reads."""
+copy of a shipped one with the files that it reads; `scenarios`: the shipped ones."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
@@ -16,17 +17,17 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
+from deepbots_cli.cli.arguments import RobotError, open_robot, robot_path, xacro_arguments
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.new_files import Files, modeline, write_new
-from deepbots_cli.cli.sources import RobotError, open_robot, robot_path, xacro_arguments
+from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
 from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
-from deepbots_cli.cli.starters.templates import Template, from_template
-from deepbots_cli.cli.starters.text import scenario_title
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.cli.written_files import Files, modeline, write_new
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import did_you_mean
-from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
+from deepbots_cli.document import Permissions, ScalarNode, files, load, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.document.nodes import node_at
@@ -44,7 +45,6 @@ from deepbots_cli.scenario.json_schema import schema_text
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.starters.webots import Starter
-
 
 _WORKFLOW = """\
 name: lint
@@ -133,18 +133,14 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
-    if (kind or task or xacro or copy) and not urdf:
-        raise UsageError("--kind, --task, --xacro-arg and --copy go with --urdf")
-    _check_start(
-        {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
-        has_protos=bool(protos),
-    )
+    if not (template or shipped_name or urdf or webots):
+        raise UsageError(
+            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
+            " or --webots WORLD.wbt"
+        )
     if project is not None:
-        if folder != Path(".") or schema:
-            raise UsageError(
-                "--project names the folder, and writes a schema for all its scenarios; leave out DIR and"
-                " --schema"
-            )
+        if folder != Path("."):
+            raise UsageError("--project names the folder; leave out DIR")
         folder = project
     starter: Starter | None = None
     first: FirstScenario | None = None
@@ -175,30 +171,12 @@ def command(
     _show(paths, unchanged, commands, permissions, first, as_json=as_json, todos=todos)
 
 
-def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
-    """Require one option that says what to start from.
-
-    Raises:
-        UsageError: There is none, there are several, or --protos stands without --webots.
-    """
-    options = [option for option, value in starts.items() if value]
-    if len(options) > 1:
-        raise UsageError(f"{' and '.join(options)} cannot be combined; choose one of them")
-    if not options:
-        raise UsageError(
-            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
-            " or --webots WORLD.wbt"
-        )
-    if has_protos and not starts["--webots"]:
-        raise UsageError("--protos goes with --webots")
-
-
 def _next_commands(
     scenario: Path, starter: Starter | None, permissions: Permissions, *, has_schema: bool, as_json: bool
 ) -> list[str]:
     """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
-    if starter is not None and starter.todos:
+    if starter is not None:
         commands = ["lint", "try", "inspect", "train"]
     program = api.load(scenario, permissions=permissions).program
     if program is not None:
@@ -223,7 +201,7 @@ def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
     from deepbots_cli.cli.starters.webots import from_webots
-    from deepbots_cli.webots.findings import WorldError
+    from deepbots_cli.webots.syntax import WorldError
 
     try:
         return from_webots(world, library, name, scenario_title(name))
@@ -237,13 +215,10 @@ def _note_places(starter: Starter) -> None:
     """Print what the world has that the scenario lacks, and how many places are left."""
     for warning in starter.warnings:
         terminal.note(warning)
-    if starter.todos:
-        count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
-        terminal.note(
-            f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
-        )
-    else:
-        terminal.note("no place is left to you")
+    count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
+    terminal.note(
+        f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
+    )
 
 
 def _name_faster_engine(program: Program) -> None:
@@ -257,11 +232,8 @@ def _name_faster_engine(program: Program) -> None:
     ]
     if sum(isinstance(shape, Mesh) for shape in shapes) > _MAX_TIMED_MESHES:
         return
-    try:
-        from deepbots_cli.cli import throughput
-    except ModuleNotFoundError:
-        return
-    throughput.note_faster_engine(program)
+    with suppress(ModuleNotFoundError):
+        terminal.note_faster_engine(program, None, Permissions())
 
 
 def validated_name(name: str) -> str:
@@ -557,3 +529,14 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
             force=force,
         ),
     ]
+
+
+def command_scenarios(as_json: Json = False) -> None:
+    """List the scenarios that come with deepbots."""
+    rows: list[Row] = []
+    for name in shipped.scenario_names():
+        path = shipped.scenario_path(name)
+        root = load(path).root if path else None
+        summary = root.get("summary") if root else None
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
+    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)

@@ -16,19 +16,17 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, Force, Json, integer, known_engine, option
+from deepbots_cli.cli.command import ADVANCED, Force, Host, Json, Open, Port, integer, known_engine, option
 from deepbots_cli.cli.exits import INTERRUPTED
-from deepbots_cli.cli.pages import Host, Open, Port
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
-    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.project import Program, World
     from deepbots_cli.webots.runner import Outcome
     from deepbots_cli.webots.scene import Robot, Scene
-    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.simulation import Pace, Simulation
     from deepbots_cli.webots.viewer import Viewer
 
 _ENGINE = "mujoco"
@@ -110,25 +108,17 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    from deepbots_cli.webots.findings import WorldError
+    from deepbots_cli.webots.syntax import WorldError
 
     check_world(world)
     for folder in protos or ():
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
-    if not view and (open_ or port is not None):
-        raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     # The callback of the option checks only the name, and not whether MuJoCo is installed.
     known_engine(_ENGINE)
     try:
-        opened = _read(world, protos or (), allow_code=allow_code)
+        opened = _read(world, protos or ())
         if not allow_code:
-            of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
-            for name, is_present in of_a_run.items():
-                if is_present:
-                    raise UsageError(
-                        f"{name} runs the programs of the project; add --allow-code if you trust them"
-                    )
             _show_robots(opened, as_json=as_json)
             return
         if processes and os.name == "nt":
@@ -170,11 +160,11 @@ class _Opened:
     programs: list[tuple[Robot, Program]]
 
 
-def _read(path: Path, protos: Sequence[Path], *, allow_code: bool) -> _Opened:
+def _read(path: Path, protos: Sequence[Path]) -> _Opened:
     from deepbots_cli.webots.project import read_world
     from deepbots_cli.webots.scene_builder import build_scene
 
-    world = read_world(path, protos, allow_code=allow_code)
+    world = read_world(path, protos)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
@@ -254,8 +244,7 @@ class _Options:
 
 
 def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options) -> None:
-    from deepbots_cli.webots.pace import Pace
-    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.simulation import Pace, Simulation
 
     simulation = Simulation(opened.scene, opened.world.span)
     pace = Pace(simulation, is_fast=options.is_fast)
@@ -269,7 +258,7 @@ def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options)
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(path, protos, allow_code=True)
+                opened = _read(path, protos)
                 simulation = Simulation(opened.scene, opened.world.span)
                 pace = Pace(simulation, is_fast=pace.is_fast)
                 viewer.show(simulation, pace)
@@ -289,8 +278,8 @@ def _run_once(
     viewer: Viewer | None,
 ) -> tuple[Outcome, float]:
     """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_cli.webots.recorder import VideoRecorder
     from deepbots_cli.webots.remote.server import ProcessRunner
+    from deepbots_cli.webots.rendering import VideoRecorder
     from deepbots_cli.webots.runner import Runner, packages_of
 
     with ExitStack() as stack:

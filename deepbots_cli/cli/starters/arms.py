@@ -7,8 +7,7 @@ from itertools import combinations, product
 from math import degrees, dist, hypot
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit, round_position
-from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.cli.starters.draft import Draft, grouped_by_unit, round_position, short_number
 from deepbots_cli.frames import Triple
 from deepbots_cli.robots.build import Build, Limb, mean_point, neutral, range_of
 from deepbots_cli.robots.meshes import Bounds

@@ -16,7 +16,7 @@ from statistics import mean
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.cli.starters.draft import short_number
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.frames import Frame, Quaternion, Triple, quaternion
 from deepbots_cli.robots.build import GRAVITY, Build, Limb, neutral, range_of

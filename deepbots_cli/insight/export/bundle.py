@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.insight.templates import render_template
+from deepbots_cli.insight.statements import render_template
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
@@ -117,17 +117,17 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
         # A scenario that does not fit is refused within 1 s; the imports and the model below take 7 s.
         deploy_settings(run.program)
     try:
-        from deepbots_cli.insight.export import isaac, lerobot
+        from deepbots_cli.insight.export import deploy, lerobot
         from deepbots_cli.learning import policy
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
-    emit = isaac.isaac_files if reader == "isaac-lab" else lerobot.lerobot_files
+    emit = deploy.isaac_files if reader == "isaac-lab" else lerobot.lerobot_files
     return emit(run.program, policy.loaded(run, name))
 
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     """Return the content of bundle.json, without the digests of the files."""
-    from deepbots_cli.learning.model_files import steps_of
+    from deepbots_cli.learning.runs.run import steps_of
     from deepbots_robot import model
 
     program, record = run.program, run.record

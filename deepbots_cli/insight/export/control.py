@@ -21,9 +21,9 @@ from gymnasium import spaces
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, State, names_in, walk
-from deepbots_cli.insight.export import actuators, network
+from deepbots_cli.insight.export import devices, network
+from deepbots_cli.insight.export.devices import Reading, Readings
 from deepbots_cli.insight.export.network import Graph
-from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.trees import (
     AdvancesBetweenActionsError,
     Arithmetic,
@@ -489,7 +489,7 @@ class ControlStep:
             per_message = partial(memories.per_message, reset=first, begun=robot.begun_by_message)
             applied = TreePrinter(self._math, Applied(names, robot, sent), per_message)
             for command in robot.commands:
-                info = actuators.output(self.program, robot, command)
+                info = devices.output(self.program, robot, command)
                 value = self._math.spread(self._math.number(applied.vector(command.scalars)), info.shape[0])
                 low, high = (self._bounds(ends, sign) for ends, sign in zip(info.range, (-1, 1), strict=True))
                 value = self._math.call("min", [self._math.call("max", [value, low]), high])

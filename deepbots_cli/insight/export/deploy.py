@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain, count
-from typing import Any
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,12 +23,16 @@ from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.insight.export.actuators import linear, output
+from deepbots_cli.insight.export.devices import linear, output
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Command, Motor, Robot, Sensor
 from deepbots_cli.program.task import Observation
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.scenario.training import ALGORITHMS
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.learner import Learner
+
 
 _TERMS = {
     "gyro": "base_ang_vel",
@@ -39,6 +44,8 @@ _TERMS = {
 _OF_BASE = ("gyro", "projected_gravity")
 """The kinds of sensors that have such a name at the root link only."""
 _ROUNDING = 1e-9
+
+DEPLOY_NAME, GRAPH_NAME = PurePosixPath("params/deploy.yaml"), PurePosixPath("exported/policy.onnx")
 
 
 def deploy_settings(program: Program) -> dict[str, Any]:
@@ -221,3 +228,24 @@ def _sensed(tree: Scalar) -> tuple[Name | None, float]:
         case Op("sub", (Name() as leaf, Const(value))):
             return leaf, float(value)
     return None, 0.0
+
+
+def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes]:
+    """Return `params/deploy.yaml` and `exported/policy.onnx`.
+
+    Raises:
+        UsageError: The scenario is refused by `deploy_settings`.
+    """
+    import yaml
+
+    from deepbots_cli.insight.export.network import Graph, check_network, decide
+
+    text = yaml.safe_dump(
+        deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True
+    )
+    check_network(learner, program)
+    graph = Graph()
+    observation = graph.input("obs", np.float32, 1, len(program.agent.inputs))
+    decision = decide(graph, learner.network(), program, {"observation": observation})
+    graph.output("actions", decision.action, np.float32, 1, len(program.agent.range_names))
+    return {DEPLOY_NAME: text.encode(), GRAPH_NAME: graph.model(program.name)}

@@ -20,7 +20,7 @@ from safetensors.numpy import save
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.insight.export.actuators import Array, linear, output, tabulated
+from deepbots_cli.insight.export.devices import Array, linear, output, tabulated
 from deepbots_cli.insight.export.network import Decision, Graph, check_network, decide, takes_masks
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export.control import ControlStep
-from deepbots_cli.insight.export.recording import RecordedStep, recorded_steps
+from deepbots_cli.insight.export.devices import RecordedStep, recorded_steps
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot.bundle import TOLERANCE, Bundle, most_steps, span_of

@@ -1,4 +1,12 @@
-"""Groups: one folder with a run for each of several seeds, which differ in nothing else.
+"""Campaigns: several trainings of one scenario in one folder, which differ by the plan; and groups, in which
+they differ by the seed alone.
+
+    a group  seed-0/, seed-1/ ...    other random numbers    this module
+    a study  trial-0/, trial-1/ ...  the values of a search  `study.py`
+
+Each has a record, the copies of its scenario, and its members. A member of a group is a run; that of a study
+is a group. The process that trains a campaign writes its status into the record; commands read
+`Campaign.state`.
 
     runs/cartpole-seeds-1/
     ├── group.json           seeds, settings of the trainings, status, command
@@ -12,32 +20,215 @@ is resumed by another one, to the same bytes. Importing this module does not loa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, Unpack
 
-from pydantic import NonNegativeInt, PositiveInt
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    ValidationError,
+    field_validator,
+)
+from pydantic_core import PydanticCustomError
 
-from deepbots_cli import api
+import deepbots_cli
+from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, StorageError, UsageError
-from deepbots_cli.learning.calls import Attempt
-from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord
-from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
+from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
+from deepbots_cli.learning.executor import (
+    SERIAL,
+    Attempt,
+    CallOptions,
+    Executor,
+    Interruption,
+    signals_handled,
+)
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
-from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, new_directory, run_lock
-from deepbots_cli.learning.runs.records import RunRecord, Status, TrainingOptions, TrainingResult
+from deepbots_cli.learning.runs.directories import (
+    WORKERS_FOLDER,
+    has_ended,
+    is_training,
+    new_directory,
+    read_record,
+    refuse_link,
+    run_lock,
+    validation_text,
+    write_text,
+)
+from deepbots_cli.learning.runs.records import (
+    RunRecord,
+    State,
+    Status,
+    TrainingOptions,
+    TrainingResult,
+    state_of,
+    timestamp,
+)
 from deepbots_cli.learning.runs.run import remove_incomplete
-from deepbots_cli.learning.signals import Interruption, signals_handled
-from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
+from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
+
+FORMAT = 2
+MAX_SEEDS = 1000
+_MAX_RECORD_BYTES = 1_000_000
+
+
+class CampaignRecord(BaseModel):
+    """The fields of the records of all campaigns: the seeds of the trainings, and the engine unless a
+    scenario names one. `status` is that of the last process that trained; it stays `running` if this process
+    was killed."""
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    format: int
+    deepbots: str
+    status: Status = "running"
+    scenario: str
+    source: str
+    engine: str
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...]
+    command: tuple[str, ...]
+    started: str
+
+    @field_validator("seeds")
+    @classmethod
+    def _are_different(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
+        if not 1 <= len(set(seeds)) == len(seeds) <= MAX_SEEDS:
+            raise PydanticCustomError("seeds", "expected 1 to {limit} different seeds", {"limit": MAX_SEEDS})
+        return seeds
+
+    @classmethod
+    def new(cls, compiled: Compiled, engine: str | None = None, **values: Any) -> Self:
+        """Return the record of a campaign that begins; arguments and errors are those of `checked`."""
+        return cls.checked(
+            format=FORMAT,
+            deepbots=deepbots_cli.__version__,
+            scenario=compiled.program.name,
+            source=str(compiled.source),
+            engine=engine_kinds.chosen(engine or compiled.program.engine),
+            started=timestamp(),
+            **values,
+        )
+
+    @classmethod
+    def checked(cls, **values: Any) -> Self:
+        """Return a record with these values.
+
+        Raises:
+            UsageError: A value is outside its limits, or a seed is given twice.
+        """
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            raise UsageError(f"the settings of the trainings do not fit: {validation_text(error)}") from None
+
+
+R = TypeVar("R", bound=CampaignRecord)
+
+
+@dataclass(frozen=True)
+class Campaign(ABC, Generic[R]):
+    """Several trainings on disk."""
+
+    path: Path
+    record: R
+
+    noun: ClassVar[str]
+    kind: ClassVar[SourceKind]
+    record_name: ClassVar[str]
+    record_type: ClassVar[type[CampaignRecord]]
+    files: ClassVar[tuple[str, ...]] = (RESOLVED_NAME, INPUTS_FOLDER, WORKERS_FOLDER)
+
+    @classmethod
+    def open(cls, path: str | Path | Source) -> Self:
+        """Open a campaign that exists.
+
+        Raises:
+            RunError: The folder is not such a campaign, its record is damaged, or another version of deepbots
+                wrote it.
+        """
+        folder = Source.open(path, Permissions(), cls.kind).path
+        refuse_link(folder)
+        record = folder / cls.record_name
+        contents = read_record(record, cls.record_type, cls.noun, FORMAT, _MAX_RECORD_BYTES)
+        campaign = cls(folder, contents)  # type: ignore[arg-type]  # R is its record_type
+        for member in (record, *(folder / name for name in cls.files), *campaign.planned):
+            if member.is_symlink():
+                raise RunError(
+                    f"{member} is a symbolic link; deepbots does not write symbolic links into a {cls.noun}"
+                )
+        return campaign
+
+    @classmethod
+    @contextmanager
+    def created(cls, path: Path, record: R, compiled: Compiled) -> Iterator[Self]:
+        """Context with a campaign in a new folder, which is removed if the block fails before a training has
+        begun."""
+        campaign = cls(path, record)
+        try:
+            with run_lock(path):
+                write_copies(path, compiled.resolved, compiled.inputs)
+                campaign.write()
+                yield campaign
+        except (DeepbotsError, KeyboardInterrupt):
+            if not campaign.runs:  # the settings cannot be trained, or the folder cannot be written to
+                shutil.rmtree(path, ignore_errors=True)
+            raise
+
+    @property
+    @abstractmethod
+    def planned(self) -> Sequence[Path]:
+        """The folders of all planned members, including those that have not begun."""
+
+    @property
+    def is_training(self) -> bool:
+        """Whether a process trains the campaign."""
+        return is_training(self.path)
+
+    @property
+    def state(self) -> State:
+        """The status of the record; a campaign whose processes were killed is interrupted."""
+        return state_of(self.record.status, lambda: self.is_training)
+
+    @property
+    def runs(self) -> list[Path]:
+        """The folders of the members that have begun, in their order."""
+        return [
+            folder for folder in self.planned if folder_kind(folder) in (SourceKind.RUN, SourceKind.GROUP)
+        ]
+
+    def write(self) -> None:
+        """Write the record."""
+        write_text(self.path / self.record_name, self.record.model_dump_json(indent=2) + "\n")
+
+    def changed(self, **values: Any) -> Self:
+        """Return the campaign with other values in its record, and write this record.
+
+        Raises:
+            UsageError: A value is outside its limits.
+        """
+        campaign = replace(self, record=self.record.checked(**{**dict(self.record), **values}))
+        campaign.write()
+        return campaign
+
+    def compiled(self, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> Compiled:
+        """Compile the scenario from its copy, with assignments of `--set`."""
+        compiled = api.compile(Source.kept(self.path, kind=self.kind), overrides=overrides)
+        return replace(compiled, source=Path(self.record.source), permissions=permissions)
 
 
 class GroupRecord(CampaignRecord):
@@ -203,9 +394,9 @@ def resume_group(
     changes = {name: value for name, value in options.items() if value is not None}
     with run_lock(resumed.path):
         if callbacks or loggers:
-            from deepbots_cli.learning.sb3 import plugins
+            from deepbots_cli.learning.sb3 import logs
 
-            plugins.check(callbacks or (), loggers or ())
+            logs.check_plugins(callbacks or (), loggers or ())
         if changes:  # a later call continues with them if this one is interrupted
             resumed = resumed.changed(status="running", **changes)
         compiled = resumed.compiled(permissions=permissions)
@@ -225,13 +416,15 @@ def _train_seeds(
     """Train or continue every seed that is not finished, with `changes` of the options that the group began
     with."""
     seeds, options = group.record.seeds, group.record.options
-    skipped = tuple(seed for seed in seeds if _is_complete(group, seed, changes))
-    left = [seed for seed in seeds if seed not in skipped]
+    all_changes = {seed: _changes_of(group, seed, changes) for seed in seeds}
+    left = [seed for seed, own in all_changes.items() if own is not None]
+    skipped = tuple(seed for seed in seeds if seed not in left)
     if left:
         group = group.changed(status="running")
     items = [
-        _SeedTraining(group.run(seed), seed, compiled, options, _changes_of(group, seed, changes))
-        for seed in left
+        _SeedTraining(group.run(seed), seed, compiled, options, own)
+        for seed, own in all_changes.items()
+        if own is not None
     ]
     trained: list[TrainingResult] = []
     failed: dict[int, str] = {}
@@ -311,45 +504,26 @@ def _log_of(group: Path, item: _SeedTraining) -> Path:
     return group / WORKERS_FOLDER / f"seed-{item.seed}.log"
 
 
-def _is_complete(group: Group, seed: int, changes: Mapping[str, Any]) -> bool:
-    """Return whether nothing is left to train. A damaged run counts as incomplete, so that its error is
-    reported."""
+def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the changes for the run of a seed: those of this call, and those of an earlier one that did not
+    reach it. None if nothing is left to train; a damaged run is left, so that its error is reported."""
+    run = group.run(seed)
     try:
-        record = _record_of(group, seed)
-    except DeepbotsError:
-        return False
-    if record is None:
-        return False
-    if "total_timesteps" in changes:
-        return record.is_complete(changes["total_timesteps"], may_stop_early=False)
-    missed = _missed_changes(group, record)
-    total = missed.get("total_timesteps", record.total_timesteps)
-    return record.is_complete(total, may_stop_early="stop_when_solved" not in missed)
-
-
-def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the changes for a run: those of this call, and those of an earlier one that did not reach it."""
-    try:
-        record = _record_of(group, seed)
+        record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
     except DeepbotsError:
         return changes
-    return changes if record is None else {**_missed_changes(group, record), **changes}
-
-
-def _missed_changes(group: Group, record: RunRecord) -> dict[str, Any]:
-    """Return the options of a group with which a run has not continued yet."""
-    total = group.record.total_timesteps
+    if record is None:
+        return changes
     missed: dict[str, Any] = {}
+    total = group.record.total_timesteps
     if total is not None and record.total_timesteps < total:
         missed["total_timesteps"] = total
     if record.stop_when_solved and not group.record.stop_when_solved:
         missed["stop_when_solved"] = False
-    return missed
-
-
-def _record_of(group: Group, seed: int) -> RunRecord | None:
-    run = group.run(seed)
-    return RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
+    continued = {**missed, **changes}
+    may_stop_early = "total_timesteps" not in changes and "stop_when_solved" not in missed
+    goal = continued.get("total_timesteps", record.total_timesteps)
+    return None if record.is_complete(goal, may_stop_early=may_stop_early) else continued
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:

@@ -14,14 +14,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.campaigns.campaign import Campaign
-from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning.campaigns.group import Campaign, Group
 from deepbots_cli.learning.campaigns.study import Study
-from deepbots_cli.learning.runs.decline import Decline, decline_of
-from deepbots_cli.learning.runs.directories import numbered_files, read_json
+from deepbots_cli.learning.runs.directories import SKIPPED, numbered_files, read_json
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.record_shape import SKIPPED
 from deepbots_cli.learning.runs.records import (
     MAX_STATE_BYTES,
     ChosenBy,
@@ -30,7 +27,7 @@ from deepbots_cli.learning.runs.records import (
     State,
     changed_settings,
 )
-from deepbots_cli.learning.runs.verdict import run_verdict
+from deepbots_cli.learning.runs.verdict import Decline, decline_of, run_verdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TAIL_BYTES = 64_000
@@ -40,7 +37,7 @@ _ORIGINS: tuple[Origin, ...] = ("evaluation", "training")
 
 
 class _Statistics(BaseModel):
-    """The part of the statistics in a checkpoint that is listed; versions before 0.2 kept no means."""
+    """The part of the statistics in a checkpoint that is listed."""
 
     model_config = ConfigDict(json_schema_extra={SKIPPED: None})
 
@@ -143,15 +140,13 @@ def _listed_run(path: Path) -> ListedRun:
     evaluation = verdict.evaluation
     scores = evaluation or training
     mean, success = (scores.mean_return, scores.success_rate) if scores else (None, None)
-    if (record.task is not None and record.task.has_rivals) or (
+    if record.task.has_rivals or (
         evaluation is not None and evaluation.agents and not evaluation.success_defined
     ):
         mean = None  # the returns of agents that compete have no common meaning
-    if (record.task is not None and not record.task.defines_success) or (
-        evaluation is not None and not evaluation.success_defined
-    ):
+    if not record.task.defines_success or (evaluation is not None and not evaluation.success_defined):
         success = None
-    best = result.best_model if result else None
+    best = result.best if result else None
     steps_of_best = evaluation.model_steps if evaluation is not None else None
     if steps_of_best is None and best is not None:
         steps_of_best = best.steps
@@ -163,7 +158,7 @@ def _listed_run(path: Path) -> ListedRun:
         source=record.source,
         digest=record.digest,
         settings=changed_settings(record.command),
-        teacher=record.task.teacher if record.task else None,
+        teacher=record.task.teacher,
         engine=record.engine,
         seeds=(record.seed,),
         steps=steps,

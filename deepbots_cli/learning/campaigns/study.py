@@ -36,7 +36,7 @@ from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import MissingExtraError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning.campaigns.campaign import Campaign, CampaignRecord
+from deepbots_cli.learning.campaigns.group import Campaign, CampaignRecord
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.runs.directories import is_training, new_directory, run_lock
 from deepbots_cli.learning.runs.order import Measure, Rank, rank

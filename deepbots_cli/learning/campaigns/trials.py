@@ -15,7 +15,6 @@ from uuid import uuid4
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, StorageError, UsageError
-from deepbots_cli.learning.calls import Attempt, Watcher
 from deepbots_cli.learning.campaigns.group import Group, resume_group, train_group
 from deepbots_cli.learning.campaigns.study import (
     Journal,
@@ -28,14 +27,21 @@ from deepbots_cli.learning.campaigns.study import (
     TrialResult,
     journal_errors,
 )
-from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
+from deepbots_cli.learning.executor import (
+    SERIAL,
+    Attempt,
+    CallOptions,
+    Executor,
+    Interruption,
+    Watcher,
+    signals_handled,
+)
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
-from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import SourceKind, folder_kind
@@ -45,7 +51,7 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.signals import Interruption
+    from deepbots_cli.learning.executor import Interruption
 
 PRUNED_BY = "tune"
 """The value of `stopped_by` of a run whose trial was pruned."""

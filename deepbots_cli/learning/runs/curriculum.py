@@ -1,15 +1,20 @@
-"""The stages of a curriculum: the present stage, the criterion for the next one, and the levels of worlds."""
+"""The curriculum of a training: the stage of each world, and when the next one begins.
+
+A curriculum of stages has a present stage, in which all worlds begin their next episodes, and a criterion for
+the next one. In a curriculum of levels, each world has its own, by the outcomes of its episodes; levels are
+the stages of a world, with other values in place of draws instead of another scenario.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.runs.generations import Generations
+from deepbots_cli.learning.runs.episodes import Generations
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Criterion, Levels
 from deepbots_cli.rollout import Episode
@@ -33,8 +38,8 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
     ends: Annotated[list[CompletedStage], Field(max_length=1_000)]
     first_step: NonNegativeInt
     recent: list[float]
-    worlds: list[NonNegativeInt] | None = None
-    """The world of each recent value; versions before 0.2 did not keep it."""
+    worlds: list[NonNegativeInt]
+    """The world of each recent value."""
 
 
 class LevelSpread(BaseModel, frozen=True, strict=True, allow_inf_nan=False):
@@ -58,7 +63,8 @@ class LevelSpread(BaseModel, frozen=True, strict=True, allow_inf_nan=False):
 
 
 class Curriculum:
-    """Follows a training through the stages of its scenario. Without stages, the scenario is the only one.
+    """Follows a training through the stages of its scenario, or its worlds through their levels. Without
+    both, the scenario is the only stage.
 
     Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an
     earlier stage does not count for a later one. A criterion over episodes counts whole generations of the
@@ -69,7 +75,9 @@ class Curriculum:
         first: The name of the stage to begin in, if not the first one.
         worlds: The number of worlds.
         copies: The number of copies of a robot in each world.
-        world_levels: The level of each world, which the training keeps up to date.
+
+    Attributes:
+        world_stages: The stage or the level of each world, which the worlds keep up to date.
 
     Raises:
         UsageError: The scenario has no such stage.
@@ -81,15 +89,17 @@ class Curriculum:
         first: str | None = None,
         worlds: int = 1,
         copies: int = 1,
-        world_levels: Sequence[int] = (),
     ) -> None:
         self._worlds = worlds
         self._copies = copies
         self._program = program
-        self._world_levels = world_levels
+        self._levels = program.levels
         self.stages: Sequence[CurriculumStage] = program.curriculum
         self._skipped = 0 if first is None else self.stages.index(program.stage(first))
         self.completed: list[CompletedStage] = []
+        self.world_stages = [
+            self.index if self._levels is None else self._levels.first(world) for world in range(worlds)
+        ]
         self._begin(0)
 
     def _begin(self, steps: int) -> None:
@@ -99,24 +109,40 @@ class Curriculum:
         if until is not None and until.episodes is not None:
             self._recent = Generations[float](until.episodes, self._worlds, self._copies)
 
-    @property
-    def has_levels(self) -> bool:
-        return self._program.levels is not None
+    # Of one world
+
+    def is_present(self, stage: int) -> bool:
+        """Return whether episodes of a stage count now: those of the present stage, and of all levels."""
+        return self._levels is not None or stage == self.index
+
+    def following(self, stage: int, present: int, outcomes: Sequence[str], draw: Callable[[], int]) -> int:
+        """Return the stage of the next episode of a world: the `present` one, or the level after an episode
+        with these outcomes (`Levels.next`)."""
+        return present if self._levels is None else self._levels.next(stage, outcomes, draw)
+
+    def begins_anew(self, before: int, stage: int) -> bool:
+        """Return whether a world has changed its scenario, which a level does not."""
+        return self._levels is None and stage != before
+
+    def options(self, world: int, stage: int) -> Mapping[str, float] | None:
+        """Return the values that a reset takes in place of draws; None without levels."""
+        return None if self._levels is None else self._levels.settings(world, stage)
 
     @property
     def levels(self) -> LevelSpread | None:
         """The present levels of the worlds; None without levels."""
-        levels = self._program.levels
-        world_levels = self._world_levels
-        if levels is None or not world_levels:
+        if self._levels is None:
             return None
+        levels = self.world_stages
         return LevelSpread(
-            mean=sum(world_levels) / len(world_levels),
-            lowest=min(world_levels),
-            highest=max(world_levels),
-            count=levels.count,
-            by_value=_means_by_value(levels, world_levels),
+            mean=sum(levels) / len(levels),
+            lowest=min(levels),
+            highest=max(levels),
+            count=self._levels.count,
+            by_value=_means_by_value(self._levels, levels),
         )
+
+    # Of all worlds
 
     @property
     def index(self) -> int:
@@ -202,8 +228,8 @@ class Curriculum:
         recent, worlds = self._recent.state()
         return CurriculumState(ends=self.completed, first_step=self._first_step, recent=recent, worlds=worlds)
 
-    def restore(self, state: CurriculumState) -> None:
-        """Restore a state that `state` returned.
+    def restore(self, state: CurriculumState, world_stages: Sequence[int]) -> None:
+        """Restore a state that `state` returned, and the stage or level of each world.
 
         Raises:
             RunError: It does not fit the stages of the scenario.
@@ -214,6 +240,11 @@ class Curriculum:
         if [stage.name for stage in state.ends] != names[: len(state.ends)]:
             raise RunError("the finished stages in the checkpoint do not match the scenario")
         self.completed = list(state.ends)
+        last = self.index if self._levels is None else self._levels.count - 1
+        if len(world_stages) != self._worlds or max(world_stages) > last:
+            raise ValueError(f"{len(world_stages)} worlds, in stage {max(world_stages, default=0)}")
+        # In place, because the worlds have this list.
+        self.world_stages[:] = world_stages
         self._begin(state.first_step)
         self._recent.restore(state.recent, state.worlds)
 

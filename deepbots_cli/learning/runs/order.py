@@ -13,7 +13,6 @@ keeps the models of its best evaluations, and plays new starts with them before 
 from __future__ import annotations
 
 import math
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
@@ -23,6 +22,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
+from deepbots_cli.errors import StorageError
+from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.program.task import Solved
 from deepbots_cli.words import number_text, rate_text
@@ -168,11 +169,13 @@ def most_episodes(models: int) -> int:
 
 
 def copy_model(source: Path, target: Path) -> None:
-    """Copy the file of a model; the target is replaced whole."""
-    # In the same folder, because `os.replace` is atomic only within a file system.
-    draft = target.with_name(f".{target.stem}.new")
-    shutil.copyfile(source, draft)
-    os.replace(draft, target)
+    """Copy the file of a model; the target is replaced whole.
+
+    Raises:
+        StorageError: It cannot be written.
+    """
+    with atomic_write(target, StorageError) as draft:
+        shutil.copyfile(source, draft)
 
 
 class Shortlist:

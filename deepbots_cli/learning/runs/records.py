@@ -30,7 +30,7 @@ Status = Literal["running", "finished", "interrupted", "failed"]
 State = Literal["training", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
 """The value of `stopped_by` for a training that did not improve."""
-ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand", "newest"]
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "hand", "newest"]
 # The record of the quadruped with 256 worlds has 14 kB; 1,000 meshes and 10,000 ratings add 1 MB.
 _MAX_RECORD_BYTES = 2_000_000
 MAX_STATE_BYTES = 20_000_000
@@ -43,12 +43,11 @@ class BestModel(BaseModel):
     """The model that a training kept as its best.
 
     Attributes:
-        steps: The steps of the training after which it was saved; None where this was not recorded.
+        steps: The steps of the training after which it was saved.
         chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations
             played new starts. `evaluation`: there was no second model, or the training was interrupted.
-            `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
-            (`eval MODEL --keep`). `newest`: agents that compete have no common measure, so it is the newest
-            model.
+            `hand`: a person named it (`eval MODEL --keep`). `newest`: agents that compete have no common
+            measure, so it is the newest model.
         measure: The measure of the task, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than
             those of new episodes on average, because they chose it.
@@ -60,7 +59,7 @@ class BestModel(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True)
 
-    steps: int | None = None
+    steps: int
     chosen_by: ChosenBy
     measure: Literal["success_rate", "mean_return"]
     episodes: int | None = None
@@ -76,9 +75,7 @@ class BestModel(BaseModel):
     @property
     def text(self) -> str:
         """The origin of the model, such as `after 35,288 steps, by success rate on new starts`."""
-        after = "" if self.steps is None else f"after {self.steps:,} steps, "
-        if self.chosen_by == "return":
-            return f"{after}chosen by return in an evaluation, by a version before 0.2"
+        after = f"after {self.steps:,} steps, "
         if self.chosen_by == "hand":
             return f"{after}chosen by hand"
         if self.chosen_by == "newest":
@@ -124,8 +121,7 @@ class RunResult(BaseModel):
             continues it.
         steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
         mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
-        best: The best model; None if there were too few episodes for an evaluation. `best_return` is read
-            from records of versions before 0.2.
+        best: The best model; None if there were too few episodes for an evaluation.
         evaluation_steps: Steps of all held-out episodes during the training.
         confirmations: The number of confirmations of a solved task that began.
         confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
@@ -149,7 +145,6 @@ class RunResult(BaseModel):
     mean_return: float | None
     success_rate: float | None
     best: BestModel | None = None
-    best_return: float | None = Field(default=None, exclude=True)
     simulated_hours: float
     evaluation_steps: int
     solved_at: SolvedAt | None
@@ -166,18 +161,6 @@ class RunResult(BaseModel):
     agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
     ratings: tuple[Rating, ...] = Field(default=(), exclude_if=lambda ratings: not ratings)
     pool_games: tuple[PoolGames, ...] = Field(default=(), exclude_if=lambda games: not games)
-
-    @property
-    def confirmed_at(self) -> SolvedAt | None:
-        """The confirmation that showed that the task is solved. Versions before 0.2 had no confirmations."""
-        return self.solved_at if self.confirmations else None
-
-    @property
-    def best_model(self) -> BestModel | None:
-        """The best model, also for a record of a version before 0.2, which has the return alone."""
-        if self.best is not None or self.best_return is None:
-            return self.best
-        return BestModel(chosen_by="return", measure="mean_return", mean_return=self.best_return)
 
 
 class TrainingResult(RunResult):
@@ -256,7 +239,7 @@ class RunRecord(BaseModel):
     began in, where it was not the first. `learner` are the reasons for a learner that deepbots chose.
     `physics` is the version of the simulated physics (`engine_kinds.PHYSICS`), and `plugins` are the packages
     of other authors that the scenario uses, with their versions. `quoted` is None if no evaluation of the
-    best model is quoted. Versions before 0.2 wrote neither `task` nor `quoted`.
+    best model is quoted.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -287,7 +270,7 @@ class RunRecord(BaseModel):
     updated: str
     resumed_at: tuple[int, ...]
     result: RunResult | None
-    task: TaskRecord | None = None
+    task: TaskRecord
     physics: int = Field(default=1, ge=1, lt=2**31)
     plugins: Mapping[str, str] = {}
     quoted: QuotedEvaluation | None = None
@@ -322,7 +305,7 @@ class RunRecord(BaseModel):
         training, else the latest. One in a scenario that was changed since the training is quoted only where
         there is no other, and its `solved` is None: the criterion may be another one.
         """
-        best = None if self.result is None else self.result.best_model
+        best = None if self.result is None else self.result.best
         # `eval --keep` may have replaced the best model.
         models = {evaluation.model_steps, None if best is None else best.steps} - {None}
         is_of_best = evaluation.model == "best" and evaluation.deterministic and len(models) <= 1

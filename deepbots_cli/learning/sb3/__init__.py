@@ -3,14 +3,11 @@ them.
 
 learner.py       `OnPolicyLearner`, `OffPolicyLearner`: algorithms behind the interface of `learning.learner`
 internals.py     the private members of the library that deepbots uses
-algorithms.py    algorithms created for a scenario
-schedules.py     hyperparameters and noise that change during a training
+algorithms.py    algorithms created for a scenario, with their schedules, noise and limits
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 rollouts.py      actors and their buffers; the worlds of a collector as a vector environment
 imitation.py     the imitation loss of on-policy algorithms with a teacher
-models.py        models as zip files of the library, read without unpickling
-state.py         the state in a checkpoint beside the model
+models.py        models as zip files of the library, read without unpickling; the state beside them
 networks.py      the layers of a policy, the values of its critic; mirror images of experience
-logs.py          scalars for TensorBoard and other loggers
-plugins.py       callbacks and loggers of other packages
+logs.py          scalars for TensorBoard and other loggers; callbacks and loggers of other packages
 """

@@ -1,32 +1,126 @@
-"""Algorithms of Stable-Baselines3, created for a scenario; their table is `scenario.training.ALGORITHMS`."""
+"""Algorithms of Stable-Baselines3, created for a scenario; their table is `scenario.training.ALGORITHMS`.
+
+Networks, environments and replay buffers that do not fit into the memory are refused before they are created.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from inspect import signature, unwrap
+from itertools import pairwise
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.her import HerReplayBuffer
 from torch import nn
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning import limits
 from deepbots_cli.learning.sb3 import defaults, internals
 from deepbots_cli.learning.sb3.networks import asymmetric
-from deepbots_cli.learning.sb3.schedules import DecayingNoise, value_of
 from deepbots_cli.plugins import import_attribute
-from deepbots_cli.program.task import ACTIVATIONS, Training
+from deepbots_cli.program.task import ACTIVATIONS, AdaptiveRate, Hyperparameter, Schedule, Training
+from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
+
+_MIN_RATE, _MAX_RATE = 1e-5, 1e-2
+
+
+def value_of(hyperparameter: Hyperparameter) -> object:
+    """Return the value of a hyperparameter as Stable-Baselines3 takes it."""
+    if hyperparameter.name == "train_freq" and isinstance(hyperparameter.value, str):
+        count, _, unit = hyperparameter.value.partition(" ")
+        # `TrainFrequencyUnit` of the library has the units in the singular, `step` and `episode`.
+        return int(count), unit.rstrip("s")
+    if isinstance(hyperparameter.value, AdaptiveRate):
+        return DivergenceRate(hyperparameter.value)
+    if not isinstance(hyperparameter.value, Schedule):
+        return hyperparameter.value
+    start, end = hyperparameter.value.start, hyperparameter.value.end
+    # The library passes the share of the training that is left, from 1 to 0.
+    return lambda remaining: end + (start - end) * remaining
+
+
+class DivergenceRate:
+    """A learning rate that keeps the KL divergence of an update near a target.
+
+    The rule and its numbers are those of RSL-RL (Schwarke et al., arXiv:2509.10771), applied after each
+    update instead of each batch.
+    """
+
+    def __init__(self, settings: AdaptiveRate) -> None:
+        self.kl = settings.kl
+        self.rate = settings.start
+
+    def __call__(self, remaining: float) -> float:
+        return self.rate
+
+    def follow(self, divergence: float) -> None:
+        """Change the rate after an update with this divergence."""
+        if divergence > 2.0 * self.kl:
+            self.rate = max(_MIN_RATE, self.rate / 1.5)
+        elif 0.0 < divergence < 0.5 * self.kl:
+            self.rate = min(_MAX_RATE, self.rate * 1.5)
+
+
+class DecayingNoise(ActionNoise):
+    """Noise on the actions of an off-policy algorithm, with a standard deviation that may change over the
+    training.
+
+    Draws come from numpy's global generator, which the training seeds. Drifting noise (`ornstein_uhlenbeck`)
+    is sampled exactly: n' = a n + sigma sqrt(1 - a^2) w with a = exp(-theta) and w of unit variance, so that
+    its deviation is sigma whatever theta is (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). The first
+    value of an episode has the same distribution as all others.
+
+    Args:
+        settings: The settings of the scenario.
+        size: The shape of an action.
+        remaining: Returns the share of the training that is left, from 1 to 0.
+    """
+
+    def __init__(
+        self, settings: NoiseSettings, size: tuple[int, ...], remaining: Callable[[], float]
+    ) -> None:
+        super().__init__()
+        self._settings = settings
+        self._size = size
+        self._remaining = remaining
+        self._factor = math.exp(-settings.theta) if settings.type == "ornstein_uhlenbeck" else None
+        self.drift: npt.NDArray[np.float64] | None = None
+        """The last value of drifting noise of unit deviation; None at the start of an episode."""
+
+    @property
+    def sigma(self) -> float:
+        """The standard deviation at this point of the training, in the agent's [-1, 1]."""
+        start, end = self._settings.sigma.start, self._settings.sigma.end
+        return end + (start - end) * self._remaining()
+
+    def __call__(self) -> npt.NDArray[np.float32]:
+        if self._factor is None:
+            return np.random.normal(0.0, self.sigma, self._size).astype(np.float32)
+        noise = np.random.normal(0.0, 1.0, self._size)
+        self.drift = (
+            noise
+            if self.drift is None
+            else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * noise
+        )
+        return (self.sigma * self.drift).astype(np.float32)
+
+    def reset(self) -> None:
+        self.drift = None
+
 
 Settings = dict[str, Any]
 
@@ -54,7 +148,7 @@ def create(
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
-    limits.check_size(training.network.hidden, limits.numbers_in(env.observation_space))
+    check_size(training.network.hidden, numbers_in(env.observation_space))
     # Each copy of a robot is a row of its own, and the defaults depend on the number of rows.
     training = replace(training, environments=env.num_envs)
     settings: Settings = defaults.default_values(training, total_timesteps, longest_episode)
@@ -73,7 +167,7 @@ def create(
             noise, env.action_space.shape, lambda: internals.progress_remaining(model)
         )
     if to_learn:
-        limits.check_replay(settings, env.observation_space)
+        check_replay(settings, env.observation_space)
     else:
         _without_experience(settings, algorithm)
     memory = settings.pop("lstm", None)
@@ -250,7 +344,7 @@ def check(training: Training) -> None:
         UsageError: The table does not contain the algorithm, or the networks would be larger than any memory.
     """
     _entry(training.algorithm)
-    limits.check_size(training.network.hidden)
+    check_size(training.network.hidden)
 
 
 def check_teachable(training: Training) -> None:
@@ -268,3 +362,73 @@ def _entry(name: str) -> type[Model]:
         hint = did_you_mean(name, ALGORITHMS)
         raise UsageError(f"there is no algorithm '{name}'; use one of {', '.join(ALGORITHMS)}{hint}")
     return ALGORITHMS[name]
+
+
+_MAX_LAYERS = 16
+_MAX_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
+_BYTES_PER_ENVIRONMENT = 29_000_000  # measured for a cart-pole in PyBullet
+
+
+def check_size(hidden: Sequence[int], inputs: int = 0) -> None:
+    """Check the sizes of the hidden layers of a network; `inputs` is 0 if it is not known yet.
+
+    Raises:
+        UsageError: The network would be larger than any memory.
+    """
+    if len(hidden) > _MAX_LAYERS:
+        raise UsageError(f"a policy has at most {_MAX_LAYERS} hidden layers")
+    if sum(width * next_width for width, next_width in pairwise((inputs, *hidden))) > _MAX_WEIGHTS:
+        observed = f"{inputs:,} observed numbers and " if inputs else ""
+        raise UsageError(
+            f"a policy with {observed}hidden layers of {', '.join(map(str, hidden))} units has more than"
+            f" {_MAX_WEIGHTS:,} weights"
+        )
+
+
+def check_memory(environments: int, memory: int | None = None) -> None:
+    """Check that this number of environments fits into the memory of this machine. `memory` is in bytes, by
+    default all memory of the machine.
+
+    Raises:
+        UsageError: They do not fit.
+    """
+    _require_memory(f"{environments} environments need about", environments * _BYTES_PER_ENVIRONMENT, memory)
+
+
+def check_replay(settings: Mapping[str, Any], space: gym.Space[Any], memory: int | None = None) -> None:
+    """Check that the replay buffer fits into the memory of this machine; `memory` as for `check_memory`.
+
+    Raises:
+        UsageError: It does not fit.
+    """
+    steps = settings.get("buffer_size", 0)
+    # The library stores each observation twice, as the present and as the next one.
+    needed = (
+        2
+        * steps
+        * sum(
+            math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize
+            for part in _parts_of(space)
+        )
+    )
+    subject = f"a replay buffer of {steps:,} steps needs"
+    _require_memory(subject, needed, memory, "; lower 'buffer_size' under 'train'")
+
+
+def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "") -> None:
+    if memory is None and hasattr(os, "sysconf"):  # not on Windows
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if memory is not None and needed > memory:
+        raise UsageError(
+            f"{subject} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}"
+        )
+
+
+def numbers_in(space: gym.Space[Any]) -> int:
+    """Return how many numbers an observation has. Layers of filters reduce its pictures before the first
+    hidden layer."""
+    return sum(math.prod(part.shape or ()) for part in _parts_of(space) if len(part.shape or ()) == 1)
+
+
+def _parts_of(space: gym.Space[Any]) -> Iterable[gym.Space[Any]]:
+    return space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]

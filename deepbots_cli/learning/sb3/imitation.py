@@ -27,7 +27,7 @@ from gymnasium import spaces
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.learning.sb3 import internals
-from deepbots_cli.learning.teaching.teacher import Demonstrations
+from deepbots_cli.learning.teaching import Demonstrations
 from deepbots_cli.rollout.worlds import Array
 
 _MAX_BYTES = 200_000_000

@@ -29,9 +29,10 @@ from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
-from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
-from deepbots_cli.learning.sb3 import algorithms, internals, models, networks, rollouts, state
+from deepbots_cli.learning.sb3 import algorithms, internals, models, networks, rollouts
+from deepbots_cli.learning.sb3.algorithms import DivergenceRate
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
     agreement,
@@ -45,8 +46,7 @@ from deepbots_cli.learning.sb3.imitation import (
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.sb3.networks import mirrored_experience, widened
 from deepbots_cli.learning.sb3.rollouts import CollectorEnvironment, spaces_only, with_library_infos
-from deepbots_cli.learning.sb3.schedules import DivergenceRate
-from deepbots_cli.learning.teaching.teacher import Demonstrations, Plan
+from deepbots_cli.learning.teaching import Demonstrations, Plan
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import (
     Decision,
@@ -54,7 +54,6 @@ from deepbots_cli.rollout.collector import (
     Fragment,
     LocalCollector,
     PolicyActor,
-    ShardedCollector,
 )
 from deepbots_cli.rollout.worlds import WorldsStep
 
@@ -81,7 +80,7 @@ class SavesPlainly:
 class StableLearner(Learner):
     """An algorithm of Stable-Baselines3; `model` is the algorithm itself."""
 
-    State = state.StableState
+    State = models.StableState
     actor_kind: type[rollouts.RolloutActor | rollouts.ExplorationActor] = rollouts.RolloutActor
     mixin = SavesPlainly
 
@@ -226,7 +225,7 @@ class StableLearner(Learner):
     # Checkpoints
 
     def attach(self, folder: Path) -> None:
-        self._replay = state.ReplayFiles(folder / "replay")
+        self._replay = models.ReplayFiles(folder / "replay")
 
     def state(self) -> dict[str, Any]:
         model, buffer = self.model, self._buffer
@@ -237,7 +236,7 @@ class StableLearner(Learner):
                 name: getattr(model, name) for name in get_args(internals.Counter) if hasattr(model, name)
             },
             "infos": [
-                state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"]))
+                models.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"]))
                 for info in model.ep_info_buffer or ()
             ],
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
@@ -373,8 +372,6 @@ class OnPolicyLearner(StableLearner):
             )
             if fragment is None:
                 return False
-            if self.setup.training.staleness and isinstance(collector, ShardedCollector):
-                collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
             self._participation = fragment.taking_part
             self._teacher_actions = fragment.columns.get("taught")
@@ -538,8 +535,7 @@ class OffPolicyLearner(StableLearner):
             if fetching is not None:
                 model.recorded = None  # the model draws the actions of the next fragment
                 self._actor.remember(memory)
-                if self.setup.training.staleness and isinstance(fetching, ShardedCollector):
-                    fetching.ask_ahead(self._actor, model.train_freq.frequency)
+                fetching.ask_ahead(self._actor, model.train_freq.frequency)
             return bool(self._rollout.continue_training)
 
     def update(self) -> None:

@@ -26,8 +26,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3 import internals, networks
-from deepbots_cli.learning.sb3.schedules import DecayingNoise
-from deepbots_cli.rollout.collector import Decision, FetchingCollector, Fragment, LocalCollector
+from deepbots_cli.learning.sb3.algorithms import DecayingNoise
+from deepbots_cli.rollout.collector import Decision, FetchingCollector, Fragment, LocalCollector, PolicyActor
 from deepbots_cli.rollout.worlds import Array, SingleWorlds, WorldsStep
 
 
@@ -126,7 +126,7 @@ def spaces_only(
 _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
 
 
-class RolloutActor:
+class RolloutActor(PolicyActor):
     """Acts with the policy of PPO, A2C, MaskablePPO or RecurrentPPO.
 
     The columns of a fragment are `action` before it is clipped, `values`, `log_probs`, `masks` where options
@@ -209,7 +209,7 @@ class RolloutActor:
             internals.set_memory(self._model, states((parts[0], parts[1]), (parts[2], parts[3])))
 
 
-class ExplorationActor:
+class ExplorationActor(PolicyActor):
     """Acts with the policy of an off-policy algorithm, and explores: with noise, with random actions, or with
     an entropy.
 

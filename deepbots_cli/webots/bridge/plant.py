@@ -9,7 +9,6 @@ Webots, and the controllers of the robots drive the motors.
 
 from __future__ import annotations
 
-from math import atan2, hypot
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
@@ -17,6 +16,7 @@ from deepbots_cli.engines.mechanics import is_movable
 from deepbots_cli.port import ZERO_VECTOR, EngineProxy
 from deepbots_cli.program.world import ARENA_WALLS
 from deepbots_cli.webots.bridge.names import def_name, joint_def
+from deepbots_cli.webots.nodes import axis_angle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -150,15 +150,6 @@ class _JointReader:
             carried = frames.add(parent.linear, frames.cross(parent.angular, arm))
             return self._field.getSFFloat(), frames.dot(frames.subtract(child.linear, carried), axis)
         return self._field.getSFFloat(), frames.dot(frames.subtract(child.angular, parent.angular), axis)
-
-
-def axis_angle(turned: Quaternion) -> list[float]:
-    """Return a rotation as Webots writes it: an axis and an angle in rad."""
-    x, y, z, w = turned
-    length = hypot(x, y, z)
-    if length == 0.0:
-        return [0.0, 0.0, 1.0, 0.0]
-    return [x / length, y / length, z / length, 2.0 * atan2(length, w)]
 
 
 def _quaternion(rows: Sequence[float]) -> Quaternion:

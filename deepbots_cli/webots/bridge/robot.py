@@ -12,7 +12,7 @@ from deepbots_cli.port import SERVO_TIME
 from deepbots_cli.runtime.messages import FieldCodec, layout_error
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.webots.bridge import names
-from deepbots_cli.webots.bridge.task import START
+from deepbots_cli.webots.bridge.project import START
 
 if TYPE_CHECKING:
     from deepbots_cli.errors import MessageError

@@ -27,14 +27,14 @@ from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Inertial, Mesh, Sphere
 from deepbots_cli.webots.bridge import names
-from deepbots_cli.webots.bridge.plant import axis_angle
+from deepbots_cli.webots.nodes import axis_angle
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame
     from deepbots_cli.program.robots import Robot
     from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
     from deepbots_cli.robots.model import Joint, Link, RobotModel, Shape
-    from deepbots_cli.webots.bridge.task import RemoteRobot
+    from deepbots_cli.webots.bridge.project import RemoteRobot
 
 
 HEADER = "#VRML_SIM R2025a utf8"

@@ -1,10 +1,9 @@
-"""A project of Webots as one record, with its devices as sensors: what `cli/starters/webots.py` writes as a
-scenario.
+"""A project of Webots as one record: its devices as sensors and motors, and the Python that a person writes
+anew. `cli/starters/webots.py` writes it as a scenario.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import hypot
@@ -12,25 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.robots.model import RobotModel, to_urdf
-from deepbots_cli.webots.imports.calls import Calls
-from deepbots_cli.webots.imports.code import BOTH_BASES, ROBOT_BASES, SUPERVISOR_BASES, Code, read_code
-from deepbots_cli.webots.imports.hints import add_hints, read_overridden
-from deepbots_cli.webots.imports.judging import (
-    read_endings,
-    read_limits,
-    read_observation,
-    read_reward,
-    read_solved,
-)
-from deepbots_cli.webots.imports.task import (
+from deepbots_cli.webots.imports.controllers import (
+    BOTH_BASES,
+    ROBOT_BASES,
+    SUPERVISOR_BASES,
     Controller,
-    Entry,
-    Task,
-    add_placeholder,
-    read_action,
-    read_messages,
-    read_other,
+    controllers,
+    read_modules,
+    texts_of,
 )
 from deepbots_cli.webots.imports.world import (
     Built,
@@ -40,7 +28,6 @@ from deepbots_cli.webots.imports.world import (
     build,
     plain,
     pose_of,
-    pose_text,
     robot_parts,
     surroundings,
 )
@@ -49,85 +36,64 @@ from deepbots_cli.webots.project import controller, read_world
 from deepbots_cli.webots.scene_builder import build_scene
 
 if TYPE_CHECKING:
-    from deepbots_cli.webots.findings import WorldFindings
-    from deepbots_cli.webots.imports.code import ClassCode
-    from deepbots_cli.webots.imports.values import Value
+    from deepbots_cli.webots.imports.controllers import Module
     from deepbots_cli.webots.project import World
     from deepbots_cli.webots.scene import Body, Device, Robot, Scene
-    from deepbots_cli.webots.syntax import Node
-
+    from deepbots_cli.webots.syntax import Node, WorldFindings
 
 _RAYS = {"infra-red": "infrared", "sonar": "sonar", "laser": "laser", "generic": "laser"}
-_VECTORS = {
-    "Gyro": ("gyro", "rad/s"),
-    "Accelerometer": ("accelerometer", "m/s^2"),
-    "GPS": ("position", "m"),
+_ON_LINKS = {
+    "Gyro": "gyro",
+    "Accelerometer": "accelerometer",
+    "GPS": "position",
+    "InertialUnit": "orientation",
+    "Compass": "compass",
 }
-
-
 SENSING = frozenset(
     ["Altimeter", "Camera", "DistanceSensor", "Lidar", "LightSensor", "Microphone", "Radar", "RangeFinder"]
 )
 """The devices that measure, and of which at least some have no counterpart."""
+_WORDS = {
+    "getPosition": "position(BODY)",
+    "getOrientation": "roll(BODY), pitch(BODY), yaw(BODY) or tilt(BODY)",
+    "getVelocity": "velocity(BODY) and angular_velocity(BODY)",
+    "getContactPoints": "contact(BODY, OTHER) or collided(BODY)",
+    "getTime": "time",
+}
+"""What the language has for functions of Webots."""
 
 
-@dataclass(frozen=True)
-class SensorEntry:
-    """A sensor: its YAML text, the unit of its reading ("" for a plain number), its components."""
-
-    text: str
-    unit: str = ""
-    components: tuple[str, ...] = ()
-    is_truth: bool = False
-
-
-def sensor_entry(device: Device, parts: RobotParts) -> SensorEntry | None:
-    """Return the sensor for a device; None where the language has no counterpart."""
-    if device.type == "PositionSensor" and device.joint is not None:
-        name = parts.joints[id(device.joint)]
-        unit = "m" if device.joint.kind == "slide" else "rad"
-        return SensorEntry(f"{{type: joint_position, joint: {name}{_accuracy(device, unit)}}}", unit)
+def sensor_text(device: Device, parts: RobotParts) -> str | None:
+    """Return the sensor for a device as YAML; None where the language has no counterpart."""
     mount = f"link: {parts.link_of(device.body)}{_pose(device, parts)}"
-    if device.type in _VECTORS:
-        kind, unit = _VECTORS[device.type]
-        return SensorEntry(f"{{type: {kind}, {mount}}}", unit, ("x", "y", "z"))
     match device.type:
-        case "InertialUnit":
-            return SensorEntry(f"{{type: orientation, {mount}}}", "", ("x", "y", "z", "w"))
-        case "Compass":
-            return SensorEntry(f"{{type: compass, {mount}}}", "rad")
+        case "PositionSensor" if device.joint is not None:
+            unit = "m" if device.joint.kind == "slide" else "rad"
+            accuracy = "".join(
+                f", {name}: {plain(number(device.node, name))} {unit}"
+                for name in ("noise", "resolution")
+                if number(device.node, name) > 0
+            )
+            return f"{{type: joint_position, joint: {parts.joints[id(device.joint)]}{accuracy}}}"
         case "TouchSensor":
-            is_bumper = text(device.node, "type") == "bumper"
-            link = parts.link_of(device.body)
-            kind = "touch" if is_bumper else "force"
-            return SensorEntry(f"{{type: {kind}, link: {link}}}", "" if is_bumper else "N", (), is_bumper)
+            kind = "touch" if text(device.node, "type") == "bumper" else "force"
+            return f"{{type: {kind}, link: {parts.link_of(device.body)}}}"
         case "DistanceSensor" if text(device.node, "type") in _RAYS:
-            return _distance(device, mount)
+            return _distance(device.node, mount)
+        case kind if kind in _ON_LINKS:
+            return f"{{type: {_ON_LINKS[kind]}, {mount}}}"
     return None
-
-
-def _accuracy(device: Device, unit: str) -> str:
-    parts = ""
-    if (noise := number(device.node, "noise")) > 0:
-        parts += f", noise: {plain(noise)} {unit}"
-    if (resolution := number(device.node, "resolution")) > 0:
-        parts += f", resolution: {plain(resolution)} {unit}"
-    return parts
 
 
 def _pose(device: Device, parts: RobotParts) -> str:
     pose = pose_of(parts.frame_in_link(device.body, device.frame))
-    pose_entries = []
-    if hypot(*pose.xyz) > 1e-9:
-        pose_entries.append(f"xyz: {plain(*pose.xyz)} m")
-    if hypot(*pose.rpy) > 1e-9:
-        pose_entries.append(f"rpy: {plain(*pose.rpy)} rad")
+    entries = ((pose.xyz, f"xyz: {plain(*pose.xyz)} m"), (pose.rpy, f"rpy: {plain(*pose.rpy)} rad"))
+    pose_entries = [entry for value, entry in entries if hypot(*value) > 1e-9]
     return f", pose: {{{', '.join(pose_entries)}}}" if pose_entries else ""
 
 
-def _distance(device: Device, mount: str) -> SensorEntry | None:
+def _distance(node: Node, mount: str) -> str | None:
     """Return a sensor of rays with its table; readings of Webots are those of the table."""
-    node = device.node
     kind = _RAYS[text(node, "type")]
     table = vectors(node, "lookupTable")
     distances = [row[0] for row in table]
@@ -144,76 +110,71 @@ def _distance(device: Device, mount: str) -> SensorEntry | None:
     lookup = f"distance: {plain(*distances)} m, value: {plain(*values)}"
     if any(noises):
         lookup += f", noise: {plain(*(100 * abs(noise) for noise in noises))} %"
-    parts.append(f"lookup: {{{lookup}}}")
-    return SensorEntry(f"{{{', '.join(parts)}}}")
+    return f"{{{', '.join([*parts, f'lookup: {{{lookup}}}'])}}}"
 
 
 @dataclass
 class DraftRobot:
-    """A robot of the scenario: its model, and the entries of its section."""
+    """A robot of the scenario: its model, and the entries of its section as pairs of name and YAML."""
 
     name: str
     parts: RobotParts
     robot: Robot | None
     built: Built
-    task: Task | None = None
-    """Its sensors, messages and actuators; None for a robot without a class of deepbots."""
+    controller: Controller | None = None
+    """Its class of deepbots, if it has one."""
     sensors: dict[str, str] = field(default_factory=dict)
-    unused_sensors: dict[str, str] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
+    """The sensors that the project does not name."""
+    left_out: list[str] = field(default_factory=list)
+    """The devices that measure, and for which deepbots has no such sensor."""
+    readings: dict[str, str] = field(default_factory=dict)
+    """Names of sensors by the names of devices."""
+    motors: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """The joints of motors, and their highest speeds."""
 
-    @property
-    def left_out(self) -> list[str]:
-        """The devices that measure, and for which deepbots has no such sensor."""
-        devices = self.robot.devices.values() if self.robot is not None else ()
-        return [
-            f"{device.name} ({device.type})"
-            for device in devices
-            if device.type in SENSING and sensor_entry(device, self.parts) is None
-        ]
-
-    @property
-    def is_fixed(self) -> bool:
-        return not self.parts.root.is_free
-
-    @property
-    def pose(self) -> str:
-        return pose_text(self.parts.root.frame)
-
-    @property
-    def model(self) -> RobotModel:
-        return self.built.model
-
-    def urdf(self) -> str:
-        return to_urdf(self.built.model)
+    def add_devices(self, texts: set[str]) -> None:
+        """Add the sensors and motors for the devices of the robot; `texts` are those of the project."""
+        names = Names()
+        for device in self.robot.devices.values() if self.robot is not None else ():
+            sensor = sensor_text(device, self.parts)
+            if sensor is not None:
+                name = self.readings[device.name] = names.new(device.name, "sensor")
+                (self.sensors if device.name in texts else self.unused)[name] = sensor
+            elif device.type in SENSING:
+                self.left_out.append(f"{device.name} ({device.type})")
+            elif device.joint is not None and device.type.endswith("Motor"):
+                unit = "m/s" if device.type == "LinearMotor" else "rad/s"
+                speed = f"{plain(number(device.node, 'maxVelocity') or 1.0)} {unit}"
+                self.motors[names.new(device.name, "motor")] = (self.parts.joints[id(device.joint)], speed)
 
 
 @dataclass
 class Draft:
-    """A scenario in parts. `agent` is the robot that the policy drives."""
+    """A project in parts. `agent` is the robot that the policy drives, `judge` the class that scores it."""
 
     world_file: str
     surroundings: Surroundings
     robots: list[DraftRobot]
     agent: DraftRobot
-    task: Task
+    judge: Controller | None
+    has_messages: bool
+    bodies: dict[str, str]
+    """How expressions name the nodes that the controllers name."""
     findings: WorldFindings
 
-
-@dataclass
-class _Roles:
-    """The robot that acts, and the classes of its controller and of the supervisor."""
-
-    robot: Robot
-    acting: ClassCode | None = None
-    acting_code: Code | None = None
-    judging: ClassCode | None = None
-    judging_code: Code | None = None
-    supervisor: Robot | None = None
-    has_messages: bool = True
-    space: Value = None
-    """The `action_space` of the supervisor."""
-    others: list[tuple[Robot, ClassCode, Code]] = field(default_factory=list)
-    """Further robots with a class of deepbots, which get the same messages."""
+    def names(self) -> list[str]:
+        """Return what names in the Python of the project are in the scenario."""
+        bodies = [f"{label}: {name}" for label, name in self.bodies.items()]
+        readings = [
+            f"{device}: {self.agent.name}.{name}"
+            for device, name in self.agent.readings.items()
+            if name in self.agent.sensors
+        ]
+        module_lines = self.judge.modules if self.judge is not None else ()
+        python = "\n".join(line for module in module_lines for line in module.lines)
+        words = [f"{name}(): {word}" for name, word in _WORDS.items() if f"{name}(" in python]
+        return [*bodies, *readings, *words]
 
 
 def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
@@ -227,32 +188,37 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     scene = build_scene(world)
     world.findings.require_none()
     roots = _roots(scene)
-    codes = {robot.index: _code(world, robot) for robot in scene.robots}
-    roles = _roles(scene, roots, codes, path)
+    modules = {robot.index: _modules(world, robot) for robot in scene.robots}
+    texts = texts_of([module for each in modules.values() for module in each])
+    acting, judge, has_messages = _roles(scene, roots, modules)
+    if not acting:
+        raise UsageError(f"no robot of {world.path} has a motor, so a policy could not control it")
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    used = [node for node, label in labels.items() if label in texts]
     names = Names()
-    parts = _named_parts(scene, roots, names)
-    objects = _named_objects(scene, names)
-    expressions = _expressions(parts, objects, scene)
-    agent_parts = parts[roots[roles.robot.index].index]
-    task, used = _task(scene, roles, agent_parts, expressions, names)
-    tasks = {roles.robot.index: task}
-    for robot, cls, code in roles.others:
-        controlled = parts[roots[robot.index].index]
-        calls, labels = _calls(scene, robot, controlled, expressions)
-        further = Controller(code, cls, calls)
-        tasks[robot.index] = read_other(task, further, roles.space, controlled, labels)
-    robots = []
-    for root_index, model in parts.items():
-        built = build(model, scene, [node for node in used if node in model.links], world.findings)
-        root_robot = scene.bodies[root_index].robot
-        robot_task = tasks.get(root_robot.index) if root_robot else None
-        robots.append(DraftRobot(model.name, model, root_robot, built, robot_task))
+    robots, bodies = [], {}
+    for index, root in roots.items():
+        if not root.geometries and not any(body.parent is root for body in scene.bodies):
+            continue  # a supervisor
+        robot = scene.robots[index]
+        parts = robot_parts(scene, root, names.new(labels.get(root.node) or robot.name, "robot"))
+        built = build(parts, scene, [node for node in used if node in parts.links], world.findings)
+        robots.append(DraftRobot(parts.name, parts, root.robot, built, acting.get(index)))
+        for node, link in parts.links.items():
+            bodies[node] = parts.name if node is root.node else f"{parts.name}.{link}"
+    objects = {
+        body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
+        for body in scene.bodies
+        if body.robot is None and body.parent is None
+    }
     world.findings.require_none()
-    agent = next(candidate for candidate in robots if candidate.robot is roles.robot)
+    agent = next(each for each in robots if each.robot is not None and each.robot.index in acting)
     for draft_robot in robots:
-        _add_sensors(draft_robot, task)
+        draft_robot.add_devices(texts)
     around = surroundings(world, scene, objects, used, scene.basic_step)
-    return Draft(path.name, around, robots, agent, task, world.findings)
+    bodies |= {scene.bodies[index].node: name for index, name in objects.items() if name in around.objects}
+    named = {labels[node]: bodies[node] for node in used if node in bodies}
+    return Draft(path.name, around, robots, agent, judge, has_messages, named, world.findings)
 
 
 def _roots(scene: Scene) -> dict[int, Body]:
@@ -264,175 +230,33 @@ def _roots(scene: Scene) -> dict[int, Body]:
     return roots
 
 
-def _code(world: World, robot: Robot) -> Code | None:
+def _modules(world: World, robot: Robot) -> list[Module]:
     program = controller(world.files, robot.controller)
     if program is None:
-        return None
+        return []
     if program.path is None:
         world.findings.warning(
             robot.node.span, f"the controller '{program.name}' of '{robot.name}' {program.problem}"
         )
-        return None
-    return read_code(world.files, program.path, robot.node.span, world.findings)
+        return []
+    return read_modules(world.files, program.path, robot.node.span, world.findings)
 
 
-def _roles(scene: Scene, roots: dict[int, Body], codes: dict[int, Code | None], path: Path) -> _Roles:
-    """Return which robot acts and which class judges."""
+def _roles(
+    scene: Scene, roots: dict[int, Body], modules: dict[int, list[Module]]
+) -> tuple[dict[int, Controller | None], Controller | None, bool]:
+    """Return the classes of the robots that act, by the index of the robot, the class that judges, and
+    whether they send messages."""
     with_motors = [
-        robot
+        robot.index
         for robot in scene.robots
         if robot.index in roots and any(device.type.endswith("Motor") for device in robot.devices.values())
     ]
-    if not with_motors:
-        raise UsageError(f"no robot of {path} has a motor, so a policy could not control it")
-    for robot in with_motors:
-        code = codes[robot.index]
-        if code is not None and (classes := code.classes(BOTH_BASES)):
-            return _Roles(robot, classes[0], code, classes[0], code, robot, has_messages=False)
-    roles = _Roles(with_motors[0])
-    for robot in with_motors:
-        code = codes[robot.index]
-        if code is not None and (classes := code.classes(ROBOT_BASES)):
-            if roles.acting is None:
-                roles.robot, roles.acting, roles.acting_code = robot, classes[0], code
-            else:
-                roles.others.append((robot, classes[0], code))
-    for robot in scene.robots:
-        code = codes[robot.index]
-        if code is not None and (classes := code.classes(SUPERVISOR_BASES)):
-            roles.judging, roles.judging_code, roles.supervisor = classes[0], code, robot
-            break
-    return roles
-
-
-def _named_parts(scene: Scene, roots: dict[int, Body], names: Names) -> dict[int, RobotParts]:
-    """Return the robots that have shapes or joints, by the index of their root; a supervisor has neither."""
-    result = {}
-    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
-    for index, root in roots.items():
-        moves = [body for body in scene.bodies if body.parent is root]
-        if not root.geometries and not moves:
-            continue
-        label = labels.get(root.node) or scene.robots[index].name
-        result[root.index] = robot_parts(scene, root, names.new(label, "robot"))
-    return result
-
-
-def _named_objects(scene: Scene, names: Names) -> dict[int, str]:
-    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
-    return {
-        body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
-        for body in scene.bodies
-        if body.robot is None and body.parent is None
+    for index in with_motors:
+        for both in controllers(modules[index], BOTH_BASES):
+            return {index: both}, both, False
+    acting: dict[int, Controller | None] = {
+        index: classes[0] for index in with_motors if (classes := controllers(modules[index], ROBOT_BASES))
     }
-
-
-def _expressions(parts: dict[int, RobotParts], objects: dict[int, str], scene: Scene) -> dict[Node, str]:
-    """Return how expressions name the nodes of the world."""
-    result: dict[Node, str] = {}
-    for model in parts.values():
-        for node, link in model.links.items():
-            result[node] = model.name if node is model.root.node else f"{model.name}.{link}"
-    for index, name in objects.items():
-        result[scene.bodies[index].node] = name
-    return result
-
-
-# The task
-
-
-def _task(
-    scene: Scene, roles: _Roles, parts: RobotParts, expressions: dict[Node, str], names: Names
-) -> tuple[Task, list[Node]]:
-    task = Task()
-    entries, labels = _sensors(roles.robot, parts)
-    task.sensors = {labels[device]: entry.text for device, entry in entries.items()}
-    used: list[Node] = []
-    acting = judging = None
-    if roles.acting is not None and roles.acting_code is not None:
-        readings = (
-            labels
-            if roles.has_messages
-            else {device: f"{parts.name}.{label}" for device, label in labels.items()}
-        )
-        calls = Calls(scene, roles.robot, expressions, entries, readings, scene.basic_step)
-        acting = Controller(roles.acting_code, roles.acting, calls)
-    message = None
-    if not roles.has_messages:
-        task.format = "none"
-        judging = acting
-    else:
-        task.timing = "delayed"
-        if acting is not None:
-            message = read_messages(task, acting, parts.name, labels)
-        if roles.judging is not None and roles.judging_code is not None and roles.supervisor is not None:
-            calls = Calls(scene, roles.supervisor, expressions, {}, {}, scene.basic_step, message)
-            judging = Controller(roles.judging_code, roles.judging, calls)
-    reader = judging.reader() if judging is not None else None
-    space = reader.attributes.get("action_space") if reader is not None else None
-    roles.space = space
-    _read_action(task, acting, roles, space, parts, names)
-    if judging is not None and reader is not None:
-        read_observation(task, reader, reader.attributes.get("observation_space"), names)
-        read_reward(task, reader)
-        read_endings(task, reader, names)
-        read_limits(task, judging.code, reader)
-        read_solved(task, judging.cls, reader)
-        read_overridden(task, judging.cls, judging.code)
-        add_hints(task, reader)
-        used = [node for node in walk(scene.nodes) if node in judging.calls.used]
-    return task, used
-
-
-def _calls(
-    scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
-) -> tuple[Calls, dict[str, str]]:
-    """Return the functions of Webots for a robot that gets messages, and the names of its sensors."""
-    entries, labels = _sensors(robot, parts)
-    calls = Calls(scene, robot, expressions, entries, labels, scene.basic_step)
-    return calls, {device: labels[device] for device in entries}
-
-
-def _read_action(
-    task: Task,
-    acting: Controller | None,
-    roles: _Roles,
-    space: object,
-    parts: RobotParts,
-    names: Names,
-) -> None:
-    if acting is not None:
-        method = "use_message_data" if roles.has_messages else "apply_action"
-        read_action(task, acting, method, space, parts, names)
-        return
-    motors = [device for device in roles.robot.devices.values() if device.type.endswith("Motor")]
-    add_placeholder(task, motors, parts, names)
-
-
-def _sensors(robot: Robot, parts: RobotParts) -> tuple[dict[str, SensorEntry], dict[str, str]]:
-    """Return the sensors of a robot by device, and their names in the scenario."""
-    names = Names()
-    entries, labels = {}, {}
-    for device in robot.devices.values():
-        entry = sensor_entry(device, parts)
-        if entry is not None:
-            entries[device.name] = entry
-            labels[device.name] = names.new(device.name, "sensor")
-    return entries, labels
-
-
-def _add_sensors(robot: DraftRobot, task: Task) -> None:
-    """Divide the sensors of a robot into those that the scenario uses, and the others."""
-    if robot.task is None:
-        return
-    texts = [
-        item.key + " " + item.value
-        for section in (task.augment, task.observation, task.reward, task.success, task.failure)
-        for item in section
-        if isinstance(item, Entry)
-    ]
-    emitted = " ".join(item.value for item in robot.task.emit if isinstance(item, Entry))
-    joined = " ".join(texts)
-    for name, entry in robot.task.sensors.items():
-        is_read = re.search(rf"\b{robot.name}\.{name}\b", joined) or re.search(rf"\b{name}\b", emitted)
-        (robot.sensors if is_read else robot.unused_sensors)[name] = entry
+    judges = [judge for each in modules.values() for judge in controllers(each, SUPERVISOR_BASES)]
+    return acting or dict.fromkeys(with_motors[:1]), next(iter(judges), None), True

@@ -11,27 +11,27 @@ import hashlib
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from math import hypot, inf
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
-from deepbots_cli.webots.looks import color_of, visible_shape
-from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, rotation, text, vector, walk
+from deepbots_cli.webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
+from deepbots_cli.webots.shapes import color_of, inverse, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.webots.findings import WorldFindings
+    from deepbots_cli.frames import Frame
     from deepbots_cli.webots.project import World
-    from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene, Visual
+    from deepbots_cli.webots.scene import Body, Geometry, Inertia, Joint, Scene, Visual
     from deepbots_cli.webots.shapes import Shape
-    from deepbots_cli.webots.syntax import Node
+    from deepbots_cli.webots.syntax import Node, WorldFindings
 
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
@@ -57,17 +57,14 @@ class Names:
     def new(self, text: str, fallback: str = "part") -> str:
         """Return a name that was not returned before."""
         name = scenario_name(text, fallback)
-        number = 2
-        unused = name
-        while unused in self._taken:
-            unused = f"{name}_{number}"
-            number += 1
+        names = chain([name], (f"{name}_{number}" for number in count(2)))
+        unused = next(each for each in names if each not in self._taken)
         self._taken.add(unused)
         return unused
 
 
-_LIGHT = 1e-3  # kg; the mass of a link that has none, as of a solid without physics at the end of a joint
-_SMALL = 0.01  # m; the radius of the ball that stands for it
+_LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
+"""A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
 _LINK_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
 _MAX_FACES = 20_000  # triangles of the visible meshes of a link
 _EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
@@ -77,12 +74,11 @@ _EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
 class Built:
     """A robot model with what the scenario says about it.
 
-    `joints` maps joints of the scene to names, `starts` joint names to positions (rad or m) other than 0, and
-    `meshes` paths of mesh files to their content.
+    `starts` maps joint names to positions (rad or m) other than 0, and `meshes` paths of mesh files to their
+    content.
     """
 
     model: urdf.RobotModel
-    joints: dict[int, str] = field(default_factory=dict)
     starts: dict[str, float] = field(default_factory=dict)
     meshes: dict[str, bytes] = field(default_factory=dict)
 
@@ -107,7 +103,7 @@ class RobotParts:
 
     def frame_in_link(self, body: Body, frame: Frame) -> Frame:
         """Return a frame of a body in the frame of its link."""
-        return frames.compose(_inverse(_link_frame(body)), frame)
+        return frames.compose(inverse(_link_frame(body)), frame)
 
 
 def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
@@ -148,56 +144,26 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
             middle, more = _joints(parts, body, built, findings)
             links += middle
             joints += more
-        apart = [node for node in split if node in parts.links and scene.attachments[node][0] is body]
-        apart = [node for node in apart if node is not body.node]
-        links.append(_link(parts, body, apart, scene, built, findings))
-        for node in apart:
-            links.append(_fixed_link(parts, body, node, scene, built, findings))
-            frame = parts.frame_in_link(body, scene.attachments[node][1])
-            joints.append(
-                urdf.Joint(
-                    f"{parts.links[node]}_fixed",
-                    "fixed",
-                    parts.link_of(body),
-                    parts.links[node],
-                    _pose(frame),
-                )
+        fixed = [node for node in split if node in parts.links and node is not body.node]
+        fixed = [node for node in fixed if scene.attachments[node][0] is body]
+        solids = {inner: node for node in fixed for inner in walk([node])}
+        for node in (body.node, *fixed):
+            solid, frame = (
+                (None, _link_frame(body)) if node is body.node else (node, scene.attachments[node][1])
             )
+            geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
+            visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
+            inertias = body.inertias if solid is None else ()
+            link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
+            links.append(_as_seen(link, visuals, inverse(frame), built, scene))
+            if solid is not None:
+                name, pose = f"{link.name}_fixed", pose_of(parts.frame_in_link(body, frame))
+                joints.append(urdf.Joint(name, "fixed", parts.link_of(body), link.name, pose))
     built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
     return built
 
 
 # Links
-
-
-def _link(
-    parts: RobotParts, body: Body, apart: list[Node], scene: Scene, built: Built, findings: WorldFindings
-) -> urdf.Link:
-    geometries = [geometry for geometry in body.geometries if geometry.owner not in apart]
-    origin = _inverse(_link_frame(body))
-    nodes_of_solids = [node for solid in apart for node in walk([solid])]
-    visuals = [visual for visual in _visuals(scene, body) if visual.node not in nodes_of_solids]
-    masses = [
-        _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix)
-        for inertia in body.inertias
-    ]
-    link = _link_of(parts.link_of(body), geometries, origin, masses, built, scene, findings, body.parent)
-    return _as_seen(link, visuals, origin, built, scene)
-
-
-def _fixed_link(
-    parts: RobotParts, body: Body, node: Node, scene: Scene, built: Built, findings: WorldFindings
-) -> urdf.Link:
-    geometries = [geometry for geometry in body.geometries if geometry.owner is node]
-    origin = _inverse(scene.attachments[node][1])
-    nodes_of_solid = list(walk([node]))
-    visuals = [visual for visual in _visuals(scene, body) if visual.node in nodes_of_solid]
-    link = _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
-    return _as_seen(link, visuals, origin, built, scene)
-
-
-def _visuals(scene: Scene, body: Body) -> Iterator[Visual]:
-    return (visual for visual in scene.visuals if visual.body is body)
 
 
 def _as_seen(
@@ -213,54 +179,45 @@ def _as_seen(
         geometry = _shape(shape, built, f"{link.name}_visual")
         if geometry is not None:
             red, green, blue, opacity = map(_unit, color_of(visual.node, scene.files))
-            pose = _pose(frames.compose(origin, visual.frame))
+            pose = pose_of(frames.compose(origin, visual.frame))
             geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
     return replace(link, visuals=tuple(geometries))
 
 
-def _link_of(
+def _link(
     name: str,
-    geometries: list[Geometry],
     origin: Frame,
-    masses: list[urdf.Inertial],
+    geometries: Sequence[Geometry],
+    inertias: Sequence[Inertia],
     built: Built,
     scene: Scene,
     findings: WorldFindings,
-    parent: Body | None,
 ) -> urdf.Link:
+    """Return a link with these bounding objects and inertias; `origin` is the frame of the body in it."""
+    masses = [
+        _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix) for inertia in inertias
+    ]
     shapes: list[urdf.Geometry] = []
     for geometry in geometries:
-        pose = _pose(frames.compose(origin, geometry.frame))
+        pose = pose_of(frames.compose(origin, geometry.frame))
         shape = _shape(geometry.shape, built, name)
         if shape is None:
             findings.warning(geometry.owner.span, f"a {geometry.shape.kind} of a robot is left out")
             continue
-        color = _color(geometry.owner)
-        shapes.append(urdf.Geometry(shape, pose, color))
+        shapes.append(urdf.Geometry(shape, pose))
         if geometry.mass > 0:
             masses.append(_homogeneous(geometry.shape, shape, geometry.mass, pose))
-    if not masses and parent is not None:
-        moment = 0.4 * _LIGHT * _SMALL**2
-        masses = [urdf.Inertial(_LIGHT, ixx=moment, iyy=moment, izz=moment)]
+    if not masses and name != built.model.root:
+        masses = [_LIGHT]
     friction = urdf.Friction(lateral=_friction(geometries, scene))
-    return urdf.Link(name, _sum(masses), tuple(shapes), tuple(shapes), friction)
+    inertial = urdf.combined(masses) if masses else None
+    return urdf.Link(name, inertial, tuple(shapes), tuple(shapes), friction)
 
 
-def _friction(geometries: list[Geometry], scene: Scene) -> float | None:
+def _friction(geometries: Sequence[Geometry], scene: Scene) -> float | None:
     """Return the friction of a material with the default one, if the world names it."""
-    for geometry in geometries:
-        contact = scene.contact(geometry.material, "default")
-        if contact.friction != 1.0:
-            return contact.friction
-    return None
-
-
-def _color(owner: Node) -> urdf.Color | None:
-    for node in walk([owner]):
-        if node.type in ("PBRAppearance", "Material"):
-            red, green, blue = vector(node, "baseColor" if node.type == "PBRAppearance" else "diffuseColor")
-            return (_unit(red), _unit(green), _unit(blue), 1.0)
-    return None
+    values = (scene.contact(geometry.material, "default").friction for geometry in geometries)
+    return next((value for value in values if value != 1.0), None)
 
 
 def _unit(value: float) -> float:
@@ -308,44 +265,14 @@ def _homogeneous(shape: Shape, urdf_shape: urdf.Shape, mass: float, pose: urdf.P
     size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
     center = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, (high[2] + low[2]) / 2)
     frame = frames.compose(frames.frame(pose), (center, frames.IDENTITY_ROTATION))
-    box = urdf.homogeneous_inertial(urdf.Box(size), mass, _pose(frame))
+    box = urdf.homogeneous_inertial(urdf.Box(size), mass, pose_of(frame))
     assert box is not None
     return box
 
 
 def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
     xx, yy, zz, xy, xz, yz = matrix
-    return urdf.Inertial(mass, _pose(frame), xx, xy, xz, yy, yz, zz)
-
-
-def _sum(inertials: list[urdf.Inertial]) -> urdf.Inertial | None:
-    """Return masses as one, about their common center, by Steiner's theorem."""
-    if len(inertials) < 2:
-        return inertials[0] if inertials else None
-    mass = sum(inertial.mass for inertial in inertials)
-    center = tuple(
-        sum(inertial.mass * inertial.origin.xyz[axis] for inertial in inertials) / mass for axis in range(3)
-    )
-    total = [[0.0] * 3 for _ in range(3)]
-    for inertial in inertials:
-        rotation = frames.rotation_matrix(inertial.origin.rpy)
-        tensor = frames.rotate_tensor(inertial.matrix, rotation)
-        away = [inertial.origin.xyz[axis] - center[axis] for axis in range(3)]
-        square = sum(value * value for value in away)
-        for row in range(3):
-            for column in range(3):
-                steiner = inertial.mass * ((square if row == column else 0.0) - away[row] * away[column])
-                total[row][column] += tensor[row][column] + steiner
-    return urdf.Inertial(
-        mass,
-        urdf.Pose((_rounded(center[0]), _rounded(center[1]), _rounded(center[2]))),
-        total[0][0],
-        total[0][1],
-        total[0][2],
-        total[1][1],
-        total[1][2],
-        total[2][2],
-    )
+    return urdf.Inertial(mass, pose_of(frame), xx, xy, xz, yy, yz, zz)
 
 
 # Joints
@@ -357,7 +284,7 @@ def _joints(
     """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
     assert body.parent is not None
     above = parts.link_of(body.parent)
-    frame = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
+    frame = frames.compose(inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
     links: list[urdf.Link] = []
     joints: list[urdf.Joint] = []
     if body.joints and body.joints[0].kind == "ball":
@@ -366,10 +293,8 @@ def _joints(
         is_last = position == len(body.joints) - 1
         below = parts.link_of(body) if is_last else f"{parts.joints[id(joint)]}_link"
         if not is_last:
-            moment = 0.4 * _LIGHT * _SMALL**2
-            links.append(urdf.Link(below, urdf.Inertial(_LIGHT, ixx=moment, iyy=moment, izz=moment)))
+            links.append(urdf.Link(below, _LIGHT))
         name = parts.joints[id(joint)]
-        built.joints[id(joint)] = name
         if abs(joint.position) > 1e-6:
             built.starts[name] = joint.position
         joints.append(_joint(name, joint, above, below, _at_zero(frame, joint)))
@@ -388,6 +313,7 @@ def _at_zero(frame: Frame, joint: Joint) -> Frame:
 
 def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
     low, high = _limits(joint)
+    x, y, z = joint.axis
     velocity = effort = None
     if joint.motor is not None:
         is_linear = joint.motor.type == "LinearMotor"
@@ -402,8 +328,8 @@ def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urd
         kind,
         above,
         below,
-        _pose(frame),
-        _axis(joint.axis),
+        pose_of(frame),
+        (_rounded(x), _rounded(y), _rounded(z)),
         limit,
         damping=joint.damping,
         friction=joint.friction,
@@ -430,12 +356,8 @@ def _link_frame(body: Body) -> Frame:
     return body.joints[0].anchor, frames.IDENTITY_ROTATION
 
 
-def _inverse(frame: Frame) -> Frame:
-    rotation = frames.inverse(frame[1])
-    return frames.rotate(rotation, frames.scaled(frame[0], -1.0)), rotation
-
-
-def _pose(frame: Frame) -> urdf.Pose:
+def pose_of(frame: Frame) -> urdf.Pose:
+    """Return a frame as a pose: m, and rad about fixed axes."""
     (x, y, z), rotation = frame
     roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
     return urdf.Pose(
@@ -443,21 +365,8 @@ def _pose(frame: Frame) -> urdf.Pose:
     )
 
 
-def _axis(axis: Triple) -> Triple:
-    return _rounded(axis[0]), _rounded(axis[1]), _rounded(axis[2])
-
-
 def _rounded(value: float) -> float:
     return round(value, _EXACT) + 0.0
-
-
-def pose_of(frame: Frame) -> urdf.Pose:
-    """Return a frame as a pose: m, and rad about fixed axes."""
-    return _pose(frame)
-
-
-def has_physics(body: Body) -> bool:
-    return child(body.node, "physics") is not None
 
 
 MAX_OBJECTS = 60
@@ -505,17 +414,13 @@ def plain(*values: float) -> str:
 # Arena and terrain
 
 
-def _proto_nodes(scene: Scene, kind: str) -> list[Node]:
-    return [node for node in walk(scene.nodes) if node.type == kind and node.body is not None]
-
-
 def _is_at_origin(node: Node) -> bool:
     return hypot(*vector(node, "translation")) < 1e-6 and abs(rotation(node, "rotation")[3]) > 1 - 1e-9
 
 
 def _arena(scene: Scene, result: Surroundings) -> set[Node]:
-    for node in _proto_nodes(scene, "RectangleArena"):
-        if not _is_at_origin(node):
+    for node in walk(scene.nodes):
+        if node.type != "RectangleArena" or node.body is None or not _is_at_origin(node):
             continue
         x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
         parts = [f"size: {plain(x, y)} m"]
@@ -547,8 +452,7 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
         parts = [
             f"type: heightfield, file: {file}, size: {plain(*shape.size)} m, height: {plain(high - low)} m"
         ]
-        friction = scene.contact(geometry.material, "default").friction
-        if friction != 1.0:
+        if (friction := _friction([geometry], scene)) is not None:
             parts.append(f"friction: {plain(friction)}")
         result.world.append(("terrain", f"{{{', '.join(parts)}}}"))
         return {body.node}
@@ -580,25 +484,25 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
             pose = pose_text(body.frame)
             result.objects[name] = f"{{shape: sphere, radius: 1 cm, solid: false, fixed: true, pose: {pose}}}"
         return
+    reason = ""
     if len(result.objects) + len(solid) > MAX_OBJECTS:
-        _leave_out(body, f"'{label}', because the world has more than {MAX_OBJECTS} objects", result)
-        return
-    if body.parent is not None or any(child.parent is body for child in scene.bodies):
-        _leave_out(body, f"'{label}', which has joints: write a robot file for it", result)
-        return
-    if body.is_free and len(solid) > 1:
-        _leave_out(body, f"'{label}', a body of {len(solid)} shapes: write a robot file for it", result)
+        reason = f", because the world has more than {MAX_OBJECTS} objects"
+    elif body.parent is not None or any(child.parent is body for child in scene.bodies):
+        reason = ", which has joints: write a robot file for it"
+    elif body.is_free and len(solid) > 1:
+        reason = f", a body of {len(solid)} shapes: write a robot file for it"
+    if reason:
+        result.left_out.append((body.node.span.location, f"'{label}'{reason}"))
         return
     for position, geometry in enumerate(solid):
         shape = _shape_text(geometry.shape)
         if shape is None:
-            _leave_out(body, f"the {geometry.shape.kind} of '{label}'", result)
+            result.left_out.append((body.node.span.location, f"the {geometry.shape.kind} of '{label}'"))
             continue
         parts = [shape]
         mass = geometry.mass + sum(inertia.mass for inertia in body.inertias)
         parts.append(f"mass: {plain(mass)} kg" if body.is_free and mass > 0 else "fixed: true")
-        friction = scene.contact(geometry.material, "default").friction
-        if friction != 1.0:
+        if (friction := _friction([geometry], scene)) is not None:
             parts.append(f"friction: {plain(friction)}")
         parts.append(f"pose: {pose_text(frames.compose(body.frame, geometry.frame))}")
         if color := _color_text(body, scene):
@@ -615,10 +519,6 @@ def _color_text(body: Body, scene: Scene) -> str:
         round(255 * min(max(channel, 0.0), 1.0)) for channel in color_of(visual.node, scene.files)[:3]
     )
     return "#" + "".join(f"{channel:02x}" for channel in channels)
-
-
-def _leave_out(body: Body, sentence: str, result: Surroundings) -> None:
-    result.left_out.append((body.node.span.location, sentence))
 
 
 def _is_ground(geometry: Geometry, body: Body) -> bool:

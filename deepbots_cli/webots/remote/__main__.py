@@ -8,10 +8,8 @@ import types
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from deepbots_cli.webots.remote.client import connect
+from deepbots_cli.webots.remote.client import connect, controller_module
 from deepbots_cli.webots.runner import describe, print_traceback
-
-SITE = Path(__file__).parent / "site"
 
 
 def main() -> None:
@@ -23,7 +21,8 @@ def main() -> None:
     ]
     # `python_environment` has set it for this process alone, not for those that the program starts.
     os.environ.pop("PYTHONSAFEPATH", None)
-    sys.path[:0] = [str(Path(program).parent), str(SITE), *packages]
+    sys.path[:0] = [str(Path(program).parent), *packages]
+    sys.modules["controller"] = controller_module()
     sys.argv = [program, *arguments]
     module = types.ModuleType("__main__")
     module.__file__ = program

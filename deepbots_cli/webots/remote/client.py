@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
+import types
 from multiprocessing.connection import Connection
 from typing import Any
 from weakref import WeakValueDictionary
 
-from deepbots_cli.webots import cameras, devices, joints, ranging, sensors, supervisor, tree
-from deepbots_cli.webots.device import Device
-from deepbots_cli.webots.remote.messages import (
+from deepbots_cli.webots import devices, imaging, sensors, supervisor, tree
+from deepbots_cli.webots.remote.server import (
     SUPERVISOR,
     Call,
     Create,
@@ -19,9 +19,9 @@ from deepbots_cli.webots.remote.messages import (
     Reference,
     replaced,
 )
-from deepbots_cli.webots.unimplemented import missing_attribute
+from deepbots_cli.webots.sensors import Device, missing_attribute, missing_name
 
-_MODULES = (cameras, devices, joints, ranging, sensors, supervisor, tree)
+_MODULES = (devices, imaging, sensors, supervisor, tree)
 
 
 class Session:
@@ -162,3 +162,11 @@ def _classes() -> dict[str, type]:
 
 CLASSES: dict[str, Any] = _classes()
 _CREATED = [CLASSES[name] for name in ("Robot", SUPERVISOR, "Keyboard")]
+
+
+def controller_module() -> types.ModuleType:
+    """Return Webots' module `controller`, whose classes ask the server."""
+    module = types.ModuleType("controller", "Webots' module `controller`, in the process of a controller.")
+    local = (tree.ContactPoint, imaging.LidarPoint, imaging.RadarTarget)
+    vars(module).update(CLASSES, __getattr__=missing_name, **{value.__name__: value for value in local})
+    return module

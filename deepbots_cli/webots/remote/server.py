@@ -1,4 +1,6 @@
-"""The side of the simulation: starts the processes of controllers, and answers their requests."""
+"""The messages between the process of a controller and the server, over a pipe, and the side of the
+simulation: it starts the processes of controllers, and answers their requests.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +8,10 @@ import os
 import subprocess
 import threading
 from multiprocessing.connection import Pipe
-from typing import IO, Any, Protocol
+from typing import IO, Any, NamedTuple, Protocol
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.webots.device import Device
-from deepbots_cli.webots.remote.messages import (
-    Call,
-    Create,
-    Exit,
-    Failed,
-    Raised,
-    Reference,
-    Result,
-    replaced,
-)
 from deepbots_cli.webots.runner import (
     CONTROLLER_ENVIRONMENT,
     GRACE_S,
@@ -29,13 +20,76 @@ from deepbots_cli.webots.runner import (
     Prefixed,
     Runner,
 )
+from deepbots_cli.webots.sensors import Device
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
 from deepbots_cli.webots.tree import Field, Node
+
+KEYBOARD, ROBOT, SUPERVISOR = "Keyboard", "Robot", "Supervisor"
+
+
+class Reference(NamedTuple):
+    """An object of the server: its number, and the name of its class."""
+
+    number: int
+    kind: str
+
+
+class Create(NamedTuple):
+    """Asks for a new Robot, Supervisor or Keyboard; answered by a `Result`."""
+
+    kind: str
+
+
+class Call(NamedTuple):
+    """Asks for a call of a method; `unused` are the numbers of objects that are not needed any more."""
+
+    number: int
+    method: str
+    arguments: tuple[Any, ...]
+    options: dict[str, Any]
+    unused: list[int]
+
+
+class Failed(NamedTuple):
+    """Says that the program ended with an exception."""
+
+    description: str
+
+
+class Result(NamedTuple):
+    """The answer to a request."""
+
+    value: Any
+
+
+class Raised(NamedTuple):
+    """The exception of a request."""
+
+    error: Exception
+
+
+class Exit(NamedTuple):
+    """Ends the program in place of an answer."""
+
+    code: int
+
+
+def replaced(value: Any, kind: type | tuple[type, ...], replace: Any) -> Any:
+    """Return a value with the objects of a type in it replaced, also those in lists and tuples."""
+    if isinstance(value, kind):
+        return replace(value)
+    if type(value) in (list, tuple):
+        return type(value)(replaced(item, kind, replace) for item in value)
+    return value
+
 
 _API = (Device, Field, Keyboard, Node, Robot)
 """The classes whose objects stay here; a process has a reference to each."""
 PACKAGES = "DEEPBOTS_CONTROLLER_PACKAGES"
 """The variable of the environment with further folders from which controllers import."""
+
+
+# The server
 
 
 class ProcessRunner(Runner):

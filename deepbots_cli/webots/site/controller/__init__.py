@@ -1,35 +1,36 @@
 """Webots' module `controller`, for worlds that deepbots runs."""
 
-from deepbots_cli.webots.cameras import Camera, RangeFinder
-from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.devices import (
     LED,
+    Brake,
     Connector,
     Display,
     Emitter,
     Microphone,
+    Motor,
     Pen,
+    PositionSensor,
     Receiver,
     Skin,
     Speaker,
     VacuumGripper,
 )
-from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
-from deepbots_cli.webots.ranging import Lidar, LidarPoint, Radar, RadarTarget
+from deepbots_cli.webots.imaging import Camera, Lidar, LidarPoint, Radar, RadarTarget, RangeFinder
 from deepbots_cli.webots.sensors import (
     GPS,
     Accelerometer,
     Altimeter,
     Compass,
+    Device,
     DistanceSensor,
     Gyro,
     InertialUnit,
     LightSensor,
     TouchSensor,
+    missing_name,
 )
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
 from deepbots_cli.webots.tree import ContactPoint, Field, Node
-from deepbots_cli.webots.unimplemented import MISSING_CLASSES
 
 __all__ = [
     "GPS",
@@ -69,8 +70,4 @@ __all__ = [
     "VacuumGripper",
 ]
 
-
-def __getattr__(name: str) -> object:
-    if name in MISSING_CLASSES:
-        raise ImportError(f"controller.{name} is not implemented")
-    raise AttributeError(f"module 'controller' has no attribute '{name}'")
+__getattr__ = missing_name
