@@ -140,12 +140,6 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
 
 
-def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
-    late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
-    once = cart_speeds(late, 8, FORWARD)
-    assert np.allclose(once, np.negative(cart_speeds(late, 8, BACKWARD)), atol=1e-6)
-
-
 def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device():
     plain = api.compile(RAIL).code
     assert 'self.drive_motor = engine.velocity_motor("cart", ("slider",), (10.0,))' in plain
@@ -340,17 +334,6 @@ def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():
         first, second = response.advance() or ()
         assert (first, second) == (pytest.approx(0.1 + k * 2.0 * SUBSTEP), 5.0)
     assert (response.advance() or (0.0,))[0] == pytest.approx(0.15)
-
-
-def test_after_a_reset_nothing_is_left_of_earlier_commands_and_new_figures_are_in_force():
-    response = Response(SUBSTEP, zero, delay=0.01, time_constant=0.1)
-    response.send([1.0])
-    followed_values(response, 10)
-    response.delay, response.time_constant = 0.0, 0.0
-    response.reset()
-    assert response.advance() is None
-    response.send([3.0])
-    assert response.advance() == [3.0]
 
 
 def test_figures_below_zero_count_as_zero():

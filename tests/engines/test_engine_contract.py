@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import random
 import struct
 from contextlib import closing
 from itertools import product
@@ -20,7 +19,6 @@ from deepbots_cli.diagnostics import Findings
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_ROTATION, quaternion
-from deepbots_cli.port import ZERO_VECTOR, Engine
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
@@ -346,86 +344,6 @@ def dog() -> RobotModel:
 def yard(dog: RobotModel) -> WorldModel:
     crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0.5, 0.05, 0.05)), 0.5)
     return WorldModel(0.02, 10, robots=(RobotBody("dog", dog, pose=Pose((0, 0, 0.32))),), objects=(crate,))
-
-
-def walk(engine: Engine, seed: int, ticks: int) -> bytes:
-    """A dog of drawn mass, friction and strength that treads at random and is pushed."""
-    rng = random.Random(seed)
-    if rng.random() < 0.7:
-        engine.set_parameter("mass", ("dog", ""), rng.uniform(3.0, 8.0))
-        engine.set_parameter("lateral_friction", ("dog", "FR_toe"), rng.uniform(0.3, 1.0))
-        engine.set_parameter("lateral_friction", ("ground", ""), rng.uniform(0.5, 1.0))
-        engine.set_parameter("joint_damping", ("dog", LEGS[1]), rng.uniform(0.0, 0.2))
-        engine.set_parameter("joint_friction", ("dog", LEGS[4]), rng.uniform(0.0, 0.2))
-        engine.set_parameter("gravity", (), 0.0, 0.0, rng.uniform(-12.0, -8.0))
-    engine.place(
-        "dog", (0, 0, 0.33), (0, 0, 0, 1), (rng.uniform(-0.3, 0.3), 0, 0), (0, 0, rng.uniform(-1, 1))
-    )
-    for joint, angle in zip(LEGS, STAND, strict=True):
-        engine.set_joint("dog", joint, angle + rng.uniform(-0.1, 0.1), 0.0)
-    stiff = [rng.uniform(60.0, 120.0)] * 12
-    aim = engine.position_motor("dog", LEGS, [rng.uniform(20.0, 33.5)] * 12, stiff, [2.0] * 12)
-    pose = engine.pose("dog")
-    velocity = engine.velocity("dog")
-    joints = engine.joint_states("dog", LEGS)
-    feet = [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")]
-    torques = engine.joint_torques("dog", LEGS)
-    crate = engine.pose("crate")
-    push = engine.pusher(("dog", None))
-    figures: list[float] = []
-    for tick in range(ticks):
-        if tick % 4 == 0:
-            aim([angle + rng.uniform(-0.4, 0.4) for angle in STAND])
-        if tick % 10 == 5:
-            push((rng.uniform(-300, 300), rng.uniform(-300, 300), 0.0), ZERO_VECTOR)
-        engine.step(10)
-        for part in (
-            *pose(),
-            *velocity(),
-            *crate(),
-            *(state[:2] for state in joints()),
-            torques(),
-            [foot() for foot in feet],
-        ):
-            figures += part
-    return struct.pack(f"{len(figures)}d", *figures)
-
-
-def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engine_name, dog, build):
-    """Masses, frictions, springs, contacts and their readings are all part of a snapshot."""
-    engine = build(engine_name, yard(dog))
-    if "snapshot" not in engine.capabilities:
-        pytest.skip("it has no snapshots")
-    walk(engine, seed=4, ticks=30)
-    readers = [
-        engine.pose("dog"),
-        engine.velocity("dog", "FR_toe"),
-        engine.pose("crate"),
-        engine.joint_torques("dog", LEGS),
-    ]
-    readers += [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")] + [
-        engine.contact_force(("ground", None)),
-        engine.contact_force_vector(("ground", None)),
-        engine.joint_wrench(("dog", "FR_toe")),
-    ]
-
-    def follow() -> list[object]:
-        readings = [read() for read in readers]
-        for _ in range(20):
-            engine.step(10)
-            readings += [read() for read in readers]
-        return readings
-
-    engine.step(10)  # from here on the readers above have looked
-    snapshot = engine.snapshot()
-    expected = follow()
-    for seed in (7, 8):
-        engine.restore(snapshot)
-        assert follow() == expected
-        engine.reset()
-        walk(engine, seed, ticks=9)
-    engine.restore(snapshot)
-    assert follow() == expected
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,5 @@
-"""Lint damaged files for as long as it takes: `make fuzz COUNT=500000`.
+"""Lint damaged files for as long as it takes, with other commands for a tenth of them and editors for a
+thousandth: `make fuzz COUNT=500000`.
 
     python -m tests.fuzz [--count 20000] [--start 0] [--keep FOLDER]
 
@@ -17,6 +18,7 @@ import time
 import traceback
 from pathlib import Path
 
+from tests.fuzz.beside import check, check_session
 from tests.fuzz.harness import allow, peak_memory, watch
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere
@@ -67,6 +69,10 @@ def block(bench: Workbench, start: int, end: int, keep: Path) -> int:
             gc.collect()  # what one look leaves behind is not part of the memory of the next
         try:
             findings = bench.examine(number)
+            if number % 10 == 0:
+                check(bench, number)
+            if number % 1_000 == 0:
+                check_session(bench.folder, number)
         except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for
             failed += 1
             tell(number, traceback.format_exc(), keep)

@@ -1,21 +1,10 @@
-"""What is not lint, upon damaged files: `fmt`, `diff`, and sessions of the language server. `make fuzz` runs
-this as well.
-
-    python -m tests.fuzz.beside [--count 1000] [--start 0]
-
-Each number is a damaged file, as for lint, and every hundredth a session with an editor as well.
-"""
+"""What is not lint, upon damaged files: `fmt`, `diff`, and sessions of the language server."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import random
-import sys
-import tempfile
-import time
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +17,6 @@ from tests.fuzz.mutations import CORPUS, PIECES, READS, Case, case, damaged
 from tests.fuzz.workbench import FailedError, Workbench, check_rules
 from tests.lsp.client import Client, edited
 
-SESSION = 100
-"""Files after which there is a session."""
 STEPS = 40
 ASKED = ("hover", "completion", "definition", "codeAction", "documentSymbol", "formatting")
 
@@ -156,29 +143,9 @@ def check(bench: Workbench, number: int) -> None:
         check_verbs(mutated)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.fuzz.beside", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--count", type=int, default=1000, help="files, by default 1000")
-    parser.add_argument("--start", type=int, default=0, help="the number of the first, by default 0")
-    options = parser.parse_args()
-    failed = 0
-    with tempfile.TemporaryDirectory() as name, Workbench(Path(name)) as bench:
-        for number in range(options.start, options.start + options.count):
-            try:
-                check(bench, number)
-                if number % SESSION == 0:
-                    with Client(Path(name)) as client:
-                        session(client, Path(name) / "tests" / "fuzz" / "seeds", random.Random(number))
-                    if (client.code, client.errors) != (0, ""):
-                        raise FailedError(f"the language server leaves with {client.code}: {client.errors}")
-            except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for
-                failed += 1
-                print(f"{number}: {traceback.format_exc()}", flush=True)
-    print(f"{options.count} files, {failed} failed, {time.process_time():.0f} s of CPU")
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def check_session(folder: Path, number: int) -> None:
+    """Hold the session of a number with the language server, which leaves in order."""
+    with Client(folder) as client:
+        session(client, folder / "tests" / "fuzz" / "seeds", random.Random(number))
+    if (client.code, client.errors) != (0, ""):
+        raise FailedError(f"the language server leaves with {client.code}: {client.errors}")

@@ -736,16 +736,3 @@ def test_a_start_may_be_required_to_have_a_way(make: Make) -> None:
     for _ in range(10):
         assert observation[1] == 1.0
         observation, _ = environment.reset()
-
-
-def test_an_episode_has_the_ways_of_its_own_world_whatever_the_one_before_had(
-    make: Make,
-) -> None:
-    """The wall is in one of three places; the field of an episode may only be kept for one that has it in the
-    same."""
-    draws = ("reset.place.wall={x: 0 m, y: choice(0 cm | 5 cm | 10 cm)}",)
-    environment = make(MAZE, *draws)
-    lengths = [path(environment.reset(seed=seed)[0]) for seed in range(12)]
-    assert len(set(lengths)) == 3
-    for seed in (0, 5, 11):
-        assert path(make(MAZE, *draws).reset(seed=seed)[0]) == lengths[seed]

@@ -31,8 +31,6 @@ from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, Mes
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import Streams, derive_seed
-from deepbots_cli.view.frames import FrameReader
-from tests.contract.rollout import as_bytes
 from tests.worlds import RAIL, Make
 
 NEARLY = 1e-6  # a motor of limited force leaves the speed so near to its target
@@ -59,11 +57,6 @@ def test_paper_timing_acts_one_step_late_and_what_the_robot_sends_is_one_step_ol
     sent, truth = rates(small(TIMED, "messages.timing=delayed"))
     assert truth == pytest.approx([0.0, *DRIVES[:4]], abs=NEARLY)
     assert sent == pytest.approx([0.0, 0.0, *DRIVES[:3]], abs=NEARLY)
-
-
-def test_paper_timing_does_not_grow_later_with_each_episode(small: Make) -> None:
-    environment = small(TIMED, "messages.timing=delayed")
-    assert [rates(environment) for _ in range(3)] == [rates(environment)] * 3
 
 
 # Endings and limits
@@ -413,13 +406,6 @@ def test_copies_record_the_draw_of_the_one_bar_that_acts_once(team: Supervisor) 
     )
 
 
-def test_drawn_values_of_copies_can_be_set(team: Supervisor) -> None:
-    for seed in range(5):
-        world, drawn = start(team, seed=seed)
-        assert start(team, seed=9, options=drawn) == (world, drawn)
-        assert episode(team, seed=9, options=drawn) == episode(team, seed=seed)
-
-
 def test_the_draw_of_one_copy_is_set(team: Supervisor) -> None:
     plain = team.reset(seed=1)[1]["drawn"]
     options = {"cart#2.reset.joints.cart.pole_hinge": 0.01}
@@ -483,36 +469,6 @@ def test_a_computed_draw_is_recorded_with_the_value_that_acts(env: Supervisor) -
 def test_a_component_is_set_alone(env: Supervisor) -> None:
     plain = env.reset(seed=3)[1]["drawn"]
     assert env.reset(seed=3, options={"mark.x": 0.5})[1]["drawn"] == plain | {"mark.x": 0.5}
-
-
-def start(env: Supervisor, **reset: Any) -> tuple[Any, dict[str, Any]]:
-    """The world after a reset, and the values that the reset drew."""
-    observation, info = env.reset(**reset)
-    frame = FrameReader(env).read(observation)
-    return (frame.links, frame.joints, frame.variants), info["drawn"]
-
-
-def episode(env: Supervisor, **reset: Any) -> list[bytes]:
-    """A reset and some steps with the same actions."""
-    observation, info = env.reset(**reset)
-    env.action_space.seed(3)
-    transitions = [(observation, 0.0, False, False, info)]
-    while len(transitions) < 15 and not (transitions[-1][2] or transitions[-1][3]):
-        transitions.append(env.step(env.action_space.sample()))
-    return [as_bytes(transition) for transition in transitions]
-
-
-def test_a_free_position_and_a_layout_are_set() -> None:
-    with closing(api.make("find_ball_random", overrides=["obstacles=1"])) as env:
-        drawn = env.reset(
-            seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3}
-        )[1]["drawn"]
-        assert (drawn["reset.layout"], drawn["reset.layouts.scattered.ball.x"]) == ("scattered", 0.3)
-        assert env.engine.pose("ball")()[0][0] == 0.3
-        with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread'; use one of 'scattered', 'paper'"):
-            env.reset(options={"reset.layout": "spread"})
-        with pytest.raises(UsageError, match=r"'reset\.layouts\.scattered\.ball\.x' to 7: it is drawn from"):
-            env.reset(options={"reset.layouts.scattered.ball.x": 7})
 
 
 def test_a_position_that_is_not_free_is_refused_by_name() -> None:

@@ -77,20 +77,6 @@ def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() ->
     assert readings == [(0, 0), (0, 0), (0, 0), (0, 0), (1, 2), (1, 2), (2, 4), (2, 4), (3, 6), (3, 6)]
 
 
-def test_a_reset_forgets_what_is_under_way() -> None:
-    sensor = device(NoiseModel(latency=5 * PERIOD), counting())
-    run(sensor, 4)
-    sensor.reset(Streams(7))
-    assert run(sensor, 5)[:5] == [5, 5, 5, 5, 5]
-
-
-def test_latency_may_differ_between_episodes() -> None:
-    sensor = device(NoiseModel(latency=0.05), counting())
-    sensor.vary("latency", (0.0,))
-    sensor.reset(Streams(7))
-    assert run(sensor, 3) == [1, 2, 3, 4]
-
-
 def test_steps_and_ends_of_the_range_are_exact() -> None:
     values = iter([0.0, 0.26, 0.24, 7.0, -7.0])
     sensor = device(NoiseModel(low=(-1.0,), high=(1.0,), resolution=(0.5,)), lambda: [next(values)])
@@ -145,15 +131,6 @@ def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> N
         for sensor in (plain, biased):
             sensor.vary("noise", (deviation,))
         assert [4.0 + noise for noise in run(plain, 50)[1:]] == pytest.approx(run(biased, 50)[1:], abs=1e-12)
-
-
-def test_the_same_seed_gives_the_same_noise_whatever_came_before() -> None:
-    sensor = device(NoiseModel(noise=(1.0,)), lambda: [0.0])
-    first = run(sensor, 300)
-    sensor.reset(Streams(7))
-    again = run(sensor, 300)
-    sensor.reset(Streams(8))
-    assert first == again != run(sensor, 300)
 
 
 def test_two_sensors_never_share_their_noise() -> None:
