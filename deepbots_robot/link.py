@@ -6,8 +6,9 @@ by the names of fields; `Intake` checks them. ZeroMQ and WebSocket have one mess
 moment, in JSON or MessagePack:
 
     {"robot": "cart", "stamp": 12.34, "fields": {"cart.pole_angle": [0.01]}}      from the robot: measurements
-    {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3 begins
-    {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its commands
+    {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3
+    begins {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its
+    commands
 
 A reset may have the description of the robot as `about`. The policy answers with a message of the same kind,
 so that each end can report misfits. No message of an end that does not fit is used. Values that the robot

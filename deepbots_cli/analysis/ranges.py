@@ -28,8 +28,8 @@ _MAX_CONDITIONS = 64
 _NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
 _BEYOND_LIMIT = (0.25, 0.05)
-"""How far a joint passes each of its limits at most, in rad or m. A limit is a spring in engines: a hip of the
-biped, which is limited to 0.5 rad, was at 0.64 rad in PyBullet when the robot fell."""
+"""How far a joint passes each of its limits at most, in rad or m. A limit is a spring in engines: a hip of
+the biped, which is limited to 0.5 rad, was at 0.64 rad in PyBullet when the robot fell."""
 _UNTOUCHED = {
     **dict.fromkeys(("contact", "collided", "contact_force", "contact_force_vector"), ZERO),  # also NEVER
     "clearance": iv.single(INF),

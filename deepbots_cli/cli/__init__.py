@@ -7,7 +7,8 @@ exits.py               exceptions to exit codes
 terminal.py            output, color, progress
 tables.py              tables as text
 records.py             results of trainings and evaluations as text, JSON and CSV; failed episodes
-written_files.py       the files that commands write: new ones, changes of the user's files, recordings of exploits
+written_files.py       the files that commands write: new ones, changes of the user's files, recordings of
+                       exploits
 explanations.py        the entries of `explain` about a word
 studies.py             the display and the table of a study of `tune`
 help/                  the text of `--help` of each command, without its options

@@ -1,5 +1,5 @@
-"""What the arguments of commands name: scenarios, folders of them, run directories, robot files, and the processes of
-`--workers` and `--cluster`."""
+"""What the arguments of commands name: scenarios, folders of them, run directories, robot files, and the
+processes of `--workers` and `--cluster`."""
 
 from __future__ import annotations
 

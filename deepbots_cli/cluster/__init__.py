@@ -1,7 +1,9 @@
 """Work on processes of this machine, or over a Ray cluster.
 
-session.py       the workers that the user requests; calls of a function, and the shards of a training, on them
-worker_pool.py   `WorkerPool`, the interface of both kinds of workers, and workers as processes of this machine
+session.py       the workers that the user requests; calls of a function, and the shards of a training, on
+                 them
+worker_pool.py   `WorkerPool`, the interface of both kinds of workers, and workers as processes of this
+                 machine
 worker.py        the side of a worker: its checks, a call, and the process
 ray_cluster.py   workers of a Ray cluster; only this module imports Ray
 

@@ -1,10 +1,10 @@
-"""The workers that the user requests, and what runs on them: calls of a function, and the shards of a training.
+"""The workers that the user requests, and what runs on them: calls of a function, and the shards of a
+training.
 
 The workers are some processes of this machine, or a Ray cluster that runs already.
-
-A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another worker
-from the end of the last fragment, and repeat the lost part of the present one with the same results. A node that
-joins later gets a worker with the next fragment.
+ A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another
+worker from the end of the last fragment, and repeat the lost part of the present one with the same results. A
+node that joins later gets a worker with the next fragment.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 registry.py  the catalog of rules: code, name, severity
 findings.py  Source, Span, Finding, Fix, Edit; `--select` and `--ignore`; comments that suppress warnings
-render.py    findings as text with source lines, as concise lines, as JSON; for GitHub, SARIF; JUnit XML, also of tests
+render.py    findings as text with source lines, as concise lines, as JSON; for GitHub, SARIF; JUnit XML, also
+             of tests
 nearest.py   "did you mean"; conditionals, absolute values and calls of other languages, rewritten
 """
 

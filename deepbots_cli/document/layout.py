@@ -1,5 +1,5 @@
-"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, and edits of a file that keep its other
-text: an entry removed, moved or set.
+"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, and edits of a file that keep
+its other text: an entry removed, moved or set.
 
 The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets
 the blanks within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays

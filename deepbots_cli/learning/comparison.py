@@ -144,9 +144,9 @@ class GroupDifference:
         first: Name of the first group.
         group: Name of the group.
         measure: The measure of the task; `verdict` is about it.
-        mean_return: The difference of the mean returns; None where the rewards of their trainings differ and no
-            scenario was named, or where they are evaluated in different scenarios whose returns do not mean
-            the same.
+        mean_return: The difference of the mean returns; None where the rewards of their trainings differ and
+            no scenario was named, or where they are evaluated in different scenarios whose returns do not
+            mean the same.
         success_rate: The difference of the success rates; None where a scenario defines no success, or where
             successes do not mean the same.
         between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single

@@ -176,8 +176,8 @@ class GroupReporter(Watcher):
 
 
 class GroupProgressReporter(GroupReporter):
-    """A bar for each training and one for all on a terminal, refreshed in place; elsewhere a line for each end,
-    and one every 30 s.
+    """A bar for each training and one for all on a terminal, refreshed in place; elsewhere a line for each
+    end, and one every 30 s.
 
     Args:
         group: The folder of the group.

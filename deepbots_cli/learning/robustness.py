@@ -265,8 +265,8 @@ def evaluate_robustness(
 
     Raises:
         RunError: The folder is not a run, is damaged, or does not match `scenario`.
-        UsageError: The scenario does not exist, defines no success for `min_success`, or nothing with the name
-            `mass_of` has a mass.
+        UsageError: The scenario does not exist, defines no success for `min_success`, or nothing with the
+            name `mass_of` has a mass.
     """
     ref = ModelRef.open(run, model=model)
     trained = ref.run

@@ -1,7 +1,8 @@
 """A language server for scenarios: `deepbots lsp`.
 
 server.py       request handlers, findings as diagnostics, background analysis, code actions and formatting
-workspace.py    open documents, their symbols, analyses and locations, and the view of the cursor that answers requests
+workspace.py    open documents, their symbols, analyses and locations, and the view of the cursor that answers
+                requests
 cursor.py       the path of the cursor in a text that may be broken YAML, and what the schema allows at a path
 hover.py        what is under the cursor: hover texts, definitions and uses
 completion.py   completion in keys, values, and texts of the expression language

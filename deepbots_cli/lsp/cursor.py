@@ -1,5 +1,5 @@
-"""The key or value at the cursor in the text of a scenario, which may be broken YAML during typing, and what the
-schema allows at its path.
+"""The key or value at the cursor in the text of a scenario, which may be broken YAML during typing, and what
+the schema allows at its path.
 
 The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner
 fails, the reader replaces one character and scans again. Brackets and blocks need not be closed.

@@ -133,8 +133,8 @@ class Checker:
         self._published: dict[str, _Published] = {}
 
     def put(self, document: Document) -> None:
-        """Take a version of a document, and analyze it soon. An included file is analyzed with the scenarios that
-        read it."""
+        """Take a version of a document, and analyze it soon. An included file is analyzed with the scenarios
+        that read it."""
         self._workspace.put(document)
         dependents = self._workspace.dependents(document)
         self.schedule(*([document.uri] if document.is_scenario or not dependents else []), *dependents)

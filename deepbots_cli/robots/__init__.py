@@ -7,7 +7,8 @@ build.py       the parts of a robot by their function: wheels, legs, arms, hands
 kinds.py       the kind of a robot, with its evidence
 elements.py    XML to elements with their position in the file; their numbers and vectors
 reader.py      elements to a checked model, every finding with its place
-xacro.py       xacro to plain elements, with includes and limits; xacro_expressions.py computes its expressions
+xacro.py       xacro to plain elements, with includes and limits; xacro_expressions.py computes its
+               expressions
 packages.py    the places of mesh files and robot files, and what may be read
 meshes.py      the contents of mesh files; how many times their triangles cover each other
 mesh_formats.py the triangles of COLLADA and glTF files, and their faults

@@ -1,6 +1,6 @@
 """The episodes in files: in recordings (MCAP), which `view.recordings` writes, with the scenario that they
-ran in; and in the log of a robot, which `deepbots serve --log` writes, with the bundle and the scenario of the
-policy that acted.
+ran in; and in the log of a robot, which `deepbots serve --log` writes, with the bundle and the scenario of
+the policy that acted.
 """
 
 from __future__ import annotations

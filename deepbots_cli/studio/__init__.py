@@ -7,11 +7,12 @@ language.py       findings, completion, hover and fixes of the open files; what 
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
 commands.py       the commands that the studio runs, as processes that survive the server
-trainings.py      what files say about trainings: curves and their charts, the time left, results, and what each run
-                  changed against the run before it
+trainings.py      what files say about trainings: curves and their charts, the time left, results, and what
+                  each run changed against the run before it
 page.py           the page: the text, and the parts around it
 layout.py         the areas of the page, the bars between them, the notices, and the outputs of commands
-dialogs.py        what a folder without a scenario can begin with; the dialogs for that and for two versions of a file
+dialogs.py        what a folder without a scenario can begin with; the dialogs for that and for two versions
+                  of a file
 editor.py         the text editor of the page, with `editor.js`, and the findings below it
 explain.py        explanations of words and findings, with links
 robot_pane.py     the robot on the page

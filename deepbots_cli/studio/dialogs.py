@@ -1,5 +1,5 @@
-"""What a new scenario begins with, the dialogs for it and for two versions of a file, and the control for a robot
-file.
+"""What a new scenario begins with, the dialogs for it and for two versions of a file, and the control for a
+robot file.
 
 The page shows the choices in a folder without a scenario, and after `New ...`.
 """

@@ -76,8 +76,8 @@ def edited(text: str, edits: Sequence[TextEdit]) -> str:
 
 
 def merged(base: str, typed: str, other: str) -> str:
-    """Return the text with both changes of `base`, by lines and, within lines that changed, by words. Where both
-    changed the same word, that of `typed` counts. Two insertions at one place are both kept.
+    """Return the text with both changes of `base`, by lines and, within lines that changed, by words. Where
+    both changed the same word, that of `typed` counts. Two insertions at one place are both kept.
     """
     if typed in (base, other):
         return other

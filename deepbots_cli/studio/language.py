@@ -1,4 +1,5 @@
-"""The language of scenarios in the editor: findings, completion, hover, fixes, and what a word of the text means.
+"""The language of scenarios in the editor: findings, completion, hover, fixes, and what a word of the text
+means.
 
 The functions are those of the language server. Positions count lines from 0 and columns in UTF-16 units, as
 they do in its protocol and in the editor of the page.

@@ -1,5 +1,5 @@
-"""What files say about trainings: their learning curves, as ECharts draws them, the time that is left, their results,
-and what each changed against the one before it."""
+"""What files say about trainings: their learning curves, as ECharts draws them, the time that is left, their
+results, and what each changed against the one before it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The choice of the player of a source; playing recordings, and running them again to compare; playing the log
-of a robot.
+"""The choice of the player of a source; playing recordings, and running them again to compare; playing the
+log of a robot.
 
 The joint positions and poses that a log reports move the model of the robot, and all reported values are
 plotted.

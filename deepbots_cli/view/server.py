@@ -2,17 +2,17 @@
 
     Host       must be the host and port of the server, so that no other site can reach it by another name
     Origin     must be this server, if a request has one
-    token      the first request sends it, and a cookie keeps it; it is required beyond loopback, and for a page
-               that writes files
-    site       browsers name the site that a request comes from; pages of other sites and ports, which the cookie
-               would follow within one site, may only link to this one
-    paths      `/` is the page, `/drive` takes keys, gamepads and whether the page is hidden; there are no files
-    messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a value
-               that a control does not offer is ignored
-
-The first four are the `Gate`, which the studio has too. viser has no place for such checks, so its websocket server
-is wrapped while a `ViserServer` is made, and `_check_updates` names private members of viser, as no other module
-does. `viser` is pinned to 1.1 for this, and a test looks for each member in the library.
+    token      the first request sends it, and a cookie keeps it; it is required beyond loopback, and for a
+               page that writes files
+    site       browsers name the site that a request comes from; pages of other sites and ports, which the
+               cookie would follow within one site, may only link to this one
+    paths      `/` is the page, `/drive` takes keys, gamepads and whether the page is hidden; there are no
+               files
+    messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a
+               value that a control does not offer is ignored
+ The first four are the `Gate`, which the studio has too. viser has no place for such checks, so its websocket
+server is wrapped while a `ViserServer` is made, and `_check_updates` names private members of viser, as no
+other module does. `viser` is pinned to 1.1 for this, and a test looks for each member in the library.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ class Gate:
 
 
 def safe_headers(ancestors: str = "'none'") -> dict[str, str]:
-    """Return the headers of a page that loads nothing from elsewhere; `ancestors` are the pages that may frame
-    it."""
+    """Return the headers of a page that loads nothing from elsewhere; `ancestors` are the pages that may
+    frame it."""
     policy = (
         "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
         f" data: blob:; frame-ancestors {ancestors}; form-action 'none'; base-uri 'none'"

@@ -74,8 +74,8 @@ class TrainingLog:
     `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
     several agents; `agent` is the one whose log this is, empty for one agent or all.
 
-    Who shows a log may set `solved_return`, the mean return with which the task is solved, and `planned_steps`, the
-    timesteps of the whole training while it runs.
+    Who shows a log may set `solved_return`, the mean return with which the task is solved, and
+    `planned_steps`, the timesteps of the whole training while it runs.
     """
 
     path: Path

@@ -339,7 +339,7 @@ SOURCES = [
         str(TESTS / "data" / "scenarios" / f"{name}.yaml")
         for name in ("drawn", "pair", "placed", "sensed", "drone")
     ),
-    *(str(TESTS / "channel" / f"{name}.yaml") for name in ("radio", "team")),
+    *(str(TESTS / "channel" / f"{name}.yaml") for name in ("radio", "copies")),
     str(TESTS / "placement" / "few.yaml"),
     str(TESTS / "world" / "hills.yaml"),
 ]

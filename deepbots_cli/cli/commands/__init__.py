@@ -175,8 +175,8 @@ BESIDE: Mapping[str, str] = {
 
 
 def function_name(name: str) -> tuple[str, str]:
-    """Return the names of the module and of the function of a command; the module of a keyword of Python, such
-    as `try`, ends with `_`."""
+    """Return the names of the module and of the function of a command; the module of a keyword of Python,
+    such as `try`, ends with `_`."""
     if name in BESIDE:
         return BESIDE[name], f"command_{name}"
     return f"{name}_" if iskeyword(name) else name, "command"

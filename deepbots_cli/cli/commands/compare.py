@@ -1,5 +1,6 @@
-"""`deepbots compare`: groups of runs, their differences from the first one, and matches of agents that compete;
-`diff`: the differences of two scenarios; `runs`: runs, groups and studies, and the evaluations of a run."""
+"""`deepbots compare`: groups of runs, their differences from the first one, and matches of agents that
+compete; `diff`: the differences of two scenarios; `runs`: runs, groups and studies, and the evaluations of a
+run."""
 
 from __future__ import annotations
 

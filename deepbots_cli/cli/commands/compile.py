@@ -1,5 +1,5 @@
-"""`deepbots compile`: the Python module of a scenario, or a project around it; `lsp`: the language server, or the JSON
-Schema of scenario files."""
+"""`deepbots compile`: the Python module of a scenario, or a project around it; `lsp`: the language server, or
+the JSON Schema of scenario files."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`deepbots export`: a policy for a robot, and whether it fits a scenario; `serve`: the policy acts for a robot, or a
-simulation stands in for the robot."""
+"""`deepbots export`: a policy for a robot, and whether it fits a scenario; `serve`: the policy acts for a
+robot, or a simulation stands in for the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`, with captions."""
+"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`, with
+captions."""
 
 from __future__ import annotations
 

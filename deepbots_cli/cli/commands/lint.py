@@ -1,4 +1,5 @@
-"""`deepbots lint`: findings of files, folders and standard input, and their fixes; `fmt`: the canonical layout."""
+"""`deepbots lint`: findings of files, folders and standard input, and their fixes; `fmt`: the canonical
+layout."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`deepbots render`: a picture, a video, an offline page or a recording, by the suffix of the file; `report`: a run or
-a group as one HTML file; `plot`: learning curves."""
+"""`deepbots render`: a picture, a video, an offline page or a recording, by the suffix of the file; `report`:
+a run or a group as one HTML file; `plot`: learning curves."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""`deepbots train` and `resume`: a run or a group, its page while it trains, the evaluation of its policies, causes,
-and the next commands; `tune`: a new study; `apply`: its best values, written into the scenario file."""
+"""`deepbots train` and `resume`: a run or a group, its page while it trains, the evaluation of its policies,
+causes, and the next commands; `tune`: a new study; `apply`: its best values, written into the scenario
+file."""
 
 from __future__ import annotations
 

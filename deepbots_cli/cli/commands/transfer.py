@@ -1,6 +1,6 @@
-"""`deepbots transfer`: whether a policy works in another engine or scenario, and the differences of the worlds;
-`robustness`: a policy under conditions that it was not trained for; `diagnose`: why a training does not learn, and why
-an episode ended."""
+"""`deepbots transfer`: whether a policy works in another engine or scenario, and the differences of the
+worlds; `robustness`: a policy under conditions that it was not trained for; `diagnose`: why a training does
+not learn, and why an episode ended."""
 
 from __future__ import annotations
 

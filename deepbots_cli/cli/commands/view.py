@@ -1,4 +1,5 @@
-"""`deepbots view`, `play` and `studio`: pages of a scene in the browser; `replay`: the content of a recording."""
+"""`deepbots view`, `play` and `studio`: pages of a scene in the browser; `replay`: the content of a
+recording."""
 
 from __future__ import annotations
 

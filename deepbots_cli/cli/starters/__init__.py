@@ -2,10 +2,11 @@
 task.
 
 for_robots/   one Jinja template per task; parts.yaml holds the parts that they share
-first_scenario.py  the task that suits the kind of a robot, and its template; wheels, propellers, and plain joints
+first_scenario.py  the task that suits the kind of a robot, and its template; wheels, propellers, and plain
+                   joints
 legs.py, arms.py   the groups, poses and motors of robots on legs, of arms and of hands
-draft.py      the groups, poses and motors of a robot; templates, numbers, names and comments; *.yaml and arm.urdf are
-              those of `deepbots new --template`
+draft.py      the groups, poses and motors of a robot; templates, numbers, names and comments; *.yaml and
+              arm.urdf are those of `deepbots new --template`
 webots.py     the scenario of a project of Webots, from its draft (`webots/imports`)
 """
 

@@ -30,10 +30,11 @@ from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.words import printable
 
 SKIPPED = "skipped"
-"""The key of `json_schema_extra` of a model with the keys of its object that it does not read, or None for all
-further keys."""
+"""The key of `json_schema_extra` of a model with the keys of its object that it does not read, or None for
+all further keys."""
 MAX_NUMBER = 1e100
-"""The limit of all floats, whose squares are still finite. Integers without limits of their own have 64 bits."""
+"""The limit of all floats, whose squares are still finite. Integers without limits of their own have 64
+bits."""
 _GROUPS, _BYTES_PER_GROUP = 200_000, 40
 _KEYS, _BYTES_PER_KEY = 150_000, 12
 """The limits of lists and objects, and of keys: so many, or one in so many bytes of a longer text. Each takes
