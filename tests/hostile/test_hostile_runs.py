@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "numbers",
     [
-        pytest.param(range(4, len(CHANGES), 6), id="some kinds"),
+        pytest.param(range(4, len(CHANGES), 12), id="some kinds"),
         *(
             pytest.param(range(at, at + 50), id=f"from {at}", marks=pytest.mark.slow)
             for at in range(0, 200, 50)
