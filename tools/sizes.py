@@ -114,7 +114,10 @@ def _git(*words: str) -> str:
 
 
 def main(roots: list[str]) -> int:
-    """Print a line for each package, or compare the packages with their budgets."""
+    """Print a line for each package or module, or compare the packages with their budgets."""
+    if "--help" in roots:
+        print(__doc__)
+        return 0
     if roots == ["--budget"]:
         texts = over_budget()
         print("\n".join(texts) or "no package is over its budget")
@@ -123,9 +126,9 @@ def main(roots: list[str]) -> int:
     print("package".ljust(16), *(name.rjust(14) for name in columns))
     for root in roots:
         total: Counter[str] = Counter()
-        for path in sorted(Path(root).rglob("*.py")):
+        for path in [Path(root)] if Path(root).is_file() else sorted(Path(root).rglob("*.py")):
             total += measured(path.read_text(encoding="utf-8"))
-        share = f"{total['comments'] / total['lines']:.2%}"
+        share = f"{total['comments'] / max(1, total['lines']):.2%}"
         print(root.ljust(16), *(str(total[name]).rjust(14) for name in columns[:-1]), share.rjust(14))
     return 0
 
