@@ -187,7 +187,6 @@ ERRORS = {
         r"latency to the robot \+64 ms",
     ),
     "friction": ("cartpole", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
-    "mass": ("cartpole", cart("links: {body: {mass: 2 * urdf}}"), "mass of cart.body x 2"),
     "sign of a motor": (
         "cartpole",
         cart("apply: {wheels: -1 * drive * wheel_speed}"),
