@@ -15,8 +15,8 @@ multi_agent.py  their programs as one, and their tests
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names none; the search of `tune`
-training.py     levels of the curriculum, and the mirror symmetry of a training
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
+training.py     a curriculum with levels, and the mirror symmetry of a training
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """

@@ -6,7 +6,7 @@ statements.py  sentences with their evidence: the form of every row in the two t
 episode.py     the table that explains an episode
 training.py    the evidence about a training: its logs and evaluations, and its short episodes
 scenario_facts.py  what a scenario has already, what lint says of it, and the command that trains it again
-diagnosis.py   the table of causes why a training does not learn, with causes in faults
+diagnosis.py   why a training does not learn: `CAUSES`, the table of all causes, and causes in faults
 rewards.py     causes in the reward
 stages.py      causes in stages, starts and missing success
 learner.py     causes in the learner, and the settings of a training that fell apart

@@ -1,8 +1,14 @@
 """The commands in the groups and the order of `deepbots --help`, and the line of each in the help.
 
-A command is the function `command` of the module with its name, or `command_NAME` in the module of another
-command (`BESIDE`). The module is imported when the command is called. The rest of its help is in
-`../help/NAME.txt`.
+A command is the function `command` of the module with its name. One with little code of its own is
+`command_NAME` in the module of another command (`BESIDE`):
+
+compare.py      diff, runs       lint.py      fmt          train.py      resume, tune, apply
+view.py         play, studio,    try_.py      test         transfer.py   robustness, diagnose
+                replay           new.py       scenarios    compile.py    lsp
+render.py       report, plot     export.py    serve        bench.py      doctor
+
+The module is imported when the command is called. The rest of its help is in `../help/NAME.txt`.
 """
 
 from __future__ import annotations
