@@ -135,6 +135,7 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
         "--check": "--output --last --to; writes nothing",
     },
     "lint": {
+        "--json": "--format",
         "--deep --exploits": "--fix --diff --unsafe-fixes; has findings without automatic fixes",
         "--set": "--fix --diff; changes no file",
         "--diff": "--format --json --statistics; prints changes instead of findings",

@@ -249,13 +249,21 @@ def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) 
     """
     written = read_json(path, RecordFormat, limit)
     if written.format != number:
-        same = "an earlier state of " * (written.deepbots == deepbots_cli.__version__)
+        same = "the state of " * (written.deepbots == deepbots_cli.__version__)
         version = f"{same}deepbots {written.deepbots}" if written.deepbots else "the version of deepbots"
         raise RunError(
             f"{path.parent} is a {noun} of format {written.format}, but this version of deepbots reads format"
             f" {number}; use {version} that wrote it"
         )
-    return read_json(path, model, limit)
+    try:
+        return read_json(path, model, limit)
+    except RunError as error:
+        if "Field required" in str(error):
+            error.add_note(
+                f"an earlier checkout of deepbots {written.deepbots}, which had no such entry, may have written it;"
+                " that checkout reads it"
+            )
+        raise
 
 
 def read_json(path: Path, model: type[M], limit: int) -> M:
