@@ -246,7 +246,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     assert report["cases"][0]["mean_return"] < report["mean_return"]
     assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
     assert (
-        deepbots("eval", "mine", "--case", "flat").err
+        deepbots("eval", "mine", "--case", "flat", code=2).err
         == "error: CartPole has no case 'flat'; there are: steep, there\n"
     )
     ran = json.loads(
@@ -820,7 +820,7 @@ def test_every_command_that_takes_a_policy_takes_a_checkpoint(
 
 @pytest.mark.slow
 def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, mine: Path) -> None:
-    report = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json").out)
+    report = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json", code=1).out)
     assert (report["nominal"]["model"], report["nominal"]["model_steps"]) == ("step-000000128", 128)
 
 
