@@ -151,7 +151,8 @@ class Process:
 
 def ending(code: int) -> str:
     """Return the name of the signal that ended a process, such as `SIGKILL`, or `exit code 1`."""
-    return signal.Signals(-code).name if -code in signal.valid_signals() else f"exit code {code}"
+    names = {number.value: number.name for number in signal.Signals}
+    return names.get(-code, f"signal {-code}" if code < 0 else f"exit code {code}")
 
 
 # Within such a process

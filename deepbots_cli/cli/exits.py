@@ -32,7 +32,7 @@ INTERNAL_ERROR = 3
 INTERRUPTED = 130
 """Ctrl-C or SIGTERM."""
 
-_DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def run_guarded(run: Callable[[], object]) -> int:

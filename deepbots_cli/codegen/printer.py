@@ -396,8 +396,14 @@ class _Loop:
     def items(self, body: Code, count: int) -> list[Code]:
         """Return the code of each item; nothing where a column has no items with a short code."""
         names = {variable: column for column, variable in self._columns.items()}
-        if '"' in body.text or not all(
-            column in self._literals or column.replace(".", "").isidentifier() for column in names.values()
+        # An inner comprehension has variables of its own, which may have the same names.
+        if (
+            '"' in body.text
+            or " for " in body.text
+            or not all(
+                column in self._literals or column.replace(".", "").isidentifier()
+                for column in names.values()
+            )
         ):
             return []
 

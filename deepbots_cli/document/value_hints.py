@@ -34,7 +34,7 @@ _YAML11 = {
 # Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24
 # characters is not a number.
 _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
-_GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
+_GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+(?:\.[0-9]+)?")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
 _RADIX = re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")

@@ -161,9 +161,12 @@ class Limb:
 def range_of(joint: Joint) -> tuple[float, float]:
     """Return the limits of a joint; of one without limits half a turn, or a meter, either way."""
     lower, upper = joint.limit.lower, joint.limit.upper
-    if joint.type == "continuous" or lower is None or upper is None:
-        return (-1.0, 1.0) if joint.type == "prismatic" else (-pi, pi)
-    return lower, upper
+    reach = 1.0 if joint.type == "prismatic" else pi
+    if joint.type == "continuous" or lower is upper is None:
+        return -reach, reach
+    low = min(-reach, (upper or 0.0) - reach) if lower is None else lower
+    high = max(reach, low + reach) if upper is None else upper
+    return low, high
 
 
 def neutral(joint: Joint, margin: float = 0.0) -> float:

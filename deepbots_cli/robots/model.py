@@ -515,9 +515,11 @@ def _joint(joint: Joint) -> Lines:
     ]
     limit = joint.limit
     if limit != Limit():
-        inside += _element(
-            "limit", lower=limit.lower, upper=limit.upper, velocity=limit.velocity, effort=limit.effort
-        )
+        lower, upper = limit.lower, limit.upper
+        if (lower is None) is not (upper is None):
+            # An absent bound is 0 in URDF.
+            lower, upper = -math.inf if lower is None else lower, math.inf if upper is None else upper
+        inside += _element("limit", lower=lower, upper=upper, velocity=limit.velocity, effort=limit.effort)
     if joint.damping or joint.friction:
         inside += _element("dynamics", damping=joint.damping, friction=joint.friction)
     if joint.mimic:
@@ -530,7 +532,7 @@ def _joint(joint: Joint) -> Lines:
 # Changes: an impossible one returns a sentence with the reason. The link or joint must exist: callers report
 # unknown names
 
-_ALIGNMENT_TOLERANCE = 1e-6
+_ALIGNMENT_TOLERANCE = 1e-4
 
 
 def with_link(model: RobotModel, link: Link) -> RobotModel:

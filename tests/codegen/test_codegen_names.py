@@ -319,6 +319,24 @@ def test_a_sum_over_three_memories_drives_a_motor(make: Make, function: str) -> 
     assert 2.4 * observation[0] == pytest.approx(0.1, abs=0.02)
 
 
+def test_a_sum_of_four_products_with_a_largest_value_is_that_of_its_items(tmp_path: Path) -> None:
+    (tmp_path / "four.yaml").write_text("""\
+deepbots: 1
+extends: cartpole
+name: Four
+robots: {cart: {sensors: {w: {type: joint_velocity, joints: [wheel_*]}}}}
+augment: {load: abs(cart.w)}
+reward:
+  inner: sum(load * max(load * load)) / (1 rad/s)^3
+  outer: sum(load) * max(load * load) / (1 rad/s)^3
+""")
+    with closing(api.make(tmp_path / "four.yaml")) as environment:
+        environment.reset(seed=0)
+        *_, info = environment.step(environment.action_space.sample())
+    assert info["reward_terms"]["inner"] == pytest.approx(info["reward_terms"]["outer"])
+    assert info["reward_terms"]["inner"] > 0
+
+
 def test_a_sum_over_three_memories_is_sent_to_a_robot(make: Make) -> None:
     aim = '    receive: {aim: "sum(running_max(vector(0 m, 0 m, time * 1 m/s)))"}\n    apply:'
     environment = make(CART.replace("    apply:", aim).replace("drive * 0.02 m/s", "aim / s") + ALIVE)

@@ -680,3 +680,14 @@ def test_a_checkpoint_with_worlds_that_the_training_lacks_is_damaged() -> None:
     state = {"ends": [], "first_step": 0, "recent": [1.0], "worlds": [7]}
     with pytest.raises(ValueError, match="do not fit a training with 2 worlds"):
         Curriculum(_staged(0.9, 2), worlds=2).restore(CurriculumState.model_validate(state), [0, 0])
+
+
+def test_a_rate_that_is_exactly_the_bar_meets_it():
+    """0.55 * 100 is more than 55 in floats."""
+    missed = [
+        (successes, episodes)
+        for episodes in (20, 25, 50, 100, 300)
+        for successes in range(1, episodes + 1)
+        if not stats.gate_rate(successes / episodes, successes, episodes, episodes).met
+    ]
+    assert missed == []

@@ -19,6 +19,7 @@ from deepbots_cli.robots.model import (
     Geometry,
     Inertial,
     Joint,
+    Limit,
     Link,
     Mesh,
     Pose,
@@ -313,3 +314,15 @@ def test_links_that_are_wrong_in_different_elements_have_a_finding_each() -> Non
 def test_an_inertia_is_compared_with_that_of_the_box() -> None:
     (finding,) = judged(with_masses(part(Box((0.3, 0.2, 0.1)), 3.0), 1.0, 1e6))
     assert "is about 1,000,000 times that of a box of this mass and size" in finding.headline
+
+
+# The text of a model
+
+
+@pytest.mark.parametrize("limit", [Limit(None, 0.1), Limit(-0.1, None), Limit(-0.1, 0.2), Limit(effort=3.0)])
+def test_a_joint_with_one_limit_is_read_back_with_that_limit(limit: Limit) -> None:
+    links = (Link("a"), Link("b", homogeneous_inertial(Box((1.0, 1.0, 1.0)), 1.0)))
+    model = RobotModel("r", links, (Joint("j", "prismatic", "a", "b", limit=limit),), "a")
+    robot = read_bytes(to_urdf(model).encode(), "robot.urdf", Findings(), resolve_mesh=Path)
+    assert robot is not None
+    assert robot.model.joints[0].limit == limit

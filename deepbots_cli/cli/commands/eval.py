@@ -132,8 +132,8 @@ def command(
         list[str] | None,
         option(
             "--engine NAME[,NAME]",
-            "Physics engine, by default that of the training; several, with commas between, are compared on"
-            " the same starts.",
+            "Physics engine, by default that of the training, or of `--scenario`; several, with commas between,"
+            " are compared on the same starts.",
             SCENARIO,
             callback=_engines,
         ),
@@ -322,7 +322,6 @@ def _evaluate_run(
             except KeyboardInterrupt:
                 if not evaluations:
                     raise
-                evaluations[-1] = replace(evaluations[-1], unfinished=(f"engine {name}",))
                 break
             evaluations.append(evaluation)
             result = evaluations[-1].result
@@ -333,6 +332,8 @@ def _evaluate_run(
             ]
             if evaluation.unfinished:
                 break
+    if missing := tuple(f"engine {name}" for name in request.engines[len(evaluations) :]):
+        evaluations[-1] = replace(evaluations[-1], unfinished=(*evaluations[-1].unfinished, *missing))
     if request.csv is not None:
         records.write_csv(
             request.csv, [result for evaluation in evaluations for result in evaluation.results]
@@ -770,9 +771,12 @@ class Gates:
         over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
         requirements = []
         if self.solved:
-            unsolved = [result.run.name for result in group.evaluations if not result.solved]
+            unsolved = [result.run.name for result in group.evaluations if result.solved is False]
+            unknown = [result.run.name for result in group.evaluations if result.solved is None]
             reason = f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed"
-            requirements.append(Requirement("the task is solved", not unsolved, reason))
+            if unknown and not unsolved:
+                reason = f"unknown for {', '.join(unknown)}, because the criterion needs more episodes"
+            requirements.append(Requirement("the task is solved", not unsolved and not unknown, reason))
         for name, required, mean in (
             ("success rate", self.min_success, group.success_rate),
             ("mean return", self.min_return, group.mean_return),

@@ -116,7 +116,8 @@ def command(
         return
     if overrides or allow_paths:
         raise UsageError(
-            "--set and --allow-path need --check SCENARIO; a run is always exported as it was trained"
+            "--set and --allow-path need --check SCENARIO or --to webots; a policy is always exported as it was"
+            " trained"
         )
     model = "last" if last else "best"
     if out is not None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import ceil, degrees, floor, radians
+from math import ceil, degrees, floor, inf, radians
 from pathlib import Path, PurePosixPath
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -158,9 +158,10 @@ def round_position(joint: Joint, value: float) -> float:
     """Round to whole degrees or millimeters within the limits of the joint. If no such value lies within
     them, return their middle."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
-    low, high = joint.limit.lower, joint.limit.upper
+    low = -inf if joint.limit.lower is None else joint.limit.lower
+    high = inf if joint.limit.upper is None else joint.limit.upper
     rounded = round(value / step) * step
-    if joint.type == "continuous" or low is None or high is None or low <= rounded <= high:
+    if joint.type == "continuous" or low <= rounded <= high:
         return rounded
     inside = ceil(low / step) * step if rounded < low else floor(high / step) * step
     return inside if low <= inside <= high else (low + high) / 2
@@ -220,7 +221,7 @@ def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: 
 
 def short_number(value: float) -> str:
     """Return three digits of a number."""
-    return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return f"{value + 0.0:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
 
 
 def aligned(line: str) -> str:

@@ -189,9 +189,10 @@ def gate_rate(required: float, successes: int, episodes: int, planned: int) -> V
     so_far = f"{successes} of {episodes} episodes succeed" + (
         f"; the remaining {left} cannot change the result" if left else ""
     )
-    if successes >= required * planned:
+    # A quotient is the number nearest to the rate, as `required` is; 0.55 * 100 is more than 55.
+    if successes / planned >= required:
         return Verdict(True, so_far)
-    if successes + left < required * planned:
+    if (successes + left) / planned < required:
         return Verdict(False, so_far)
     return Verdict(None, so_far)
 
