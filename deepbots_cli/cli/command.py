@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -202,6 +203,13 @@ def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) 
 def names(texts: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of an option that may be repeated; `none` alone stands for no name."""
     return () if texts is None or list(texts) == ["none"] else tuple(texts)
+
+
+def finite(value: float | None) -> float | None:
+    """Check a number, which may be absent, to be neither infinite nor NaN."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"'{value}' is not a finite number")
+    return value
 
 
 def fraction(text: str) -> float:

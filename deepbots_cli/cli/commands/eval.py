@@ -27,6 +27,7 @@ from deepbots_cli.cli.command import (
     Overrides,
     Workers,
     episodes_or_failed,
+    finite,
     fraction,
     integer,
     known_engine,
@@ -152,7 +153,12 @@ def command(
     ] = None,
     min_return: Annotated[
         float | None,
-        option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.", _REQUIREMENTS),
+        option(
+            "--min-return VALUE",
+            "Exit with 1 if the mean return is lower than VALUE.",
+            _REQUIREMENTS,
+            callback=finite,
+        ),
     ] = None,
     seed: Annotated[
         int | None,

@@ -27,6 +27,7 @@ from deepbots_cli.cli.command import (
     Overrides,
     Workers,
     episodes_or_failed,
+    finite,
     fraction,
     integer,
     known_engine,
@@ -95,7 +96,7 @@ def command(
         ),
     ] = None,
     min_return: Annotated[
-        float | None, option("--min-return VALUE", "Mean return required in both worlds.")
+        float | None, option("--min-return VALUE", "Mean return required in both worlds.", callback=finite)
     ] = None,
     episodes: Annotated[
         int | None, integer("--episodes N", "Episodes of each evaluation; by default 50.")
@@ -428,7 +429,7 @@ def command_robustness(
         ),
     ] = None,
     min_return: Annotated[
-        float | None, option("--min-return VALUE", "Mean return that the policy must reach.")
+        float | None, option("--min-return VALUE", "Mean return that the policy must reach.", callback=finite)
     ] = None,
     mass_of: Annotated[
         str | None,
