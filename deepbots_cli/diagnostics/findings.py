@@ -303,9 +303,9 @@ _COMMENT = re.compile(
 )
 # Possessive: a line of 1 MiB may hold thousands of comments.
 _BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
-_COMMENTS_TO_LINE_END = re.compile(
-    r"(?:(?!-->)[^\n])*+(?:-->(?:[ \t]|<!--(?:(?!-->)[^\n])*+-->)*+)?\r?$", re.MULTILINE
-)
+# No group is possessive: Python before 3.11.5 does not go back where one fails.
+_IN_COMMENT = r"[^\n-]*+(?:-(?!->)[^\n-]*+)*"
+_COMMENTS_TO_LINE_END = re.compile(rf"{_IN_COMMENT}(?:-->(?:[ \t]|<!--{_IN_COMMENT}-->)*)?\r?$", re.MULTILINE)
 _CODE = re.compile(r"[^\s,]+")
 _MAX_CODES = 1000
 """The maximum number of codes that are read in one file; a file of 1 MiB may have tens of thousands."""

@@ -127,10 +127,10 @@ MAX_NODES = 20_000
 OLDEST_RELEASE = (2022, "a")
 """The first release whose worlds have z upward, and cylinders along z."""
 
-# Possessive, so that a list of a million numbers or a string without an end costs linear time; Python before
-# 3.11.5 matches possessive groups of alternatives wrongly.
+# Possessive, so that a string without an end costs linear time. The group of all numbers is not: Python before
+# 3.11.5 does not go back where a possessive group fails. A million numbers take 0.14 s and 63 MB.
 _NUMBER = r"""[-+]?+(?=\.?+\d)\d*+\.?+\d*+(?:[eE][-+]?+\d++)?+(?![^\s,\[\]{}"\#])"""
-_NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})++")
+_NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})+")
 _TOKEN = re.compile(
     rf"""[\s,]*+(?:\#[^\n]*+[\s,]*+)*+  # white space, commas and comments
     (?:("[^"\\]*+(?:\\.[^"\\]*+)*+")  # 1: a string
