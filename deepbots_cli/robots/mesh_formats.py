@@ -503,8 +503,10 @@ def _triangles(document: dict[str, Any], buffer: bytes, primitive: dict[str, Any
     count = len(numbers) // 3
     if not math.isfinite(sum(numbers)):
         raise FaultyMeshError("the glTF file contains a vertex that is not finite")
-    given = primitive.get("indices")
-    indices = array("I", range(count)) if given is None else _accessor(document, buffer, given, 1, "BHI")
+    accessor = primitive.get("indices")
+    indices = (
+        array("I", range(count)) if accessor is None else _accessor(document, buffer, accessor, 1, "BHI")
+    )
     if len(indices) and max(indices) >= count:
         raise FaultyMeshError(
             f"a face of the glTF file has vertex {max(indices)}, but there are only {count}"
