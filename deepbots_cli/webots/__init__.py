@@ -17,7 +17,6 @@ devices.py        motors, brakes, position sensors, emitters, receivers; the cla
 tree.py           the classes Node and Field
 supervisor.py     the classes Robot, Supervisor and Keyboard
 runner.py         controllers as threads of one process, one at a time
-remote/           controllers as processes of their own
 viewer.py         a run in the browser
 site/             the folder with the module `controller`, on the path of controllers
 imports/          a project as a scenario: `deepbots new --webots`

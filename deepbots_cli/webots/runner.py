@@ -50,10 +50,6 @@ GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
 
 
-class ControllerError(Exception):
-    """The program of a controller failed in a process of its own."""
-
-
 @dataclass(eq=False)
 class Controller:
     """The program of a robot while it runs: when its step ends (ticks), and how it ended."""
@@ -164,7 +160,6 @@ class Runner:
         finally:  # also if the person at the keyboard ends the run
             self.is_over = True
             supervisor.deactivate()
-            self._finish()
         return self._outcome()
 
     def _begin(self) -> None:
@@ -177,9 +172,6 @@ class Runner:
             )
             controller.thread.start()
         self._give_turn(self.controllers[0])
-
-    def _finish(self) -> None:
-        """Do what the end of the run needs."""
 
     def _watch(self) -> None:
         """Wait for the end; a controller that does not step for too long ends the run."""
@@ -220,7 +212,7 @@ class Runner:
         # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, finder)
         name = self._speaker
-        streams = tuple(Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
+        streams = tuple(_Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
@@ -263,9 +255,8 @@ class Runner:
             controller.exit_code = _exit_code(error)
         except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
             controller.exit_code = 1
-            if not isinstance(error, ControllerError):
-                print_traceback(error, __file__)
-            self._problems.append(f"the controller of '{controller.name}' failed: {describe(error)}")
+            _print_traceback(error)
+            self._problems.append(f"the controller of '{controller.name}' failed: {_described(error)}")
             self.is_over = True
         controller.has_ended = True
         self._end(controller)
@@ -402,7 +393,7 @@ class _ProjectFinder:
         return None
 
 
-class Prefixed:
+class _Prefixed:
     """A stream that begins each line with the name of the robot whose controller prints."""
 
     encoding, errors = "utf-8", "replace"
@@ -468,19 +459,17 @@ def _exit_code(error: SystemExit) -> int:
     return 1
 
 
-def print_traceback(error: BaseException, file: str) -> None:
-    """Print a traceback without the frames of the file that ran the program."""
+def _print_traceback(error: BaseException) -> None:
+    """Print a traceback without the frames of this module, which ran the program."""
     trace = error.__traceback__
-    while trace is not None and trace.tb_frame.f_code.co_filename == file:
+    while trace is not None and trace.tb_frame.f_code.co_filename == __file__:
         trace = trace.tb_next
     sys.stderr.write("".join(traceback.format_exception(type(error), error, trace)))
 
 
-def describe(error: BaseException) -> str:
+def _described(error: BaseException) -> str:
     """Return the kind and the message of an error in a line."""
     message = " ".join(str(error).split())[:200]
-    if isinstance(error, ControllerError):
-        return message
     return f"{type(error).__name__}: {message}" if message else type(error).__name__
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import textwrap
@@ -158,19 +157,17 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
     ]
 
 
-SLOW = pytest.mark.slow
 ONE_STEP = "from controller import Robot\nRobot().step(32)\n"
 QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\nboss.simulationQuit(7)\nprint(boss.step(32))"
 
 
 @pytest.mark.parametrize(
-    ("cart", "boss", "options", "code", "line", "error"),
+    ("cart", "boss", "code", "line", "error"),
     [
-        pytest.param(CART, QUITS, "", 7, "[boss] -1", "", id="a supervisor quits"),
+        pytest.param(CART, QUITS, 7, "[boss] -1", "", id="a supervisor quits"),
         pytest.param(
             CART.replace("emitter.send(", "emitter.sned("),
             BOSS,
-            "",
             1,
             "",
             "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'",
@@ -179,86 +176,39 @@ QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\n
         pytest.param(
             CART,
             "from controller import Mouse",
-            "",
             1,
             "",
             "ImportError: controller.Mouse is not implemented",
             id="a class that is missing",
         ),
-        pytest.param(
-            f"{ONE_STEP}raise SystemExit(5)", BOSS, "", 5, "[boss] 3 []", "", id="an exit code is kept"
-        ),
+        pytest.param(f"{ONE_STEP}raise SystemExit(5)", BOSS, 5, "[boss] 3 []", "", id="an exit code is kept"),
         pytest.param(
             "print('done', end='')",
             BOSS,
-            "",
             0,
             "[cart] done",
             "the controller of 'cart' ended; the others go on",
             id="an early end",
         ),
-        pytest.param(
-            f"{ONE_STEP}import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
-            BOSS,
-            "--processes",
-            1,
-            "",
-            "its process was ended by signal 9",
-            id="process: signal",
-        ),
-        pytest.param(
-            f"{ONE_STEP}raise ValueError('no')",
-            BOSS,
-            "--processes",
-            1,
-            "",
-            "error: the controller of 'cart' failed: ValueError: no",
-            id="process: error",
-            marks=SLOW,
-        ),
-        pytest.param(
-            f"{ONE_STEP}raise SystemExit(5)", BOSS, "--processes", 5, "", "", id="process: exit", marks=SLOW
-        ),
-        pytest.param(
-            f"{ONE_STEP}import os; os._exit(6)",
-            BOSS,
-            "--processes",
-            6,
-            "",
-            "",
-            id="process: hard exit",
-            marks=SLOW,
-        ),
-        pytest.param(
-            f"{ONE_STEP}while True: pass",
-            BOSS,
-            "--processes --timeout 1",
-            1,
-            "",
-            "error: the controller of 'cart' made no step for 1 s",
-            id="process: endless",
-            marks=SLOW,
-        ),
     ],
 )
 def test_the_end_of_a_controller_is_reported(
-    project: Project, cart: str, boss: str, options: str, code: int, line: str, error: str
+    project: Project, cart: str, boss: str, code: int, line: str, error: str
 ):
     project.controller("cart", cart)
     project.controller("boss", boss)
-    ran = project.run(*options.split(), code=code)
+    ran = project.run(code=code)
     assert line in ran.out
     assert error in ran.err
-    assert not re.search(r"runner\.py|client\.py", ran.err)
+    assert "runner.py" not in ran.err
 
 
-@pytest.mark.parametrize("options", [[], pytest.param(["--processes"], marks=SLOW)])
-def test_a_controller_that_ignores_the_end_is_ended(project: Project, options: list[str]):
+def test_a_controller_that_ignores_the_end_is_ended(project: Project):
     project.controller("cart", CART)
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
-    ran = project.run("--steps", "50", "--json", *options)
+    ran = project.run("--steps", "50", "--json")
     result = json.loads(ran.out)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
     assert [row["robot"] for row in result["controllers"]] == ["boss", "cart"]
@@ -348,25 +298,6 @@ def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: 
             check_world(project.folder / path)
 
 
-@pytest.mark.slow
-def test_ctrl_c_ends_the_processes_of_controllers(project: Project):
-    project.controller("cart", CART)
-    project.controller("boss", "print('begins', flush=True)\nwhile True: pass")
-    with project.start("--processes") as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "[boss] begins\n"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
-    assert not [line for line in command_lines() if str(project.folder) in line]
-
-
-def command_lines() -> list[str]:
-    """The command lines of all processes."""
-    return subprocess.run(
-        ["ps", "-eo", "args"], capture_output=True, text=True, check=True
-    ).stdout.splitlines()
-
-
 def test_a_world_with_errors_runs_nothing(project: Project):
     project.write("worlds/w.wbt", HEADER + WORLD + "\nRobt { }")
     ran = project.run(code=1)
@@ -385,19 +316,7 @@ def test_the_packages_of_another_environment_are_found(project: Project):
     assert project.run("--python", sys.executable).out.splitlines()[0] == "[boss] ok"
 
 
-# A process per controller
-
-
-@pytest.mark.slow
-def test_processes_run_the_same_simulation(project: Project):
-    project.controller("cart", CART)
-    project.controller("boss", BOSS)
-    ran = project.run("--processes")
-    assert sorted(ran.out.splitlines()) == sorted(project.run().out.splitlines())
-    assert "4 steps, 0.128 s" in ran.err
-
-
-def test_a_process_uses_the_whole_interface(project: Project):
+def test_a_controller_uses_the_whole_interface(project: Project):
     project.write(
         "worlds/w.wbt",
         HEADER
@@ -432,7 +351,7 @@ def test_a_process_uses_the_whole_interface(project: Project):
                 print(type(error).__name__, error)
         """,
     )
-    ran = project.run("--processes")
+    ran = project.run()
     assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
         "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
         "True True",
@@ -442,26 +361,6 @@ def test_a_process_uses_the_whole_interface(project: Project):
         "AttributeError 'Emitter' has no attribute 'sned'; did you mean 'send'?",
         "NotImplementedCallError Field.setSFFloat of Robot.translation is not implemented",
     ]
-
-
-@pytest.mark.slow
-def test_processes_share_nothing(project: Project):
-    for name in ("boss", "cart"):
-        project.controller(
-            name,
-            f"""
-            import random, sys
-            from controller import Supervisor, Robot
-            robot = {"Supervisor" if name == "boss" else "Robot"}()
-            random.seed(3)
-            sys.shared = "{name}"
-            robot.step(32)
-            print(random.random(), sys.shared)
-            """,
-        )
-    first, second = sorted(project.run("--processes").out.splitlines())
-    assert (first.split()[0], first.split()[2], second.split()[2]) == ("[boss]", "boss", "cart")
-    assert first.split()[1] == second.split()[1]
 
 
 # Videos and keys

@@ -374,10 +374,9 @@ def ended(process: subprocess.Popen[str]) -> Iterator[None]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [[], ["--processes"]])
-def test_a_run_with_a_page_is_the_same_run(project: Path, options: list[str]):
+def test_a_run_with_a_page_is_the_same_run(project: Path):
     plain, seen = (
-        _start(project, 60, "--fast", *options, *more).communicate(timeout=120)
+        _start(project, 60, "--fast", *more).communicate(timeout=120)
         for more in ([], ["--view", "--port", "0"])
     )
     assert seen[0] == plain[0]
@@ -394,9 +393,8 @@ def test_a_port_needs_the_page(project: Path, deepbots):
 
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
-@pytest.mark.parametrize("options", [[], ["--processes"]])
-def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path, options: list[str]):
-    process = _start(project, 100_000, "--view", "--port", "0", *options)
+def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path):
+    process = _start(project, 100_000, "--view", "--port", "0")
     assert process.stderr is not None
 
     def press(key: str, code: str, modifiers: int = 0, *, down: bool = True) -> None:

@@ -81,13 +81,6 @@ def command(
             " version as this one.",
         ),
     ] = None,
-    processes: Annotated[
-        bool,
-        option(
-            "--processes",
-            "Run each controller in a process of its own, with modules and random numbers of its own.",
-        ),
-    ] = False,
     record: Annotated[
         Path | None,
         option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
@@ -121,11 +114,9 @@ def command(
         if not allow_code:
             _show_robots(opened, as_json=as_json)
             return
-        if processes and os.name == "nt":
-            raise UsageError("--processes is not available on Windows; leave it out")
         page = _Page(host, port, open_) if view else None
         is_fast = not view if fast is None else fast
-        options = _Options(steps, timeout, python, record, force, page, is_fast, processes, as_json)
+        options = _Options(steps, timeout, python, record, force, page, is_fast, as_json)
         _run(world, protos or (), opened, options)
     except WorldError as error:
         for finding in error.findings:
@@ -239,7 +230,6 @@ class _Options:
     force: bool
     page: _Page | None
     is_fast: bool
-    processes: bool
     as_json: bool
 
 
@@ -278,7 +268,6 @@ def _run_once(
     viewer: Viewer | None,
 ) -> tuple[Outcome, float]:
     """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_cli.webots.remote.server import ProcessRunner
     from deepbots_cli.webots.rendering import VideoRecorder
     from deepbots_cli.webots.runner import Runner, packages_of
 
@@ -287,7 +276,7 @@ def _run_once(
         if options.record is not None:
             video = VideoRecorder(simulation, options.record.resolve(), force=options.force)
             recorder = stack.enter_context(video)
-        runner = (ProcessRunner if options.processes else Runner)(
+        runner = Runner(
             simulation,
             programs,
             steps=options.steps,
