@@ -2,7 +2,8 @@
 
 syntax.py         a `.wbt` or `.proto` file as a tree of nodes with their places; findings about files
 nodes.py          the node types of Webots (`nodes.txt`), and the values of fields
-protos.py         PROTO nodes: their definitions, the nodes that they stand for, equivalents of Webots' own
+protos.py         PROTO nodes: their definitions, and the nodes that they stand for
+library/          equivalents of PROTOs of Webots: an interface, and a body that is a template
 project.py        the files of a project: worlds, controllers, PROTOs
 scene.py          bodies, joints, geometries and devices
 scene_builder.py  the tree as a scene
