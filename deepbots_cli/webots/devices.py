@@ -28,6 +28,8 @@ from deepbots_cli.webots.sensors import (
     ScalarSensor,
     Sensor,
     TouchSensor,
+    returns,
+    returns_number,
 )
 
 if TYPE_CHECKING:
@@ -168,35 +170,19 @@ class Motor(JointDevice):
         self._state.gains = float(p), float(i), float(d)
         self._state.integral = self._state.last_error = 0.0
 
-    def getTargetPosition(self) -> float:
-        return self._state.target_position
+    getTargetPosition = returns("_state.target_position")
+    getVelocity = returns("_state.target_velocity")
+    getMaxVelocity = returns("_state.max_velocity")
+    getAcceleration = returns("_state.acceleration")
+    getMinPosition = returns_number("minPosition")
+    getMaxPosition = returns_number("maxPosition")
 
-    def getVelocity(self) -> float:
-        return self._state.target_velocity
-
-    def getMaxVelocity(self) -> float:
-        return self._state.max_velocity
-
-    def getAcceleration(self) -> float:
-        return self._state.acceleration
-
-    def getMinPosition(self) -> float:
-        return self._range[0]
-
-    def getMaxPosition(self) -> float:
-        return self._range[1]
-
-    def getAvailableTorque(self) -> float:
-        return self._state.available_torque
-
-    def getMaxTorque(self) -> float:
-        return self._state.max_torque
-
+    getAvailableTorque = returns("_state.available_torque")
+    getMaxTorque = returns("_state.max_torque")
     getAvailableForce = getAvailableTorque
     getMaxForce = getMaxTorque
 
-    def getMultiplier(self) -> float:
-        return number(self._spec.node, "multiplier")
+    getMultiplier = returns_number("multiplier")
 
     def enableTorqueFeedback(self, samplingPeriod: int) -> None:
         self._feedback.enable(samplingPeriod)
@@ -204,12 +190,8 @@ class Motor(JointDevice):
     def disableTorqueFeedback(self) -> None:
         self._feedback.disable()
 
-    def getTorqueFeedback(self) -> float:
-        return self._feedback.getValue()
-
-    def getTorqueFeedbackSamplingPeriod(self) -> int:
-        return self._feedback.getSamplingPeriod()
-
+    getTorqueFeedback = returns("_feedback._value")
+    getTorqueFeedbackSamplingPeriod = returns("_feedback._asked")
     enableForceFeedback = enableTorqueFeedback
     disableForceFeedback = disableTorqueFeedback
     getForceFeedback = getTorqueFeedback
@@ -244,8 +226,7 @@ class Emitter(Device):
         self._simulation.send(self._spec, data, self._channel, self._range)
         return 1
 
-    def getChannel(self) -> int:
-        return self._channel
+    getChannel = returns("_channel")
 
     def setChannel(self, channel: int) -> None:
         allowed = numbers(self._spec.node, "allowedChannels")
@@ -254,8 +235,7 @@ class Emitter(Device):
             return
         self._channel = int(channel)
 
-    def getRange(self) -> float:
-        return self._range
+    getRange = returns("_range")
 
     def setRange(self, range: float) -> None:
         most = number(self._spec.node, "maxRange")
@@ -264,8 +244,7 @@ class Emitter(Device):
             range = most
         self._range = float(range)
 
-    def getBufferSize(self) -> int:
-        return self._size
+    getBufferSize = returns("_size")
 
 
 class Receiver(Sensor):
@@ -329,8 +308,7 @@ class Receiver(Sensor):
     def getEmitterDirection(self) -> list[float]:
         return list(self._head("getEmitterDirection").direction())
 
-    def getChannel(self) -> int:
-        return self._inbox.channel
+    getChannel = returns("_inbox.channel")
 
     def setChannel(self, channel: int) -> None:
         self._inbox.channel = int(channel)
@@ -346,8 +324,7 @@ class LED(Device):
     def set(self, value: int) -> None:
         self._value = int(value)
 
-    def get(self) -> int:
-        return self._value
+    get = returns("_value")
 
 
 class Display(Device):

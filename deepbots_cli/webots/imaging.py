@@ -12,7 +12,13 @@ from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.webots.nodes import boolean, child, integer, number, text
 from deepbots_cli.webots.scene import AXES
-from deepbots_cli.webots.sensors import NotImplementedCallError, Sensor
+from deepbots_cli.webots.sensors import (
+    NotImplementedCallError,
+    Sensor,
+    returns,
+    returns_list,
+    returns_number,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,11 +33,8 @@ if TYPE_CHECKING:
 class _HasRange(Sensor):
     """A device that measures distances within a range, m."""
 
-    def getMinRange(self) -> float:
-        return number(self._spec.node, "minRange")
-
-    def getMaxRange(self) -> float:
-        return number(self._spec.node, "maxRange")
+    getMinRange = returns_number("minRange")
+    getMaxRange = returns_number("maxRange")
 
 
 class _Optics(Sensor):
@@ -67,8 +70,7 @@ class _Optics(Sensor):
     def _pictures(self) -> Pictures:
         return self._simulation.pictures
 
-    def getFov(self) -> float:
-        return self._fov
+    getFov = returns("_fov")
 
     def getWidth(self) -> int:
         return self._size[0]
@@ -248,7 +250,6 @@ class Lidar(_HasRange):
         )
         self._fov, self._high = number(node, "fieldOfView"), number(node, "verticalFieldOfView")
         self._rotates = text(node, "type") == "rotating"
-        self._frequencies = number(node, "minFrequency"), number(node, "maxFrequency")
         self._frequency = number(node, "defaultFrequency")
         self._image = [0.0 if self._rotates else nan] * (self._columns * self._layers)
         self._times = [0.0] * self._columns
@@ -303,8 +304,7 @@ class Lidar(_HasRange):
             self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
             self._times[columns[at]] = now
 
-    def getRangeImage(self) -> list[float]:
-        return list(self._image)
+    getRangeImage = returns_list("_image")
 
     def getLayerRangeImage(self, layer: int) -> list[float]:
         return self._image[layer * self._columns : (layer + 1) * self._columns]
@@ -318,8 +318,7 @@ class Lidar(_HasRange):
     def disablePointCloud(self) -> None:
         self._has_points = False
 
-    def isPointCloudEnabled(self) -> bool:
-        return self._has_points
+    isPointCloudEnabled = returns("_has_points")
 
     def getPointCloud(self) -> list[LidarPoint]:
         """Return the points in the frame of the sensor, in the order of the range image."""
@@ -337,33 +336,23 @@ class Lidar(_HasRange):
     def getNumberOfPoints(self) -> int:
         return self._columns * self._layers
 
-    def getHorizontalResolution(self) -> int:
-        return self._columns
-
-    def getNumberOfLayers(self) -> int:
-        return self._layers
-
-    def getFov(self) -> float:
-        return self._fov
-
-    def getVerticalFov(self) -> float:
-        return self._high
+    getHorizontalResolution = returns("_columns")
+    getNumberOfLayers = returns("_layers")
+    getFov = returns("_fov")
+    getVerticalFov = returns("_high")
 
     def getFrequency(self) -> float:
         """Return the rotations of the head per second."""
         return self._frequency
 
     def setFrequency(self, frequency: float) -> None:
-        low, high = self._frequencies
+        low, high = self.getMinFrequency(), self.getMaxFrequency()
         if not low <= frequency <= high:
             self._warn(f"the frequency {frequency:g} Hz is outside {low:g} .. {high:g}, and is limited")
         self._frequency = min(max(float(frequency), low), high)
 
-    def getMinFrequency(self) -> float:
-        return self._frequencies[0]
-
-    def getMaxFrequency(self) -> float:
-        return self._frequencies[1]
+    getMinFrequency = returns_number("minFrequency")
+    getMaxFrequency = returns_number("maxFrequency")
 
 
 LIGHT_SPEED = 299_792_458.0
@@ -396,17 +385,13 @@ class Radar(_HasRange):
         self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
         """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
 
-    def getHorizontalFov(self) -> float:
-        return number(self._spec.node, "horizontalFieldOfView")
-
-    def getVerticalFov(self) -> float:
-        return number(self._spec.node, "verticalFieldOfView")
+    getHorizontalFov = returns_number("horizontalFieldOfView")
+    getVerticalFov = returns_number("verticalFieldOfView")
 
     def getNumberOfTargets(self) -> int:
         return len(self._targets)
 
-    def getTargets(self) -> list[RadarTarget]:
-        return list(self._targets)
+    getTargets = returns_list("_targets")
 
     def forget(self) -> None:
         self._targets = []

@@ -7,9 +7,10 @@ links before it checks this.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
@@ -24,6 +25,9 @@ from deepbots_cli.webots.syntax import (
     WorldSyntaxError,
     parse,
 )
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.scene import Robot
 
 _LIBRARY_FOLDER = "projects/"
 """The folder of Webots with its PROTOs; addresses of its library contain it."""
@@ -147,11 +151,11 @@ def world_of_source(source: Source, path: Path, files: Files) -> World:
 
 @dataclass(frozen=True)
 class Program:
-    """The program of a robot: the file to run, or why there is none."""
+    """The program of a robot: the file to run, or else the remark says why there is none."""
 
     name: str
     path: Path | None
-    problem: str = ""
+    remark: str = ""
 
 
 _COMPILED = {
@@ -165,10 +169,26 @@ _COMPILED = {
 }
 
 
-def controller(files: Files, name: str) -> Program | None:
-    """Return the program of a controller; None for a robot without one."""
-    if name in ("", "<none>", "void"):
-        return None
+def programs(files: Files, robots: Sequence[Robot]) -> Iterator[tuple[Robot, Program]]:
+    """Yield the robots of a world that have a controller, with their programs. A controller `<extern>` is the
+    only one of the project that no robot names."""
+    named = {robot.controller for robot in robots}
+    unnamed = [
+        path.stem
+        for path in files.project.glob("controllers/*/*.py")
+        if path.stem == path.parent.name and path.stem not in named
+    ]
+    for robot in robots:
+        name = robot.controller
+        if name == "<extern>" and len(unnamed) == 1:
+            extern = _program(files, unnamed[0])
+            remark = extern.remark or f"is controllers/{unnamed[0]}, the only one that no robot names"
+            yield robot, Program(name, extern.path, remark)
+        elif name not in ("", "<none>", "void"):
+            yield robot, _program(files, name)
+
+
+def _program(files: Files, name: str) -> Program:
     if name == "<extern>":
         return Program(name, None, "is started by hand (<extern>), which deepbots cannot wait for")
     if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import sys
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from abc import ABCMeta, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import nan
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
@@ -75,11 +76,10 @@ def missing_name(name: str) -> object:
     """Raise the error for a name that the module `controller` does not have.
 
     Raises:
-        ImportError: Webots has the name.
-        AttributeError: It does not.
+        AttributeError: As always; a `NotImplementedCallError` if Webots has the name.
     """
     if name in MISSING_CLASSES:
-        raise ImportError(f"controller.{name} is not implemented")
+        raise NotImplementedCallError(f"controller.{name} is not implemented")
     raise AttributeError(f"module 'controller' has no attribute '{name}'")
 
 
@@ -97,7 +97,37 @@ def missing_attribute(owner: type, name: str) -> AttributeError:
 # What devices share
 
 
-class Device:
+def returns(attribute: str) -> Callable[[Any], Any]:
+    """Return a method that returns an attribute of its object, such as `_state.acceleration`."""
+    read = attrgetter(attribute)
+    return lambda instance: read(instance)
+
+
+def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
+    """Return a method that returns a list of the items of an attribute."""
+    return lambda instance: list(getattr(instance, attribute))
+
+
+def returns_number(field: str) -> Callable[[Any], float]:
+    """Return a method of a device that returns a number of its node."""
+    return lambda device: number(device._spec.node, field)
+
+
+class _NamedDevices(ABCMeta):
+    """Returns a device of the robot for its name, such as `GPS("gps")`, enabled if a period follows."""
+
+    def __call__(cls, simulation: Any, *arguments: Any) -> Any:
+        if not isinstance(simulation, str):
+            return super().__call__(simulation, *arguments)
+        from deepbots_cli.webots.supervisor import Robot
+
+        device = Robot().getDevice(simulation)
+        if device is not None and arguments:
+            device.enable(*arguments)
+        return device
+
+
+class Device(metaclass=_NamedDevices):
     """A device of a robot."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
@@ -109,8 +139,7 @@ class Device:
     def renew(self) -> None:
         """Read the fields of the node again, after a supervisor set one."""
 
-    def getName(self) -> str:
-        return self._spec.name
+    getName = returns("_spec.name")
 
     def getModel(self) -> str:
         return text(self._spec.node, "model") if "model" in parameters(self._spec.node) else ""
@@ -130,16 +159,16 @@ class Device:
         return round(value / resolution) * resolution if resolution > 0 else value
 
 
-class Sensor(Device, ABC):
-    """A device that measures once in each sampling period (ms)."""
+class Sampled:
+    """What measures once in each sampling period, ms, from the end of the first one on."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self.period = self.due = self._asked = 0
+    _simulation: Simulation
+    period: int = 0
+    """The sampling period in whole basic time steps; `due` is the time of the next measurement."""
+    due: int = 0
+    _asked: int = 0
 
     def enable(self, samplingPeriod: int) -> None:
-        if samplingPeriod <= 0:
-            raise ValueError(f"enable() of '{self._spec.name}': the sampling period must be positive")
         self._asked = int(samplingPeriod)
         self._begin()
         self._simulation.enable(self, self._asked)
@@ -148,8 +177,7 @@ class Sensor(Device, ABC):
         self._asked = 0
         self._simulation.disable(self)
 
-    def getSamplingPeriod(self) -> int:
-        return self._asked
+    getSamplingPeriod = returns("_asked")
 
     def _begin(self) -> None:
         """Prepare the first measurement."""
@@ -162,6 +190,15 @@ class Sensor(Device, ABC):
         """Discard the state from before a reset of the world."""
 
 
+class Sensor(Device, Sampled):
+    """A device that measures once in each sampling period."""
+
+    def enable(self, samplingPeriod: int) -> None:
+        if samplingPeriod <= 0:
+            raise ValueError(f"enable() of '{self._spec.name}': the sampling period must be positive")
+        super().enable(samplingPeriod)
+
+
 class ScalarSensor(Sensor):
     """A sensor of one number."""
 
@@ -169,8 +206,7 @@ class ScalarSensor(Sensor):
         super().__init__(simulation, spec)
         self._value = nan
 
-    def getValue(self) -> float:
-        return self._value
+    getValue = returns("_value")
 
 
 class HasLookupTable(Sensor):
@@ -192,8 +228,7 @@ class VectorSensor(HasLookupTable):
         self._values: Triple = (nan, nan, nan)
         self._axes = tuple(boolean(spec.node, f"{axis}Axis") for axis in "xyz")
 
-    def getValues(self) -> list[float]:
-        return list(self._values)
+    getValues = returns_list("_values")
 
     @abstractmethod
     def _measure(self) -> Triple:
@@ -283,15 +318,13 @@ class InertialUnit(Sensor):
         self._angles: Triple = (nan, nan, nan)
         self._turned = (nan, nan, nan, nan)
 
-    def getRollPitchYaw(self) -> list[float]:
-        return list(self._angles)
+    getRollPitchYaw = returns_list("_angles")
 
     def getQuaternion(self) -> list[float]:
         """Return the quaternion x, y, z, w."""
         return list(self._turned)
 
-    def getNoise(self) -> float:
-        return number(self._spec.node, "noise")
+    getNoise = returns_number("noise")
 
     def sample(self) -> None:
         rotation = self._frame()[1]
@@ -314,14 +347,12 @@ class GPS(Sensor):
         self._values: Triple = (nan, nan, nan)
         self._speed: Triple = (nan, nan, nan)
 
-    def getValues(self) -> list[float]:
-        return list(self._values)
+    getValues = returns_list("_values")
 
     def getSpeed(self) -> float:
         return math.hypot(*self._speed)
 
-    def getSpeedVector(self) -> list[float]:
-        return list(self._speed)
+    getSpeedVector = returns_list("_speed")
 
     def getCoordinateSystem(self) -> int:
         return self.LOCAL
@@ -376,8 +407,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
     def getMinValue(self) -> float:
         return min((row[1] for row in self._table), default=nan)
 
-    def getAperture(self) -> float:
-        return number(self._spec.node, "aperture")
+    getAperture = returns_number("aperture")
 
     def sample(self) -> None:
         if not self._table:
@@ -422,11 +452,8 @@ class TouchSensor(Sensor):
     def getType(self) -> int:
         return {"force": 1, "force-3d": 2}.get(self._type, 0)
 
-    def getValue(self) -> float:
-        return self._value
-
-    def getValues(self) -> list[float]:
-        return list(self._values)
+    getValue = returns("_value")
+    getValues = returns_list("_values")
 
     def sample(self) -> None:
         physics, node = self._simulation.physics, self._spec.node

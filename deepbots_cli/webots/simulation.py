@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import cos, hypot, inf, pi
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.webots.nodes import integer, number, text
@@ -30,23 +30,8 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.webots.rendering import Pictures
     from deepbots_cli.webots.scene import Device, Robot, Scene
-
-
-class DeviceObject(Protocol):
-    """What a controller got for a device."""
-
-    def renew(self) -> None: ...
-
-
-class Sampled(Protocol):
-    """A device that measures once in each sampling period."""
-
-    period: int
-    due: int
-
-    def sample(self) -> None: ...
-
-    def forget(self) -> None: ...
+    from deepbots_cli.webots.sensors import Device as DeviceObject
+    from deepbots_cli.webots.sensors import Sampled
 
 
 @dataclass(eq=False)

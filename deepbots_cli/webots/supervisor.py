@@ -9,7 +9,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.nodes import text, texts, walk
 from deepbots_cli.webots.scene import DEVICES
-from deepbots_cli.webots.sensors import missing_attribute
+from deepbots_cli.webots.sensors import Sampled, missing_attribute, returns
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.tree import Node, number_of
 
@@ -65,23 +65,17 @@ class Robot:
         """Return the simulated time, s."""
         return self._webots_simulation.time / 1000
 
-    def getName(self) -> str:
-        return self._webots_robot.name
+    getName = returns("_webots_robot.name")
+    getControllerName = returns("_webots_robot.controller")
+    getSupervisor = returns("_webots_robot.is_supervisor")
+    getMode = returns("MODE_SIMULATION")
+    getKeyboard = returns("keyboard")
 
     def getModel(self) -> str:
         return text(self._webots_robot.node, "model")
 
-    def getMode(self) -> int:
-        return self.MODE_SIMULATION
-
-    def getSupervisor(self) -> bool:
-        return self._webots_robot.is_supervisor
-
     def getSynchronization(self) -> bool:
         return True
-
-    def getControllerName(self) -> str:
-        return self._webots_robot.controller
 
     def getControllerArguments(self) -> str:
         return " ".join(texts(self._webots_robot.node, "controllerArgs"))
@@ -112,9 +106,6 @@ class Robot:
 
     def getDeviceByIndex(self, index: int) -> Any:
         return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
-
-    def getKeyboard(self) -> Keyboard:
-        return self.keyboard
 
 
 _LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])
@@ -182,8 +173,7 @@ class Supervisor(Robot):
         """End the simulation in the next step, with an exit code."""
         self._webots_simulation.quit_status = int(status)
 
-    def simulationGetMode(self) -> int:
-        return self.SIMULATION_MODE_FAST
+    simulationGetMode = returns("SIMULATION_MODE_FAST")
 
     def simulationSetMode(self, mode: int) -> None:
         """Do nothing: the world runs as fast as it can."""
@@ -197,7 +187,7 @@ def _public(nodes: list[Written]) -> list[Written]:
     return [node for node in walk(nodes) if not node.is_internal]
 
 
-class Keyboard:
+class Keyboard(Sampled):
     """The keyboard: the keys that a person holds on the page of `--view`."""
 
     END, HOME, LEFT, UP, RIGHT, DOWN = 312, 313, 314, 315, 316, 317
@@ -206,35 +196,27 @@ class Keyboard:
     KEY, SHIFT, CONTROL, ALT = 0x0000FFFF, 0x00010000, 0x00020000, 0x00040000
 
     def __init__(self) -> None:
-        self._simulation = _ACTIVE[0] if _ACTIVE else None
-        self.period = self.due = self._asked = 0
+        self._simulation = _active()
         self._codes: list[int] = []
 
     def enable(self, samplingPeriod: int) -> None:
-        """Read the keys once in each period, in ms."""
-        simulation, before = self._simulation, self._asked
+        """Read the keys once in each period, in ms; 0 disables."""
+        before = self._asked
         self.disable()
-        self._asked = max(0, int(samplingPeriod))
-        if self._asked and simulation is not None and simulation.held_keys is not None:
-            simulation.enable(self, self._asked)
-        elif self._asked and not before:
+        if samplingPeriod <= 0:
+            return
+        super().enable(samplingPeriod)
+        if self._simulation.held_keys is None and not before:
             print(f"Warning: {_NO_KEYS}", file=sys.stderr)
 
     def disable(self) -> None:
-        self._asked, self._codes = 0, []
-        if self._simulation is not None:
-            self._simulation.disable(self)
-
-    def getSamplingPeriod(self) -> int:
-        return self._asked
+        self._codes = []
+        super().disable()
 
     def sample(self) -> None:
         """Read the keys that are held now."""
-        if self._simulation is not None and self._simulation.held_keys is not None:
-            self._codes = list(self._simulation.held_keys())
-
-    def forget(self) -> None:
-        """Do nothing: a reset of the world releases no key."""
+        held = self._simulation.held_keys
+        self._codes = [] if held is None else list(held())
 
     def getKey(self) -> int:
         """Return the code of the next key of those that were held at the last reading, -1 after the last."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
 from deepbots_cli.webots.scene import AXES
-from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute
+from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute, returns
 from deepbots_cli.webots.shapes import compose, inverse
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.syntax import Value
@@ -59,14 +60,9 @@ class Node(_NodeTypes):
     def getId(self) -> int:
         return number_of(self._simulation, self._node)
 
-    def getDef(self) -> str:
-        return self._node.name
-
-    def getTypeName(self) -> str:
-        return self._node.type
-
-    def getBaseTypeName(self) -> str:
-        return self._real.type
+    getDef = returns("_node.name")
+    getTypeName = returns("_node.type")
+    getBaseTypeName = returns("_real.type")
 
     def getType(self) -> int:
         """Return the number of the type, such as `Node.ROBOT`; `Node.NO_NODE` for a type without a number."""
@@ -190,7 +186,7 @@ class Node(_NodeTypes):
         for first, second, point, _ in physics.contacts():
             for geom in (first, second):
                 if physics.geoms[geom][1].owner in owners:
-                    points.append(ContactPoint(point, number_of(self._simulation, self._node)))
+                    points.append(ContactPoint(list(point), number_of(self._simulation, self._node)))
         return points
 
     def _owners(self, *, include: bool) -> set[Written]:
@@ -224,17 +220,14 @@ _TYPE_NUMBERS = {
 }
 
 
+@dataclass
 class ContactPoint:
     """A contact: its point in the world (m) and the id of its node."""
 
-    def __init__(self, point: Triple, node_id: int) -> None:
-        self.point, self.node_id = list(point), node_id
-
-    def getPoint(self) -> list[float]:
-        return self.point
-
-    def getNodeId(self) -> int:
-        return self.node_id
+    point: list[float]
+    node_id: int
+    getPoint = returns("point")
+    getNodeId = returns("node_id")
 
 
 class Field:
@@ -258,8 +251,7 @@ class Field:
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
 
-    def getName(self) -> str:
-        return self._name
+    getName = returns("_name")
 
     def getTypeName(self) -> str:
         owner = self._node if self._name in parameters(self._node) else self._real
@@ -315,12 +307,11 @@ class Field:
         frame = self._local_frame() if self._name == "translation" else None
         return self._numbers()[:3] if frame is None else list(frame[0])
 
+    getSFColor = getSFVec3f
+
     def getSFRotation(self) -> list[float]:
         frame = self._local_frame() if self._name == "rotation" else None
         return self._numbers()[:4] if frame is None else axis_angle(frame[1])
-
-    def getSFColor(self) -> list[float]:
-        return self._numbers()[:3]
 
     def getSFNode(self) -> Node | None:
         item = next(iter(self._items()), None)
@@ -353,8 +344,7 @@ class Field:
     def getMFVec3f(self, index: int) -> list[float]:
         return self._numbers()[3 * index : 3 * index + 3]
 
-    def getMFColor(self, index: int) -> list[float]:
-        return self._numbers()[3 * index : 3 * index + 3]
+    getMFColor = getMFVec3f
 
     def getMFRotation(self, index: int) -> list[float]:
         return self._numbers()[4 * index : 4 * index + 4]

@@ -16,6 +16,7 @@ import pytest
 from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
+from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.rendering import VideoRecorder
 from deepbots_cli.webots.supervisor import Keyboard
 from tests.webots.exported_projects import HEADER, ROOT, simulate
@@ -178,7 +179,7 @@ QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\n
             "from controller import Mouse",
             1,
             "",
-            "ImportError: controller.Mouse is not implemented",
+            "ImportError: cannot import name 'Mouse' from 'controller'",
             id="a class that is missing",
         ),
         pytest.param(f"{ONE_STEP}raise SystemExit(5)", BOSS, 5, "[boss] 3 []", "", id="an exit code is kept"),
@@ -329,7 +330,8 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         "boss",
         """
         import os
-        from controller import Camera, Device, Emitter, Field, Keyboard, Motor, Node, Supervisor
+        import controller
+        from controller import Camera, Device, Emitter, Field, Keyboard, Motor, Node, Receiver, Supervisor
 
         class Boss(Supervisor):
             def step(self, period=32):
@@ -342,6 +344,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         boss.step()
         print(cart.getPosition(), place.getSFVec3f(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
         print(isinstance(boss.getEmitter("emitter"), Emitter), isinstance(boss.getDevice("emitter"), Device))
+        print(Emitter("emitter") is boss.getDevice("emitter"), Receiver("receiver", 64).getSamplingPeriod(), hasattr(controller, "Motion"))
         print(cart.getPose(cart)[3], Field.SF_FLOAT, Motor.LINEAR, boss.getDevice("nothing"), boss.keyboard.getKey())
         print(Camera.imageGetRed(bytes([1, 2, 3, 4]), 1, 0, 0), Keyboard().getSamplingPeriod(), os.path.basename(os.getcwd()))
         for wrong in ("boss.setMode", "boss.getDevice('emitter').sned", "place.setSFFloat(1)"):
@@ -355,6 +358,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
     assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
         "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
         "True True",
+        "True 64 False",
         "0.0 3 1 None -1",
         "3 0 boss",
         "NotImplementedCallError Robot.setMode is not implemented",
@@ -367,7 +371,9 @@ def test_a_controller_uses_the_whole_interface(project: Project):
 
 
 def test_a_keyboard_says_that_it_has_no_keys(capsys):
+    supervisor.activate(simulate("Solid { }"))
     keyboard = Keyboard()
+    supervisor.deactivate()
     keyboard.enable(32)
     keyboard.enable(64)
     assert (

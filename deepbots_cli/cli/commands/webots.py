@@ -164,14 +164,13 @@ def _read(path: Path, protos: Sequence[Path]) -> _Opened:
 
 
 def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
-    from deepbots_cli.webots.project import controller
+    from deepbots_cli.webots.project import programs
 
-    pairs = [(robot, controller(world.files, robot.controller)) for robot in scene.robots]
-    programs = [(robot, program) for robot, program in pairs if program is not None]
-    for robot, program in programs:
-        if program.problem:
-            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.problem}")
-    return programs
+    pairs = list(programs(world.files, scene.robots))
+    for robot, program in pairs:
+        if program.remark:
+            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.remark}")
+    return pairs
 
 
 def _show_robots(opened: _Opened, *, as_json: bool) -> None:

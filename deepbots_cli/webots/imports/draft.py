@@ -32,7 +32,7 @@ from deepbots_cli.webots.imports.world import (
     surroundings,
 )
 from deepbots_cli.webots.nodes import integer, number, real, text, vectors, walk
-from deepbots_cli.webots.project import controller, read_world
+from deepbots_cli.webots.project import programs, read_world
 from deepbots_cli.webots.scene_builder import build_scene
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     scene = build_scene(world)
     world.findings.require_none()
     roots = _roots(scene)
-    modules = {robot.index: _modules(world, robot) for robot in scene.robots}
+    modules = _modules(world, scene)
     texts = texts_of([module for each in modules.values() for module in each])
     acting, judge, has_messages = _roles(scene, roots, modules)
     if not acting:
@@ -230,16 +230,17 @@ def _roots(scene: Scene) -> dict[int, Body]:
     return roots
 
 
-def _modules(world: World, robot: Robot) -> list[Module]:
-    program = controller(world.files, robot.controller)
-    if program is None:
-        return []
-    if program.path is None:
-        world.findings.warning(
-            robot.node.span, f"the controller '{program.name}' of '{robot.name}' {program.problem}"
-        )
-        return []
-    return read_modules(world.files, program.path, robot.node.span, world.findings)
+def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:
+    """Return the Python files of the controllers by the index of the robot."""
+    modules: dict[int, list[Module]] = {robot.index: [] for robot in scene.robots}
+    for robot, program in programs(world.files, scene.robots):
+        span = robot.node.span
+        if program.remark:
+            text = f"the controller '{program.name}' of '{robot.name}' {program.remark}"
+            world.findings.warning(span, text)
+        if program.path is not None:
+            modules[robot.index] = read_modules(world.files, program.path, span, world.findings)
+    return modules
 
 
 def _roles(
