@@ -28,7 +28,7 @@ from deepbots_cli.webots.model import ModelBuilder
 from deepbots_cli.webots.nodes import number, numbers
 from deepbots_cli.webots.scene import ORIGIN
 from deepbots_cli.webots.shapes import compose
-from deepbots_cli.webots.syntax import WorldError, WorldFinding
+from deepbots_cli.webots.syntax import WorldError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -264,7 +264,7 @@ class Physics:
             self.model = model = builder.compile()
         except ValueError as error:
             message = " ".join(str(error).split())[:200]
-            raise WorldError([WorldFinding("error", span, f"MuJoCo refuses the world: {message}")]) from error
+            raise WorldError.at(span, f"MuJoCo refuses the world: {message}") from error
         self.data = mj.MjData(model)
         self.bodies = [int(element.id) for element in builder.bodies]
         self.geoms = builder.geometries_by_id()

@@ -20,9 +20,7 @@ from deepbots_cli.webots.protos import Expander, Scope
 from deepbots_cli.webots.syntax import (
     MAX_BYTES,
     Node,
-    WorldError,
     WorldFindings,
-    WorldSyntaxError,
     parse,
 )
 
@@ -140,11 +138,8 @@ def world_of_source(source: Source, path: Path, files: Files) -> World:
         WorldError: The text is not a world; has the finding.
     """
     findings = WorldFindings()
-    try:
-        document = parse(source)
-        Expander(files, findings).expand(document.nodes, Scope.of_document(document))
-    except WorldSyntaxError as error:
-        raise WorldError([error.finding]) from error
+    document = parse(source)
+    Expander(files, findings).expand(document.nodes, Scope.of_document(document))
     check(document.nodes, findings)
     return World(path, files, document.nodes, findings, Span(source, 0, 0))
 

@@ -29,7 +29,7 @@ from deepbots_cli.webots.syntax import (
     Parameter,
     Proto,
     Value,
-    WorldSyntaxError,
+    WorldError,
     did_you_mean,
     parse,
     parse_interface,
@@ -198,7 +198,7 @@ class Expander:
         often as USE and IS repeat it.
 
         Raises:
-            WorldSyntaxError: The world has too many nodes, or too many levels of them.
+            WorldError: The world has too many nodes, or too many levels of them.
         """
         count = 0
         for node in nodes:
@@ -287,9 +287,7 @@ class Expander:
     def _add_length(self, length: int, span: Span) -> None:
         self._length += length
         if self._length > MAX_PROTO_BYTES:
-            raise WorldSyntaxError(
-                span, f"the PROTOs of the world are larger than {MAX_PROTO_BYTES >> 20} MiB"
-            )
+            raise WorldError.at(span, f"the PROTOs of the world are larger than {MAX_PROTO_BYTES >> 20} MiB")
 
     def _check_fields(self, node: Node, proto: Proto) -> None:
         for name, value in list(node.fields.items()):  # a copy: fields are deleted on the way
@@ -361,15 +359,15 @@ def _check_extent(node: Node, extent: Extent, level: int) -> None:
     """Check the limits of a world for a node at a level.
 
     Raises:
-        WorldSyntaxError: The node stands for too many nodes or levels.
+        WorldError: The node stands for too many nodes or levels.
     """
     if extent.nodes > MAX_NODES:
-        raise WorldSyntaxError(
+        raise WorldError.at(
             node.span,
             f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it",
         )
     if level + extent.levels > MAX_LEVELS:
-        raise WorldSyntaxError(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
+        raise WorldError.at(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
 
 
 def _empty(node: Node) -> None:

@@ -35,7 +35,7 @@ from deepbots_cli.webots.scene import (
     Visual,
 )
 from deepbots_cli.webots.shapes import compose, shape_of
-from deepbots_cli.webots.syntax import WorldError, WorldFinding
+from deepbots_cli.webots.syntax import WorldError
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
@@ -424,7 +424,7 @@ if TYPE_CHECKING:
 
 
 def _too_many(node: Node, limit: str) -> WorldError:
-    return WorldError([WorldFinding("error", node.span, f"the world has more than {limit}")])
+    return WorldError.at(node.span, f"the world has more than {limit}")
 
 
 def _frame_of(node: Node) -> Frame:

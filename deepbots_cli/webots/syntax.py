@@ -6,7 +6,7 @@ The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` wit
 them types. Nothing is evaluated: a PROTO whose body is a template with code has no nodes.
 
 Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
-`WorldSyntaxError` with a finding.
+`WorldError` with a finding.
 """
 
 from __future__ import annotations
@@ -54,11 +54,16 @@ def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
 
 
 class WorldError(DeepbotsError):
-    """A world cannot be run; has the findings."""
+    """A text is not a world, or a world cannot be run; has the findings."""
 
     def __init__(self, findings: list[WorldFinding]) -> None:
         super().__init__("\n".join(map(str, findings)))
         self.findings = findings
+
+    @classmethod
+    def at(cls, span: Span, headline: str, help: str = "") -> WorldError:
+        """Return the error of a single finding."""
+        return cls([WorldFinding("error", span, headline, help)])
 
 
 class WorldFindings:
@@ -74,9 +79,6 @@ class WorldFindings:
     def warning(self, span: Span, headline: str, help: Help = "") -> None:
         self._add("warning", span, headline, help)
 
-    def append(self, finding: WorldFinding) -> None:
-        self._add(finding.severity, finding.span, finding.headline, finding.help)
-
     def _add(self, severity: Severity, span: Span, headline: str, help: Help) -> None:
         if self._counts[severity] < MAX_FINDINGS and (severity, headline) not in self._findings:
             self._counts[severity] += 1
@@ -89,9 +91,6 @@ class WorldFindings:
                 self._findings.values(), key=lambda finding: (finding.span.source.name, finding.span.start)
             )
         )
-
-    def __len__(self) -> int:
-        return len(self._findings)
 
     @property
     def errors(self) -> list[WorldFinding]:
@@ -150,14 +149,6 @@ _FIELD_WORDS = frozenset(
     {"field", "hiddenField", "deprecatedField", "unconnectedField", "w3dField", "vrmlField"}
 )
 _CONSTANTS: Mapping[str, bool | None] = {"TRUE": True, "FALSE": False, "NULL": None}
-
-
-class WorldSyntaxError(DeepbotsError):
-    """A text is not a world; has the finding."""
-
-    def __init__(self, span: Span, headline: str, help: str = "") -> None:
-        self.finding = WorldFinding("error", span, headline, help)
-        super().__init__(str(self.finding))
 
 
 TEMPLATE = "is a template with code, which deepbots does not run"
@@ -263,7 +254,7 @@ def parse(source: Source, *, is_proto: bool = False) -> Document:
     """Read the text of a world, or of a file with a PROTO.
 
     Raises:
-        WorldSyntaxError: The text is not a world or PROTO, is of a release with other axes, or is too large.
+        WorldError: The text is not a world or PROTO, is of a release with other axes, or is too large.
     """
     return _Parser(source).document(is_proto=is_proto)
 
@@ -280,15 +271,18 @@ class _Token(NamedTuple):
     start: int
 
 
+_START = _Token(0, "", 0)
+
+
 class _Parser:
     def __init__(self, source: Source) -> None:
         self.source, self.text = source, source.text
         if len(self.text) > MAX_BYTES:
-            raise self._error(0, f"the file is larger than {MAX_BYTES >> 20} MiB")
+            raise self._error(_START, f"the file is larger than {MAX_BYTES >> 20} MiB")
         self.last_statement = max(self.text.rfind("%<"), self.text.rfind("%{"))  # of a template
         self.definitions: dict[str, tuple[Node, int]] = {}  # with the depth of each, 0 before its end
         self.depth = self.deepest = self.words = self.numbers = self.nodes = 0
-        self.token = _Token(0, "", 0)
+        self.token = _START
         self.end = 0
         self.take()
 
@@ -312,12 +306,10 @@ class _Parser:
     def _span(self, token: _Token) -> Span:
         return Span(self.source, token.start, token.start + len(token.text))
 
-    def _error(self, location: int | _Token, headline: str, help: str = "") -> WorldSyntaxError:
-        if isinstance(location, _Token):
-            return WorldSyntaxError(self._span(location), headline, help)
-        return WorldSyntaxError(Span(self.source, location, location), headline, help)
+    def _error(self, token: _Token, headline: str, help: str = "") -> WorldError:
+        return WorldError.at(self._span(token), headline, help)
 
-    def _unexpected(self, expected: str) -> WorldSyntaxError:
+    def _unexpected(self, expected: str) -> WorldError:
         text = self.token.text
         actual = f"'{text[:40]}'" if text else "the end of the file"
         return self._error(self.token, f"{actual} in the place of {expected}")
@@ -351,7 +343,7 @@ class _Parser:
             else:
                 document.nodes.append(self.node_or_use())
         if is_proto and not document.protos:
-            raise self._error(0, "a file without a PROTO")
+            raise self._error(_START, "a file without a PROTO")
         for proto in document.protos.values():
             proto.externs, proto.neighbors = document.externs, document.protos
         return document
@@ -361,15 +353,17 @@ class _Parser:
         header = _HEADER.match(self.text)
         if header is None:
             if "\0" in self.text[:1000]:
-                raise self._error(0, "the file is binary")
+                raise self._error(_START, "the file is binary")
             raise self._error(
-                0, "the first line is not a header of Webots", "a world begins with: #VRML_SIM R2023b utf8"
+                _START,
+                "the first line is not a header of Webots",
+                "a world begins with: #VRML_SIM R2023b utf8",
             )
         release = _RELEASE.match(header[1])
         newer = release is not None and (int(release[1]), release[2]) >= OLDEST_RELEASE
         if not newer and not is_proto:
             raise self._error(
-                0,
+                _START,
                 f"a world of {header[1][:20]}; before R2022a other axes point up and along cylinders",
                 "open and save it in Webots R2022a or later",
             )

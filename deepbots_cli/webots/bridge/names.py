@@ -36,27 +36,10 @@ def from_robot_channel(index: int) -> int:
     return 2 * index + 2
 
 
-def receiver_of(robot: str) -> str:
-    """Return the name of the supervisor's receiver of messages from a robot."""
-    return f"receiver {robot}"
-
-
-def position_sensor(joint: str) -> str:
-    return f"{joint} sensor"
-
-
-def gps(link: str) -> str:
-    return f"{link} gps"
-
-
-def inertial_unit(link: str) -> str:
-    return f"{link} inertial unit"
-
-
-def gyro(link: str) -> str:
-    return f"{link} gyro"
-
-
-def distance_sensor(number: int) -> str:
-    """Return the name of the sensor of one ray, numbered over the robot."""
-    return f"ray {number}"
+receiver_of = "receiver {}".format
+"""Returns the name of the supervisor's receiver of messages from a robot."""
+position_sensor = "{} sensor".format
+gps, inertial_unit, gyro = "{} gps".format, "{} inertial unit".format, "{} gyro".format
+"""Return the names of the sensors at a link."""
+distance_sensor = "ray {}".format
+"""Returns the name of the sensor of one ray, numbered over the robot."""

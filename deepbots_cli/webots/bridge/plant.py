@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import is_movable
+from deepbots_cli.engines.mujoco import mujoco
 from deepbots_cli.port import ZERO_VECTOR, EngineProxy
 from deepbots_cli.program.world import ARENA_WALLS
 from deepbots_cli.webots.bridge.names import def_name, joint_def
@@ -153,22 +156,11 @@ class _JointReader:
 
 
 def _quaternion(rows: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation matrix, row by row.
-
-    The largest of its four numbers is computed first, so that none of the others loses digits (Shepperd).
-    """
-    a, b, c, d, e, f, g, h, i = rows
-    trace = a + e + i
-    largest = max(trace, a, e, i)
-    if largest == trace:
-        quaternion = (h - f, c - g, d - b, 1.0 + trace)
-    elif largest == a:
-        quaternion = (1.0 + 2.0 * a - trace, b + d, c + g, h - f)
-    elif largest == e:
-        quaternion = (b + d, 1.0 + 2.0 * e - trace, f + h, c - g)
-    else:
-        quaternion = (c + g, f + h, 1.0 + 2.0 * i - trace, d - b)
-    return frames.normalized(quaternion)
+    """Return the quaternion of a rotation matrix, row by row."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.array(rows))
+    w, x, y, z = quaternion.tolist()
+    return x, y, z, w
 
 
 TOUCHING_M = 1e-3
