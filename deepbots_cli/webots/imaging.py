@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from math import nan
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
@@ -79,18 +78,12 @@ class _Optics(Sensor):
         return self._size[1]
 
     def _save(self, picture: Any, filename: str, quality: int) -> int:
-        """Write a picture by the suffix of the file; returns 0, or -1 if that fails."""
+        """Write a picture by the suffix of the file, such as .png or .jpg; returns 0, or -1 if that fails."""
         from PIL import Image
 
-        kinds = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
-        kind = kinds.get(Path(filename).suffix.lower())
-        if kind is None:
-            self._warn(f"saveImage() writes .png and .jpg, and not '{filename}'")
-            return -1
-        options = {"quality": min(max(int(quality), 1), 100)} if kind == "JPEG" else {}
         try:
-            Image.fromarray(picture).save(filename, format=kind, **options)
-        except OSError as error:
+            Image.fromarray(picture).save(filename, quality=min(max(int(quality), 1), 100))
+        except (OSError, ValueError) as error:  # Pillow has a ValueError for an unknown suffix
             self._warn(f"saveImage(): {error}")
             return -1
         return 0
@@ -295,12 +288,12 @@ class Lidar(_HasRange):
         robot = self._spec.body.robot
         least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
-        distances = self._simulation.physics.rays.distances(start, rays, most, robot.index if robot else None)
+        hits = self._simulation.physics.rays.cast(start, rays, most, robot.index if robot else None)
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
-        for number_, distance in enumerate(distances):
+        for number_, (distance, geom, _) in enumerate(hits):
             layer, at = divmod(number_, len(columns))
-            value = self._rounded(distance + self._noise(noise)) if distance <= most else math.inf
+            value = self._rounded(distance + self._noise(noise)) if geom >= 0 else math.inf
             self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
             self._times[columns[at]] = now
 

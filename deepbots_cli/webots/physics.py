@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import ceil, inf, isinf
+from math import ceil, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,38 +79,22 @@ class Rays:
             groups[geoms] = saved
 
     def cast(
-        self, start: Triple, directions: Sequence[Triple], reach: float, skipped: int | None
+        self, start: Triple, directions: Floats | Sequence[Triple], reach: float, skipped: int | None
     ) -> list[tuple[float, int, float]]:
         """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
-        cosine of its incidence. The robot `skipped` stops no ray."""
-        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
-        results = []
-        origin = np.array(start)
-        with self._without(skipped):
-            for direction in directions:
-                ray = np.array(direction)
-                length = float(
-                    mj.mj_ray(self._model, self._data, origin, ray, _GROUPS, True, -1, geom, normal)
-                )
-                if length < 0 or length > reach:
-                    results.append((reach, -1, 1.0))
-                else:
-                    results.append((length, int(geom[0]), abs(float(normal @ ray))))
-        return results
-
-    def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
-        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
-        directions have the shape (rays, 3). The robot `skipped` stops no ray."""
-        count = len(directions)
-        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
-        rays = np.ascontiguousarray(directions).ravel()
-        model, data = self._model, self._data
+        cosine of its incidence. The directions have the shape (rays, 3). The robot `skipped` stops no ray."""
+        rays = np.ascontiguousarray(directions, np.float64)
+        count = len(rays)
+        geoms, lengths, normals = np.full(count, -1, np.int32), np.zeros(count), np.zeros(3 * count)
+        model, data, origin = self._model, self._data, np.array(start)
         with self._without(skipped):
             mj.mj_multiRay(
-                model, data, np.array(start), rays, _GROUPS, True, -1, geoms, lengths, None, count, reach
+                model, data, origin, rays.ravel(), _GROUPS, True, -1, geoms, lengths, normals, count, reach
             )
+        cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
         is_missed = (lengths < 0) | (lengths > reach)
-        return np.where(is_missed, inf, lengths).tolist()  # type: ignore[no-any-return]
+        lengths[is_missed], geoms[is_missed], cosines[is_missed] = reach, -1, 1.0
+        return list(zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True))
 
 
 MAX_TORQUE = 1e8

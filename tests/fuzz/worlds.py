@@ -20,7 +20,7 @@ from types import FrameType
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.webots.project import Files, world_of_source
-from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from tests.fuzz.harness import SERVE, answers, peak_memory, serve
 from tests.fuzz.mutations import damaged

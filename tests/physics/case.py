@@ -24,7 +24,7 @@ from deepbots_cli.robots.model import Mesh
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.bridge.plant import Plant
 from deepbots_cli.webots.export.world import WorldWriter, world_text
-from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from tests.webots.exported_projects import read
 

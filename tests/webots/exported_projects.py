@@ -29,7 +29,7 @@ from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.export.files import WebotsProject, prepare, project_files
 from deepbots_cli.webots.project import Files, World, read_world, world_of_source
 from deepbots_cli.webots.runner import SITE
-from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.tree import Node
 

@@ -14,7 +14,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.nodes import walk
 from deepbots_cli.webots.project import read_world
-from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from tests.webots.exported_projects import exported, run_exported, run_scenario
 

@@ -29,9 +29,16 @@ from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.world import scenario_name
 from deepbots_cli.webots.nodes import child, children, node_types, number, numbers, text, vector, walk
-from deepbots_cli.webots.project import Files, read_world, world_of_source
-from deepbots_cli.webots.protos import LIBRARY, MAX_LEVELS, equivalent, equivalents
-from deepbots_cli.webots.scene_builder import MAX_POINTS, build_scene
+from deepbots_cli.webots.project import (
+    LIBRARY,
+    MAX_LEVELS,
+    Files,
+    equivalent,
+    equivalents,
+    read_world,
+    world_of_source,
+)
+from deepbots_cli.webots.scene import MAX_POINTS, build_scene
 from deepbots_cli.webots.sensors import MISSING
 from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.syntax import (

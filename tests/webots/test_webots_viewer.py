@@ -36,7 +36,7 @@ from deepbots_cli.view import server
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.project import Program
 from deepbots_cli.webots.runner import Runner
-from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.sensors import NotImplementedCallError
 from deepbots_cli.webots.shapes import MAX_PICTURE_BYTES
 from deepbots_cli.webots.simulation import MAX_DELAY_S, Pace, Simulation
@@ -674,7 +674,7 @@ def test_saved_pictures_are_those_of_the_camera(tmp_path):
     assert camera.saveImage(str(tmp_path / "a.png"), 90) == 0
     with Image.open(tmp_path / "a.png") as picture:
         assert (picture.size, list(picture.getpixel((1, 1)))) == ((4, 3), camera.getImageArray()[1][1])
-    assert camera.saveImage(str(tmp_path / "a.bmp"), 90) == -1
+    assert camera.saveImage(str(tmp_path / "a.world"), 90) == -1
 
 
 @needs_opengl

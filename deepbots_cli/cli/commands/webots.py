@@ -153,7 +153,7 @@ class _Opened:
 
 def _read(path: Path, protos: Sequence[Path]) -> _Opened:
     from deepbots_cli.webots.project import read_world
-    from deepbots_cli.webots.scene_builder import build_scene
+    from deepbots_cli.webots.scene import build_scene
 
     world = read_world(path, protos)
     scene = build_scene(world)

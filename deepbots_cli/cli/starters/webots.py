@@ -16,8 +16,7 @@ from deepbots_cli.cli.starters.draft import yaml_name
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import to_urdf
-from deepbots_cli.webots.imports.controllers import Controller, Quote
-from deepbots_cli.webots.imports.draft import read_project
+from deepbots_cli.webots.imports.draft import Controller, Quote, read_project
 from deepbots_cli.webots.imports.world import Names, plain, pose_text
 
 if TYPE_CHECKING:

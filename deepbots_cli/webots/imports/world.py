@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import re
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from itertools import chain, count
 from math import hypot, inf
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
@@ -245,11 +246,9 @@ def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
 
 def _stl(shape: Shape) -> bytes:
     """Return the triangles of a mesh as a binary STL file."""
-    parts = [b"\0" * 80, struct.pack("<I", len(shape.faces))]
-    for face in shape.faces:
-        corners = [coordinate for index in face for coordinate in shape.vertices[index]]
-        parts.append(struct.pack("<12fH", 0.0, 0.0, 0.0, *corners, 0))
-    return b"".join(parts)
+    facets = np.zeros(len(shape.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = np.array(shape.vertices)[np.array(shape.faces)]
+    return b"\0" * 80 + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
 # Masses
@@ -462,15 +461,12 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
 def _picture(shape: Shape, low: float, high: float) -> bytes:
     """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest
     y."""
-    levels = [round((height - low) / (high - low) * 65535) for height in shape.heights]
-    rows = [levels[at : at + shape.columns] for at in range(0, len(levels), shape.columns)]
-    pixels = b"".join(b"\0" + struct.pack(f">{len(row)}H", *row) for row in reversed(rows))
-    header = struct.pack(">IIBBBBB", shape.columns, len(rows), 16, 0, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(pixels, 9)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks
-    )
+    from PIL import Image
+
+    shares = (np.array(shape.heights).reshape(-1, shape.columns)[::-1] - low) / (high - low)
+    content = BytesIO()
+    Image.fromarray(np.rint(shares * 65535).astype(np.uint16)).save(content, "PNG")
+    return content.getvalue()
 
 
 # Objects
