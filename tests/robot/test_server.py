@@ -1,8 +1,7 @@
 """The server of a policy: messages that it accepts, messages that it refuses, and its commands when the robot
 is silent.
 
-Floods at a server: other connections neither get commands nor take memory; `python -m tests.robot.flood`
-measures them.
+Floods at a server: other connections neither get commands nor take memory.
 
 Other ends that mean harm or are of something else: they neither end the server, nor take memory, nor keep
 a robot out.
@@ -23,9 +22,10 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ pytest.importorskip("websockets")
 pytest.importorskip("onnxruntime")
 
 import zmq
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
 
 from deepbots_robot import link as links
 from deepbots_robot import serving, websocket, zeromq
@@ -637,7 +639,8 @@ def served_process(
 ) -> Iterator[tuple[Any, subprocess.Popen[str]]]:
     """A socket of ZeroMQ to a server in a process of its own."""
     address = f"ipc://{folder}/link"
-    command = [sys.executable, "-m", "deepbots_robot", "serve", bundle, "--zmq", address, *words]
+    link = [] if "--websocket" in words else ["--zmq", address]
+    command = [sys.executable, "-m", "deepbots_robot", "serve", bundle, *link, *words]
     process = subprocess.Popen(
         list(map(str, command)),
         cwd=Path(__file__).parents[2],
@@ -689,6 +692,67 @@ def test_a_message_writes_no_control_characters_to_the_terminal(
         text = output_of(process)
     assert "refused" in text
     assert text.replace("\n", "").isprintable()
+
+
+def flood(address: str, content: bytes, ended: threading.Event) -> None:
+    """Send a message as fast as possible until the test ends; a connection that is closed is opened again."""
+    while not ended.is_set():
+        with suppress(WebSocketException, OSError, zmq.Again), end_of(address) as (send, _):
+            while not ended.is_set():
+                send(content)
+
+
+@contextmanager
+def end_of(address: str) -> Iterator[tuple[Callable[[bytes], object], Callable[[], object]]]:
+    """The functions that send and receive at an address."""
+    if address.startswith("ws"):
+        with connect(address, compression=None, max_size=None) as peer:
+            yield lambda content: peer.send(content.decode()), lambda: peer.recv(timeout=20)
+        return
+    with closing(zmq.Context.instance().socket(zmq.DEALER)) as end:
+        for option, value in ((zmq.LINGER, 0), (zmq.SNDTIMEO, 1000), (zmq.RCVTIMEO, 20_000)):
+            end.setsockopt(option, value)
+        end.connect(address)
+        yield end.send, end.recv
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is known on Linux alone")
+@pytest.mark.parametrize("kind", ["zmq", "websocket"])
+def test_in_a_flood_a_server_takes_no_memory_and_goes_on_to_answer(
+    bundle: Path, tmp_path: Path, kind: str
+) -> None:
+    """The longest legal message, the longest that is none, and a longer one than any, as fast as possible."""
+    longest = 20_000
+    contents = [message(1.0).ljust(longest), b"{" + b"[" * longest, b"{" + b" " * 8 * longest]
+    address = f"ipc://{tmp_path}/link" if kind == "zmq" else f"ws://127.0.0.1:{PORT}"
+    words = ["--json"] if kind == "zmq" else ["--json", "--websocket", str(PORT)]
+    ended = threading.Event()
+    clients = [threading.Thread(target=flood, args=(address, content, ended)) for content in contents]
+    with served_process(bundle, tmp_path, *words) as (_, process):
+        process.stderr.readline()  # it listens
+        with end_of(address) as (send, receive):
+            send(message(time.time()))
+            receive()
+            before = memory_of(process.pid)
+            for client in clients:
+                client.start()
+            try:
+                for _ in range(300):
+                    send(message(time.time()))
+                    receive()
+                    time.sleep(1 / 60)
+            finally:
+                ended.set()
+                for client in clients:
+                    client.join()
+            assert memory_of(process.pid) - before < 50
+
+
+def memory_of(process: int) -> float:
+    """The largest memory that a process had, MB."""
+    status = Path(f"/proc/{process}/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM:"))
 
 
 def test_a_time_of_the_robot_beyond_the_range_of_logs_does_not_end_the_server(
