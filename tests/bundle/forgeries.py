@@ -1,13 +1,14 @@
 """Forge bundles for as long as it takes, and judge what `load` makes of them.
 
-    python -m tests.bundle.forgeries [--count 500] [--seed 1] [--only NUMBER] [--each]
+    python -m tests.bundle.forgeries BASES COUNT SEED
 
 Four attackers. `changes` changes files and no digests: the bundle is refused. `damage` computes the digests
 of damaged files again: the bundle is refused, or its policy acts as the one that was exported. `digests`
 computes digests, the metadata of the graph and the recorded steps again: the bundle is refused in one
 sentence, or its policy gives finite commands within its ranges and rates whatever it is given. `signed` does
-the same to a bundle with a signature, and `load` has the trusted key: the bundle is refused. With `--each`,
-each way of `ways.py` with an expectation is forged once.
+the same to a bundle with a signature, and `load` has the trusted key: the bundle is refused. With 0 for
+COUNT, each way of `ways.py` with an expectation is forged once. `prepare` writes BASES, in another process:
+torch has threads, and what forks must have none.
 
 Each case runs in a process of its own with limits: 2 s of CPU for `load`, 500 MB beyond what was there
 before. The same seed and number are the same forgery. What fails is printed with its number; the exit code
@@ -16,11 +17,9 @@ is then 1.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -339,57 +338,19 @@ def _in_child(outcome: Outcome, way: Way, seed: int, bases: Path, folder: Path) 
 # All of them
 
 
-def summary(outcomes: Sequence[Outcome]) -> str:
-    """Counts by attacker, and what cost most."""
-    lines = []
-    for attacker in dict.fromkeys(ATTACKERS):
-        ends = Counter(each.end for each in outcomes if each.attacker == attacker)
-        counts = ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
-        lines.append(f"{attacker:8} {ends.total():5}  {counts}")
-    slowest = max(outcomes, key=lambda each: each.seconds)
-    largest = max(outcomes, key=lambda each: each.megabytes)
-    stopped = sum(each.stopped > 0 for each in outcomes)
-    return "\n".join(
-        [
-            *lines,
-            f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest"
-            f" {largest.megabytes:.0f} MB ({largest.number}); {stopped} that load refuse a step",
-        ]
-    )
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.bundle.forgeries", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--count", type=int, default=500, help="forgeries, by default 500")
-    parser.add_argument("--seed", type=int, default=1, help="of the random numbers, by default 1")
-    parser.add_argument("--only", type=int, help="one number alone")
-    parser.add_argument("--each", action="store_true", help="each way with an expectation once")
-    parser.add_argument(
-        "--bases", type=Path, help="the folder of the bundles that are forged, by default a new one"
-    )
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as place:
-        bases = (options.bases or Path(place) / "bases").resolve()
-        if options.bases is None:  # in a process of its own: torch has threads, and what forks must have none
-            code = (
-                "from pathlib import Path; from tests.bundle.forgeries import prepare;"
-                f" prepare(Path({str(bases)!r}))"
-            )
-            subprocess.run([sys.executable, "-c", code], check=True)
-        names = sorted(path.name for path in bases.iterdir() if path.is_dir())
-        numbers = range(options.count) if options.only is None else [options.only]
-        cases = each_way() if options.each else (drawn(number, options.seed, names) for number in numbers)
-        outcomes = []
-        for case, way in cases:
-            outcome = judged(case, way, options.seed, bases)
-            outcomes.append(outcome)
-            if outcome.end == "failed" or options.only is not None:
-                print(outcome, flush=True)
-    print(summary(outcomes))
-    return int(any(outcome.end == "failed" for outcome in outcomes))
+def main(bases: Path, count: int, seed: int) -> int:
+    """Print what fails, and how many forgeries of each attacker are refused and loaded."""
+    names = sorted(path.name for path in bases.iterdir() if path.is_dir())
+    cases = (drawn(number, seed, names) for number in range(count)) if count else each_way()
+    ends: Counter[str] = Counter()
+    for case, way in cases:
+        outcome = judged(case, way, seed, bases)
+        ends[outcome.end] += 1
+        if outcome.end == "failed":
+            print(outcome, flush=True)
+    print(", ".join(f"{number} {end}" for end, number in sorted(ends.items())))
+    return int(ends["failed"] > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(Path(sys.argv[1]).resolve(), *map(int, sys.argv[2:])))

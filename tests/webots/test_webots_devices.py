@@ -149,22 +149,6 @@ def test_a_sensor_of_motion_measures(sensor: str, fields: str, call: str, expect
     assert values == pytest.approx(expected, rel=1e-3, abs=0.01, nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("rotation", "expected"),
-    [("0 0 1 0", (0, 0, 9.81)), ("1 0 0 1.5707963", (0, 9.81, 0)), ("0 1 0 1.5707963", (-9.81, 0, 0))],
-)
-def test_an_accelerometer_at_rest_feels_the_ground(rotation: str, expected: tuple[float, ...]):
-    text = FLOOR + robot(f"Accelerometer {{ rotation {rotation} }}", "translation 0 0 0.1")
-    simulation = simulate(text)
-    run(simulation, 1)
-    assert reading(simulation, "accelerometer").getValues() == pytest.approx(expected, abs=0.05)
-
-
-def test_an_accelerometer_that_falls_feels_nothing():
-    simulation = simulate(robot("Accelerometer { }", "translation 0 0 10"))
-    assert reading(simulation, "accelerometer").getValues() == pytest.approx([0, 0, 0], abs=1e-6)
-
-
 def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
     text = hinge(
         devices="RotationalMotor { maxTorque 1e6 }",
@@ -200,15 +184,6 @@ def test_a_position_sensor_reads_its_joint():
 
 
 # Motors
-
-
-def test_a_motor_reports_its_torque():
-    text = hinge(devices="RotationalMotor { maxTorque 100 }")
-    simulation = simulate(text)
-    motor = device(simulation, "rotational motor")
-    motor.enableTorqueFeedback(8)
-    run(simulation, 1)
-    assert abs(motor.getTorqueFeedback()) == pytest.approx(2 * 9.81 * 0.5, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -363,12 +338,6 @@ def test_a_distance_sensor_answers_by_its_table(sensor: str, wall: str, value: f
     assert distance_reading(sensor, wall) == pytest.approx(value, rel=1e-3)
 
 
-def test_the_own_robot_stops_no_ray():
-    text = f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ {TABLE} }} ]
-      boundingObject Pose {{ translation 0.2 0 0 children [ Box {{ size 0.1 0.1 0.1 }} ] }} }}"""
-    assert reading(simulate(text), "distance sensor").getValue() == pytest.approx(500, rel=1e-3)
-
-
 def test_a_lidar_measures_row_by_row_from_the_left():
     text = """Solid { translation 0 2.05 0 boundingObject Box { size 9 0.1 9 } }
       Solid { translation 0.6 0 0 boundingObject Box { size 0.2 1 4 } }
@@ -408,30 +377,89 @@ def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
     assert (statistics.mean(values), deviation) == (pytest.approx(500, rel=0.02), pytest.approx(50, rel=0.15))
 
 
-def test_a_bumper_is_pressed_while_it_touches():
-    text = FLOOR + robot(
-        "TouchSensor { translation 0 0 -0.1 boundingObject Box { size 0.1 0.1 0.02 } }", "translation 0 0 0.5"
-    )
-    simulation = simulate(text)
-    bumper = device(simulation, "touch sensor")
-    bumper.enable(8)
-    run(simulation, 0.1)
-    assert bumper.getValue() == 0
-    run(simulation, 2)
-    assert bumper.getValue() == 1
+FEELER = 'TouchSensor { type "%s" translation 0 0 -0.1 boundingObject Box { size 0.1 0.1 0.02 } }'
 
 
-def test_a_force_sensor_weighs():
-    text = FLOOR + robot(
-        """TouchSensor { type "force-3d" translation 0 0 -0.1 boundingObject Box { size 0.1 0.1 0.02 } }""",
-        "translation 0 0 0.11",
-        mass=3,
-    )
+@pytest.mark.parametrize(
+    ("text", "name", "call", "seconds", "expected"),
+    [
+        *(
+            pytest.param(
+                FLOOR + robot(f"Accelerometer {{ rotation {rotation} }}", "translation 0 0 0.1"),
+                "accelerometer",
+                "getValues",
+                1,
+                pytest.approx(felt, abs=0.05),
+                id=f"an accelerometer at rest feels the ground: {rotation}",
+            )
+            for rotation, felt in (
+                ("0 0 1 0", (0, 0, 9.81)),
+                ("1 0 0 1.5707963", (0, 9.81, 0)),
+                ("0 1 0 1.5707963", (-9.81, 0, 0)),
+            )
+        ),
+        pytest.param(
+            robot("Accelerometer { }", "translation 0 0 10"),
+            "accelerometer",
+            "getValues",
+            0.008,
+            pytest.approx([0, 0, 0], abs=1e-6),
+            id="an accelerometer that falls feels nothing",
+        ),
+        pytest.param(
+            f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ {TABLE} }} ]
+              boundingObject Pose {{ translation 0.2 0 0 children [ Box {{ size 0.1 0.1 0.1 }} ] }} }}""",
+            "distance sensor",
+            "getValue",
+            0.008,
+            pytest.approx(500, rel=1e-3),
+            id="the own robot stops no ray",
+        ),
+        *(
+            pytest.param(
+                FLOOR + robot(FEELER % "bumper", "translation 0 0 0.5"),
+                "touch sensor",
+                "getValue",
+                seconds,
+                pressed,
+                id=f"a bumper is pressed while it touches: {seconds} s",
+            )
+            for seconds, pressed in ((0.1, 0), (2.1, 1))
+        ),
+        pytest.param(
+            FLOOR + robot(FEELER % "force-3d", "translation 0 0 0.11", mass=3),
+            "touch sensor",
+            "getValues",
+            2,
+            pytest.approx([0, 0, 3 * 9.81], rel=0.01, abs=0.05),
+            id="a force sensor weighs",
+        ),
+        pytest.param(
+            """Solid { translation 2.05 0 0 boundingObject Box { size 0.1 9 9 } }
+              Robot { children [ Lidar { numberOfLayers 1 horizontalResolution 3 minRange 2.1 maxRange 4 } ] }""",
+            "lidar",
+            "getRangeImage",
+            0.008,
+            pytest.approx([2 / math.cos(math.pi / 6), math.inf, 2 / math.cos(math.pi / 6)], rel=1e-3),
+            id="a lidar sees nothing nearer than its range",
+        ),
+    ],
+)
+def test_a_sensor_reads(text: str, name: str, call: str, seconds: float, expected: object):
     simulation = simulate(text)
-    sensor = device(simulation, "touch sensor")
+    sensor = device(simulation, name)
     sensor.enable(8)
-    run(simulation, 2)
-    assert sensor.getValues() == pytest.approx([0, 0, 3 * 9.81], rel=0.01, abs=0.05)
+    run(simulation, seconds)
+    assert getattr(sensor, call)() == expected
+
+
+def test_a_motor_reports_its_torque_and_a_lamp_its_value():
+    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 100 }") + robot("LED { }"))
+    motor, lamp = device(simulation, "rotational motor"), device(simulation, "led", 1)
+    motor.enableTorqueFeedback(8)
+    lamp.set(1)
+    run(simulation, 1)
+    assert (abs(motor.getTorqueFeedback()), lamp.get()) == (pytest.approx(2 * 9.81 * 0.5, rel=0.02), 1)
 
 
 # Messages
@@ -537,12 +565,6 @@ def test_a_function_that_webots_does_not_have_gets_a_suggestion():
         AttributeError, match=r"'Motor' has no attribute 'setPositon'; did you mean 'setPosition'"
     ):
         motor.setPositon(1)
-
-
-def test_a_lamp_keeps_its_value():
-    lamp = device(simulate(robot("LED { }")), "led")
-    lamp.set(1)
-    assert lamp.get() == 1
 
 
 def test_a_solid_name_is_free_to_repeat():
@@ -729,16 +751,6 @@ def test_the_frequency_of_a_lidar_is_limited(capsys):
     lidar.setFrequency(60)
     assert lidar.getFrequency() == lidar.getMaxFrequency() == 50
     assert "outside 1 .. 50" in capsys.readouterr().err
-
-
-def test_a_lidar_sees_nothing_nearer_than_its_range():
-    text = (
-        ROOM
-        + "Robot { children [ Lidar { numberOfLayers 1 horizontalResolution 3 minRange 2.1 maxRange 4 } ] }"
-    )
-    image = reading(simulate(text), "lidar").getRangeImage()
-    assert image[1] == math.inf
-    assert image[0] == pytest.approx(2 / math.cos(math.pi / 6), rel=1e-3)
 
 
 def test_a_planar_lidar_says_so():

@@ -10,6 +10,7 @@ import math
 import pytest
 
 from deepbots_cli.webots.sensors import NotImplementedCallError
+from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
 from deepbots_cli.webots.syntax import WorldError
 from deepbots_cli.webots.tree import Field, Node
@@ -101,18 +102,61 @@ def test_a_motor_reaches_its_velocity(motor: str, step: int, command: float, sec
     assert node(simulation, "ROD").getVelocity()[0 if is_linear else 4] == pytest.approx(velocity, rel=0.01)
 
 
-def test_a_motor_without_commands_keeps_its_position():
-    simulation = simulate(hinge("position 0.3", "RotationalMotor { maxTorque 100 }"))
-    run(simulation, 1)
-    assert node(simulation, "JOINT").getField("position").getSFFloat() == pytest.approx(0.3, abs=1e-3)
+def position(simulation: Simulation) -> float:
+    return node(simulation, "JOINT").getField("position").getSFFloat()
 
 
-def test_a_motor_too_weak_for_its_load_gives_way():
-    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 5 }"))
-    run(simulation, 0.24)
-    torque = 2 * 9.81 * 0.5 - 5  # near the horizontal
-    position = node(simulation, "JOINT").getField("position").getSFFloat()
-    assert position == pytest.approx(torque / ROD_INERTIA * 0.24**2 / 2, rel=0.04)
+def angle(simulation: Simulation) -> float:
+    """The angle of the rod, rad."""
+    x, _, z = node(simulation, "ROD").getOrientation()[0::3]
+    return math.atan2(-z, x)
+
+
+@pytest.mark.parametrize(
+    ("text", "info", "seconds", "read", "expected"),
+    [
+        pytest.param(
+            hinge("position 0.3", "RotationalMotor { maxTorque 100 }"),
+            {},
+            1,
+            position,
+            pytest.approx(0.3, abs=1e-3),
+            id="a motor without commands keeps it",
+        ),
+        pytest.param(
+            hinge(devices="RotationalMotor { maxTorque 5 }"),
+            {},
+            0.24,
+            position,
+            # Near the horizontal.
+            pytest.approx((2 * 9.81 * 0.5 - 5) / ROD_INERTIA * 0.24**2 / 2, rel=0.04),
+            id="a motor too weak for its load gives way",
+        ),
+        pytest.param(
+            hinge("position 0.2 springConstant 32", kind="SliderJoint"),
+            {},
+            2 * math.pi * math.sqrt(2 / 32) / 2,
+            position,
+            pytest.approx(-0.2, rel=0.01),
+            id="a spring swings with its period",
+        ),
+        pytest.param(
+            hinge("minStop -0.4 maxStop 0.4"), {}, 3, position, pytest.approx(0.4, abs=0.01), id="stops"
+        ),
+        pytest.param(
+            hinge("position 0.5 springConstant 1000 dampingConstant 50"),
+            {"gravity": 0},
+            3,
+            angle,
+            pytest.approx(-0.5, abs=1e-3),
+            id="the position in a file is that of the pose in it",
+        ),
+    ],
+)
+def test_a_joint_is_where_mechanics_has_it(text: str, info: dict, seconds: float, read, expected: object):
+    simulation = simulate(text, **info)
+    run(simulation, seconds)
+    assert read(simulation) == expected
 
 
 def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
@@ -129,14 +173,6 @@ def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
     assert 1 - position.getSFFloat() == pytest.approx(0.4 * math.exp(-5 * 0.4), rel=0.1)
 
 
-def test_a_spring_swings_with_its_period():
-    text = hinge("position 0.2 springConstant 32", kind="SliderJoint")
-    simulation = simulate(text)
-    field = node(simulation, "JOINT").getField("position")
-    run(simulation, 2 * math.pi * math.sqrt(2 / 32) / 2)
-    assert field.getSFFloat() == pytest.approx(-0.2, rel=0.01)
-
-
 @pytest.mark.parametrize(("parameters", "brake"), [("dampingConstant 4", ""), ("", "Brake { }")])
 def test_damping_slows_exponentially(parameters: str, brake: str):
     simulation = simulate(hinge(parameters, f"RotationalMotor {{ maxTorque 1e6 }} {brake}"), gravity=0)
@@ -148,19 +184,6 @@ def test_damping_slows_exponentially(parameters: str, brake: str):
     run(simulation, 0.2)
     left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
     assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(left, rel=0.03)
-
-
-def test_stops_hold_a_joint():
-    simulation = simulate(hinge("minStop -0.4 maxStop 0.4"))
-    run(simulation, 3)
-    assert node(simulation, "JOINT").getField("position").getSFFloat() == pytest.approx(0.4, abs=0.01)
-
-
-def test_the_position_in_a_file_is_that_of_the_pose_in_it():
-    simulation = simulate(hinge("position 0.5 springConstant 1000 dampingConstant 50"), gravity=0)
-    run(simulation, 3)
-    x, _, z = node(simulation, "ROD").getOrientation()[0::3]
-    assert math.atan2(-z, x) == pytest.approx(-0.5, abs=1e-3)
 
 
 def test_a_ball_joint_turns_about_all_axes():
@@ -427,8 +450,7 @@ def test_the_position_of_a_joint_is_read_and_set():
         node(simulation, "PARAMETERS").getField("position").getSFFloat(),
     ) == (0.4, 0.4)
     node(simulation, "PARAMETERS").getField("position").setSFFloat(0.1)
-    x, _, z = node(simulation, "ROD").getOrientation()[0::3]
-    assert math.atan2(-z, x) == pytest.approx(0.1)
+    assert angle(simulation) == pytest.approx(0.1)
 
 
 def test_contacts_have_their_places():
