@@ -300,20 +300,93 @@ def scenario_text(starter: Starter) -> str:
     return next(content.decode() for path, content in starter.files.items() if path.suffix == ".yaml")
 
 
-def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) -> None:
-    _, text = imported(tmp_path, world=WORLD.replace("gravity 9.81", "gravity 1.6"))
-    lines = lines_of(text)
-    assert "timestep: 16 ms" in lines
-    assert "gravity: 0 0 -1.6 m/s^2" in lines
-    assert "arena: {size: 3 2 m}" in lines
-    assert "box: {shape: box, size: 0.2 0.2 0.2 m, mass: 0.4 kg, pose: {xyz: 1 0 0.1 m}}" in lines
-    assert "goal:" not in text  # nothing reads it
+BOTH = """
+from deepbots.supervisor import RobotSupervisorEnv
+
+class Both(RobotSupervisorEnv):
+    def __init__(self):
+        super().__init__()
+        self.arm = self.getDevice("armAngle")
+
+    def get_observations(self):
+        return [normalize_to_range(self.arm.getValue(), -1, 1, -1, 1, True)]
+
+    def apply_action(self, action):
+        self.motor.setTorque([0.5, -0.5][int(action[0])])
+"""
+ANEW = """    def step(self, action, repeat=4):
+        return self.repeat_it(action, repeat)
+
+    def reset(self):
+        self.far = 0
+
+"""
 
 
-def test_a_radar_is_named_as_a_device_without_a_sensor(tmp_path: Path) -> None:
-    world = WORLD.replace("Gyro {", 'Radar { name "eye" } Gyro {')
-    _, text = imported(tmp_path, world=world)
-    assert "# deepbots has no such sensor: eye (Radar)" in lines_of(text)
+@pytest.mark.parametrize(
+    ("parts", "lines", "absent"),
+    [
+        pytest.param(
+            {"world": WORLD.replace("gravity 9.81", "gravity 1.6")},
+            [
+                "timestep: 16 ms",
+                "gravity: 0 0 -1.6 m/s^2",
+                "arena: {size: 3 2 m}",
+                "box: {shape: box, size: 0.2 0.2 0.2 m, mass: 0.4 kg, pose: {xyz: 1 0 0.1 m}}",
+            ],
+            "goal:",  # nothing reads it
+            id="timestep, gravity, arena and objects",
+        ),
+        pytest.param(
+            {"world": WORLD.replace("Gyro {", 'Radar { name "eye" } Gyro {')},
+            ["# deepbots has no such sensor: eye (Radar)"],
+            "radar:",
+            id="a device without a sensor",
+        ),
+        pytest.param(
+            {},
+            [
+                "arm_angle: {type: joint_position, joint: rod_joint}",
+                "#   gyro: {type: gyro, link: cart, pose: {xyz: 0.01 0 0 m}}",
+            ],
+            "radar:",
+            id="sensors that the project does not name are comments",
+        ),
+        pytest.param(
+            {"judge": JUDGE.replace("    def solved", f"{ANEW}    def solved"), "done": "return False"},
+            ["#     return self.repeat_it(action, repeat)", "#     self.far = 0"],
+            "termination",
+            id="methods of deepbots that the project writes anew",
+        ),
+        pytest.param(
+            {
+                "world": WORLD.replace('controller "judge" supervisor TRUE', 'controller "<none>"').replace(
+                    'controller "cart"', 'controller "cart" supervisor TRUE'
+                ),
+                "cart": BOTH,
+            },
+            ["messages: {format: none}", "value_0: -1 .. 1"],
+            "format: csv",
+            id="a robot supervisor has no messages",
+        ),
+        *(
+            pytest.param(
+                {"reward": reward, "judge": f"REWARD = 20\n{JUDGE}"}, [entry], "def get_reward", id=entry
+            )
+            for reward, entry in (
+                ("return 1", "alive: 1"),
+                ("return -0.5", "each_step: -0.5"),
+                ("return REWARD", "alive: 20"),
+            )
+        ),
+    ],
+)
+def test_a_scenario_has_what_the_project_has(
+    tmp_path: Path, parts: dict[str, str], lines: list[str], absent: str
+) -> None:
+    _, text = imported(tmp_path, **parts)
+    assert [line for line in lines if line not in lines_of(text)] == []
+    assert absent not in text
 
 
 def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path) -> None:
@@ -353,13 +426,6 @@ def test_a_solid_that_a_controller_names_is_a_link_or_a_marker(tmp_path: Path) -
     assert "tip" in [link.name for link in program.world.robots[0].model.links]
 
 
-def test_sensors_that_the_project_does_not_name_are_comments(tmp_path: Path) -> None:
-    _, text = imported(tmp_path)
-    lines = lines_of(text)
-    assert "arm_angle: {type: joint_position, joint: rod_joint}" in lines
-    assert "#   gyro: {type: gyro, link: cart, pose: {xyz: 0.01 0 0 m}}" in lines
-
-
 # What is plainly constant
 
 
@@ -391,16 +457,6 @@ def test_a_constant_range_of_an_observation_is_filled_in(tmp_path: Path, call: s
         "angle: -0.9 .. 0.9",
         *([entry] if entry else []),
     ]
-
-
-@pytest.mark.parametrize(
-    ("body", "entry"),
-    [("return 1", "alive: 1"), ("return -0.5", "each_step: -0.5"), ("return REWARD", "alive: 20")],
-)
-def test_a_constant_reward_is_filled_in(tmp_path: Path, body: str, entry: str) -> None:
-    _, text = imported(tmp_path, reward=body, judge=f"REWARD = 20\n{JUDGE}")
-    assert entry in lines_of(text)
-    assert "def get_reward" not in text
 
 
 @pytest.mark.parametrize(
@@ -448,40 +504,6 @@ def test_a_method_that_does_more_than_return_a_number_is_quoted(tmp_path: Path, 
     assert "def get_reward" in text
     assert "each_step: 0" in lines_of(text)
     assert errors_of(tmp_path) == []
-
-
-def test_methods_of_deepbots_that_the_project_writes_anew_are_quoted(tmp_path: Path) -> None:
-    own = "    def step(self, action, repeat=4):\n        return self.repeat_it(action, repeat)\n\n    def reset(self):\n        self.far = 0\n\n"
-    _, text = imported(
-        tmp_path, judge=JUDGE.replace("    def solved", f"{own}    def solved"), done="return False"
-    )
-    lines = lines_of(text)
-    assert "#     return self.repeat_it(action, repeat)" in lines
-    assert "#     self.far = 0" in lines
-    assert "termination" not in text
-
-
-def test_a_robot_supervisor_has_no_messages(tmp_path: Path) -> None:
-    world = WORLD.replace('controller "judge" supervisor TRUE', 'controller "<none>"')
-    world = world.replace('controller "cart"', 'controller "cart" supervisor TRUE')
-    cart = """
-from deepbots.supervisor import RobotSupervisorEnv
-
-class Both(RobotSupervisorEnv):
-    def __init__(self):
-        super().__init__()
-        self.arm = self.getDevice("armAngle")
-
-    def get_observations(self):
-        return [normalize_to_range(self.arm.getValue(), -1, 1, -1, 1, True)]
-
-    def apply_action(self, action):
-        self.motor.setTorque([0.5, -0.5][int(action[0])])
-"""
-    _, text = imported(tmp_path, world=world, cart=cart)
-    assert "messages: {format: none}" in lines_of(text)
-    assert "value_0: -1 .. 1" in lines_of(text)
-    assert "def apply_action" in text
 
 
 def test_a_file_that_no_controller_imports_is_not_read(tmp_path: Path) -> None:

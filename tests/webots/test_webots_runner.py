@@ -87,18 +87,78 @@ BOSS = """
 """
 
 
-def test_messages_are_one_step_late_in_each_direction(project: Project):
+RESET = BOSS.replace(
+    "        boss.step(32)\n",
+    "        boss.step(32)\n        if number == 2:\n            boss.simulationReset()\n            boss.step(32)\n",
+)
+
+
+@pytest.mark.parametrize(
+    ("cart", "boss", "lines"),
+    [
+        pytest.param(
+            CART,
+            BOSS,
+            [
+                "[boss] 0 []",
+                "[boss] 1 ['0!']",
+                "[boss] 2 ['1!']",
+                "[boss] 3 ['2!']",
+                "[cart] the end",
+            ],
+            id="messages are one step late in each direction",
+        ),
+        pytest.param(
+            CART,
+            RESET,
+            ["[boss] 0 []", "[boss] 1 ['0!']", "[boss] 2 []", "[boss] 3 []", "[cart] the end"],
+            id="a reset empties the queues",
+        ),
+        pytest.param(
+            "from controller import Robot\nrobot = Robot()\nwhile robot.step(100) != -1: print(robot.getTime())",
+            BOSS.replace("range(4)", "range(9)").replace("print(number, words)", "pass"),
+            ["[cart] 0.128", "[cart] 0.256"],
+            id="a controller with a longer period runs less often",
+        ),
+    ],
+)
+def test_controllers_take_turns(project: Project, cart: str, boss: str, lines: list[str]):
+    project.controller("cart", cart)
+    project.controller("boss", boss)
+    assert project.run().out.splitlines() == lines
+
+
+def test_a_controller_in_another_language_is_named_and_not_run(project: Project):
+    project.write("controllers/cart/cart.cpp", "int main() {}")
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.err
+    assert "[boss] 3 []" in ran.out
+    assert "4 steps, 0.128 s of simulated time" in ran.err
+
+
+def test_a_controller_that_is_started_by_hand_is_the_one_that_no_robot_names(project: Project):
+    project.write("worlds/w.wbt", HEADER + WORLD.replace('controller "cart"', 'controller "<extern>"'))
     project.controller("cart", CART)
     project.controller("boss", BOSS)
     ran = project.run()
-    assert ran.out.splitlines() == [
-        "[boss] 0 []",
-        "[boss] 1 ['0!']",
-        "[boss] 2 ['1!']",
-        "[boss] 3 ['2!']",
-        "[cart] the end",
-    ]
-    assert "4 steps, 0.128 s of simulated time" in ran.err
+    assert (
+        "the controller '<extern>' of 'cart' is controllers/cart, the only one that no robot names" in ran.err
+    )
+    assert ran.out.splitlines()[-1] == "[cart] the end"
+
+
+def test_two_supervisors_run_until_both_end(project: Project):
+    project.write(
+        "worlds/w.wbt",
+        HEADER + WORLD.replace('name "cart" controller', 'name "cart" supervisor TRUE controller'),
+    )
+    project.controller(
+        "cart",
+        "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
+    )
+    project.controller("boss", BOSS)
+    assert project.run().out.splitlines()[-1] == "[cart] 0.288"
 
 
 def test_no_code_runs_without_permission(project: Project):
@@ -213,50 +273,6 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
     result = json.loads(ran.out)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
     assert [row["robot"] for row in result["controllers"]] == ["boss", "cart"]
-
-
-def test_a_controller_in_another_language_is_named_and_not_run(project: Project):
-    project.write("controllers/cart/cart.cpp", "int main() {}")
-    project.controller("boss", BOSS)
-    ran = project.run()
-    assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.err
-    assert "[boss] 3 []" in ran.out
-
-
-def test_a_controller_with_a_longer_period_runs_less_often(project: Project):
-    project.controller(
-        "cart",
-        "from controller import Robot\nrobot = Robot()\nwhile robot.step(100) != -1: print(robot.getTime())",
-    )
-    project.controller("boss", BOSS.replace("range(4)", "range(9)"))
-    lines = [line for line in project.run().out.splitlines() if line.startswith("[cart]")]
-    assert lines == ["[cart] 0.128", "[cart] 0.256"]
-
-
-def test_a_reset_empties_the_queues(project: Project):
-    project.controller("cart", CART)
-    project.controller(
-        "boss",
-        BOSS.replace(
-            "        boss.step(32)\n",
-            "        boss.step(32)\n        if number == 2:\n            boss.simulationReset()\n            boss.step(32)\n",
-        ),
-    )
-    lines = [line for line in project.run().out.splitlines() if line.startswith("[boss]")]
-    assert lines == ["[boss] 0 []", "[boss] 1 ['0!']", "[boss] 2 []", "[boss] 3 []"]
-
-
-def test_two_supervisors_run_until_both_end(project: Project):
-    project.write(
-        "worlds/w.wbt",
-        HEADER + WORLD.replace('name "cart" controller', 'name "cart" supervisor TRUE controller'),
-    )
-    project.controller(
-        "cart",
-        "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
-    )
-    project.controller("boss", BOSS)
-    assert project.run().out.splitlines()[-1] == "[cart] 0.288"
 
 
 @pytest.mark.parametrize(

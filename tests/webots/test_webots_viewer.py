@@ -627,26 +627,35 @@ def test_a_range_finder_measures_along_its_axis():
     assert finder.rangeImageGetDepth(finder.getRangeImage(), 6, 5, 3) == pytest.approx(2.0, abs=1e-3)
 
 
-@needs_opengl
-def test_a_range_finder_sees_a_slanted_wall_by_its_closed_form():
-    """A plane through x = 2 that is turned by 0.5 rad is met at x = 2 / (1 - tan(0.5) * tan(angle))."""
-    text = """Solid { translation 2 0 0 rotation 0 0 1 0.5 children [ Shape {
-      geometry Box { size 0.0001 20 20 } } ] }"""
-    finder = seeing(text + robot("RangeFinder { width 5 height 1 fieldOfView 1 maxRange 9 }"), "range-finder")
-    slopes = [math.tan(0.5) * (1 - 2 * (column + 0.5) / 5) for column in range(5)]
-    expected = [2 / (1 + math.tan(0.5) * slope) for slope in slopes]
-    assert finder.getRangeImage() == pytest.approx(expected, rel=2e-3)
+FINDER = "RangeFinder { width %d height 1 %s }"
 
 
 @needs_opengl
 @pytest.mark.parametrize(
-    ("wall", "limits"), [("8", "maxRange 1.9"), ("8", "minRange 2.1 maxRange 9"), ("0.001", "maxRange 5000")]
+    ("wall", "finder", "expected"),
+    [
+        # A plane through x = 2 that is turned by 0.5 rad is met at x = 2 / (1 - tan(0.5) * tan(angle)).
+        pytest.param(
+            """Solid { translation 2 0 0 rotation 0 0 1 0.5 children [ Shape {
+              geometry Box { size 0.0001 20 20 } } ] }""",
+            FINDER % (5, "fieldOfView 1 maxRange 9"),
+            [2 / (1 + math.tan(0.5) ** 2 * (1 - 2 * (column + 0.5) / 5)) for column in range(5)],
+            id="a slanted wall",
+        ),
+        *(
+            pytest.param(
+                WALL % ("0", "1 0 0", wall), FINDER % (2, limits), [math.inf] * 2, id=f"infinity: {limits}"
+            )
+            for wall, limits in (
+                ("8", "maxRange 1.9"),
+                ("8", "minRange 2.1 maxRange 9"),
+                ("0.001", "maxRange 5000"),
+            )
+        ),
+    ],
 )
-def test_a_range_finder_reads_infinity_beyond_its_range(wall: str, limits: str):
-    finder = seeing(
-        WALL % ("0", "1 0 0", wall) + robot(f"RangeFinder {{ width 2 height 1 {limits} }}"), "range-finder"
-    )
-    assert finder.getRangeImage() == [math.inf, math.inf]
+def test_a_range_finder_reads(wall: str, finder: str, expected: list[float]):
+    assert seeing(wall + robot(finder), "range-finder").getRangeImage() == pytest.approx(expected, rel=2e-3)
 
 
 @needs_opengl
