@@ -285,10 +285,9 @@ class Lidar(_HasRange):
             return
         start, rotation = self._frame()
         axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
-        robot = self._spec.body.robot
         least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
-        hits = self._simulation.physics.rays.cast(start, rays, most, robot.index if robot else None)
+        hits = self._simulation.physics.rays.cast(start, rays, most, self._spec.body.robot)
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
         for number_, (distance, geom, _) in enumerate(hits):
@@ -447,10 +446,9 @@ class Radar(_HasRange):
 
     def _is_hidden(self, solid: Node, offset: tuple[float, float, float], distance: float) -> bool:
         """Return whether something is between the radar and a solid."""
-        physics, robot = self._simulation.physics, self._spec.body.robot
-        skipped = None if robot is None else robot.index
+        physics = self._simulation.physics
         unit = frames.scaled(offset, 1 / distance)
-        geom = physics.rays.cast(self._frame()[0], [unit], distance, skipped)[0][1]
+        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
         return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.attachments[solid][0]
 
     def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.diagnostics import Span
-    from deepbots_cli.frames import Frame, Quaternion, Triple
-    from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.webots.scene import Body, Geometry, Joint, Robot, Scene
     from deepbots_cli.webots.syntax import Node
 
     Floats = NDArray[np.float64]
@@ -59,18 +59,18 @@ class Rays:
     ) -> None:
         self._model, self._data = model, data
         self._update_positions = update_positions
-        self._robot_geoms: dict[int, list[int]] = {}
+        self._robot_geoms: dict[Robot | None, list[int]] = {}
         for index, body in enumerate(bodies):
             if body.robot is not None:
-                self._robot_geoms.setdefault(body.robot.index, []).append(index)
+                self._robot_geoms.setdefault(body.robot, []).append(index)
 
     @contextmanager
-    def _without(self, skipped: int | None) -> Iterator[None]:
-        """Context in which the robot of an index stops no ray."""
+    def _without(self, robot: Robot | None) -> Iterator[None]:
+        """Context in which a robot stops no ray."""
         self._update_positions()
         # `mj_ray` can leave out a single body, and a robot has several.
         groups = self._model.geom_group
-        geoms = [] if skipped is None else self._robot_geoms.get(skipped, [])
+        geoms = self._robot_geoms.get(robot, [])
         saved = groups[geoms].copy()
         groups[geoms] = _SKIPPED_GROUP
         try:
@@ -79,15 +79,15 @@ class Rays:
             groups[geoms] = saved
 
     def cast(
-        self, start: Triple, directions: Floats | Sequence[Triple], reach: float, skipped: int | None
+        self, start: Triple, directions: Floats | Sequence[Triple], reach: float, robot: Robot | None = None
     ) -> list[tuple[float, int, float]]:
         """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
-        cosine of its incidence. The directions have the shape (rays, 3). The robot `skipped` stops no ray."""
+        cosine of its incidence. The directions have the shape (rays, 3). The robot stops no ray."""
         rays = np.ascontiguousarray(directions, np.float64)
         count = len(rays)
         geoms, lengths, normals = np.full(count, -1, np.int32), np.zeros(count), np.zeros(3 * count)
         model, data, origin = self._model, self._data, np.array(start)
-        with self._without(skipped):
+        with self._without(robot):
             mj.mj_multiRay(
                 model, data, origin, rays.ravel(), _GROUPS, True, -1, geoms, lengths, normals, count, reach
             )
@@ -446,7 +446,7 @@ class Physics:
             return
         at = self._free_dofs[body]
         self.data.qvel[at : at + 3] = linear
-        self.data.qvel[at + 3 : at + 6] = frames.rotate_back(self._rotation(body), angular)
+        self.data.qvel[at + 3 : at + 6] = frames.rotate_back(self.frame(body)[1], angular)
         self.data.qacc_warmstart[at : at + 6] = 0.0  # of the motion before
         self._has_velocities = False
 
@@ -456,11 +456,6 @@ class Physics:
         for dof in np.flatnonzero(self.model.body_rootid[self.model.dof_bodyid] == root):
             self.data.qvel[dof] = 0.0
         self._has_velocities = False
-
-    def _rotation(self, body: Body) -> Quaternion:
-        at = self._free[body]
-        w, x, y, z = self.data.qpos[at + 3 : at + 7].tolist()
-        return x, y, z, w
 
     def set_joint_position(self, joint: Joint, position: float) -> None:
         index = self._joint_ids[joint]

@@ -44,7 +44,7 @@ MISSING: Mapping[str, str] = {
     " worldLoad worldReload worldSave",
     "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
     " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
-    " moveViewpoint remove setVisibility enableContactPointsTracking disableContactPointsTracking"
+    " moveViewpoint remove restartController setVisibility enableContactPointsTracking disableContactPointsTracking"
     " enablePoseTracking disablePoseTracking getFromProtoDef",
     "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
     " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
@@ -419,10 +419,10 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
     def _distance(self) -> float:
         """Return the distance that the lookup table gets, m."""
         start, rotation = self._frame()
-        physics, robot = self._simulation.physics, self._spec.body.robot
+        physics = self._simulation.physics
         directions = [frames.rotate(rotation, direction) for direction in self._directions]
         reach = self._reach or 1e3
-        hits = physics.rays.cast(start, directions, reach, robot.index if robot else None)
+        hits = physics.rays.cast(start, directions, reach, self._spec.body.robot)
         if self._type in ("sonar", "laser"):
             return min(
                 reach if self._type == "sonar" and cosine < SONAR_CONE else distance
@@ -539,11 +539,8 @@ class LightSensor(ScalarSensor, HasLookupTable):
         return light.frame if light.body is None else self._simulation.physics.frame(light.body, light.frame)
 
     def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
-        robot = self._spec.body.robot
-        skipped = None if robot is None else robot.index
-        return (
-            self._simulation.physics.rays.cast(position, [beam.direction], beam.distance, skipped)[0][1] >= 0
-        )
+        rays, robot = self._simulation.physics.rays, self._spec.body.robot
+        return rays.cast(position, [beam.direction], beam.distance, robot)[0][1] >= 0
 
 
 def _ambient(light: Node) -> float:

@@ -223,8 +223,7 @@ class Simulation:
             aperture = number(device.node, "aperture")
             if aperture >= 0 and not _within_cone(frames.rotate_back(rotation, direction), aperture):
                 return False
-        skipped = sender.body.robot.index if sender.body.robot else None
-        hit = self.physics.rays.cast(start, [unit], distance, skipped)[0]
+        hit = self.physics.rays.cast(start, [unit], distance, sender.body.robot)[0]
         # The ray may end at the robot that carries the receiver, which hides nothing.
         return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
 

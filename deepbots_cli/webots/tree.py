@@ -136,9 +136,6 @@ class Node(_NodeTypes):
     def resetPhysics(self) -> None:
         self._simulation.physics.stop_body(self._attachment("resetPhysics")[0])
 
-    def restartController(self) -> None:
-        raise NotImplementedCallError("Node.restartController is not implemented")
-
     def addForce(self, force: list[float], relative: bool) -> None:
         self._push("addForce", force, (0.0, 0.0, 0.0), relative)
 
