@@ -10,9 +10,10 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.webots.nodes import boolean
 from deepbots_cli.webots.scene import AXES, ORIGIN, Inertia
-from deepbots_cli.webots.shapes import compose
+from deepbots_cli.webots.shapes import Grid, Mesh, Plane, compose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -207,42 +208,41 @@ def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bo
     """
     types = mj.mjtGeom
     fields: dict[str, Any] = {"type": types.mjGEOM_MESH, "meshname": name}
-    match shape.kind:
-        case "box":
-            fields = {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
-        case "sphere":
-            fields = {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
-        case "cylinder" | "capsule":
-            kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
-            fields = {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
-        case "plane":
+    match shape:
+        case Box(size):
+            fields = {"type": types.mjGEOM_BOX, "size": [side / 2 for side in size]}
+        case Sphere(radius):
+            fields = {"type": types.mjGEOM_SPHERE, "size": [radius, 0.0, 0.0]}
+        case Cylinder(radius, height) | Capsule(radius, height):
+            kind = types.mjGEOM_CYLINDER if isinstance(shape, Cylinder) else types.mjGEOM_CAPSULE
+            fields = {"type": kind, "size": [radius, height / 2, 0.0]}
+        case Plane(extent):
             # A plane collides without end in Webots, whatever its size, as one of size 0 does in MuJoCo.
-            x, y = (*shape.size, 1.0, 1.0)[:2] if is_seen else (0.0, 0.0)
+            x, y = (*extent, 1.0, 1.0)[:2] if is_seen else (0.0, 0.0)
             fields = {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
-        case "grid":
+        case Grid():
             _add_grid(spec, shape, name)
             fields = {"type": types.mjGEOM_HFIELD, "hfieldname": name}
             # A grid begins at its origin in Webots, and has its middle there in MuJoCo.
-            middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
+            middle = (shape.size[0] / 2, shape.size[1] / 2, float(shape.heights.min()))
             frame = compose(frame, (middle, frames.IDENTITY_ROTATION))
-        case "mesh":
+        case Mesh(vertices, faces):
             mesh = spec.add_mesh(name=name)
-            mesh.uservert = np.array(shape.vertices, np.float64).ravel()
-            mesh.userface = np.array(shape.faces, np.int32).ravel()
+            mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
             kinds = mj.mjtMeshInertia
             mesh.inertia = kinds.mjMESH_INERTIA_SHELL if is_seen else kinds.mjMESH_INERTIA_CONVEX
     return fields | {"pos": frame[0], "quat": frames.wxyz(frame[1])}
 
 
-def _add_grid(spec: Any, shape: Shape, name: str) -> None:
-    heights = np.array(shape.heights, np.float64)
+def _add_grid(spec: Any, grid: Grid, name: str) -> None:
+    heights = grid.heights
     rise = max(float(np.ptp(heights)), 1e-6)
     spec.add_hfield(
         name=name,
-        size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
-        nrow=len(heights) // shape.columns,
-        ncol=shape.columns,
-        userdata=((heights - heights.min()) / rise).tolist(),
+        size=[grid.size[0] / 2, grid.size[1] / 2, rise, GRID_DEPTH_M],
+        nrow=heights.shape[0],
+        ncol=heights.shape[1],
+        userdata=((heights - heights.min()) / rise).ravel().tolist(),
     )
 
 

@@ -22,10 +22,11 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import atomic_write
+from deepbots_cli.robots.model import Box
 from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
 from deepbots_cli.webots.model import geom_fields
 from deepbots_cli.webots.nodes import number, parameters, real, rotation, text, vector, walk
-from deepbots_cli.webots.shapes import look_of, sky_color, visible_shape
+from deepbots_cli.webots.shapes import Grid, Plane, look_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -220,7 +221,7 @@ class _VisualModel:
     def _surface(self, node: Node, shape: Shape) -> dict[str, Any]:
         """Return the color of a shape, or its texture."""
         look = look_of(node, self._scene.files)
-        if look.texture is None or shape.kind not in ("box", "plane", "grid"):
+        if look.texture is None or not isinstance(shape, Box | Plane | Grid):
             return {"rgba": look.color}
         rows, columns, _ = look.texture.pixels.shape
         name = self._name()

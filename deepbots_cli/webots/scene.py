@@ -30,7 +30,7 @@ from deepbots_cli.webots.nodes import (
     vector,
     vectors,
 )
-from deepbots_cli.webots.shapes import compose, shape_of
+from deepbots_cli.webots.shapes import Grid, Mesh, compose, shape_of, volume_of
 from deepbots_cli.webots.syntax import WorldError
 
 if TYPE_CHECKING:
@@ -434,7 +434,7 @@ class _Builder:
             self._shapes[node, scale] = shape_of(node, scale, self.files, self.findings)
         shape = self._shapes[node, scale]
         if shape is not None:
-            self._points += len(shape.vertices) + 2 * len(shape.faces) + len(shape.heights)
+            self._points += _points_of(shape)
             if self._points > MAX_POINTS:
                 raise _too_many(node, f"{MAX_POINTS:,} points of meshes and grids")
             material = text(owner, "contactMaterial")
@@ -449,7 +449,7 @@ class _Builder:
         if damping is not None and damping.type == "Damping":
             body.damping = number(damping, "linear"), number(damping, "angular")
         density, mass = number(physics, "density"), number(physics, "mass")
-        volume = sum(geometry.shape.volume for geometry in geometries)
+        volume = sum(volume_of(geometry.shape) for geometry in geometries)
         if density >= 0:
             mass = density * volume
         if mass <= 0:
@@ -463,7 +463,7 @@ class _Builder:
             self._state_inertia(physics, body, frame, mass, centers, matrix)
             return
         for geometry in geometries:
-            geometry.mass = mass * geometry.shape.volume / volume
+            geometry.mass = mass * volume_of(geometry.shape) / volume
 
     def _state_inertia(
         self,
@@ -568,6 +568,15 @@ class _Builder:
 
 def _too_many(node: Node, limit: str) -> WorldError:
     return WorldError.at(node.span, f"the world has more than {limit}")
+
+
+def _points_of(shape: Shape) -> int:
+    match shape:
+        case Mesh(vertices, faces):
+            return len(vertices) + 2 * len(faces)
+        case Grid(heights=heights):
+            return heights.size
+    return 0
 
 
 def _frame_of(node: Node) -> Frame:

@@ -44,8 +44,8 @@ MISSING: Mapping[str, str] = {
     " worldLoad worldReload worldSave",
     "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
     " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
-    " moveViewpoint remove restartController setVisibility enableContactPointsTracking disableContactPointsTracking"
-    " enablePoseTracking disablePoseTracking getFromProtoDef",
+    " moveViewpoint remove restartController setVisibility enableContactPointsTracking"
+    " disableContactPointsTracking enablePoseTracking disablePoseTracking getFromProtoDef",
     "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
     " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
     " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",

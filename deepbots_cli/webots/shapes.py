@@ -8,10 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from io import BytesIO
-from math import cos, isfinite, pi, sin
-from typing import TYPE_CHECKING, Literal
+from math import isfinite, pi
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from deepbots_cli import frames
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.robots.meshes import mesh_problem, mesh_size
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.webots.nodes import child, integer, is_a, number, numbers, real, texts, vector, vectors
 from deepbots_cli.webots.syntax import WorldFindings
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Visual
     from deepbots_cli.webots.syntax import Node
 
+    Floats = NDArray[np.float64]
     Pixels = NDArray[np.uint8]
 
 
@@ -43,42 +44,57 @@ MAX_FACES = 2 * MAX_VERTICES  # as many as a closed mesh has
 _PLY_FACES = re.compile(rb"element[ \t]+face[ \t]+([0-9]{1,18})")
 _FLAT = 1e-9  # m; a mesh of less extent along some axis has no volume
 
-Kind = Literal["box", "sphere", "cylinder", "capsule", "plane", "mesh", "grid"]
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane, which collides without end; `size` is the extent of its picture along x and y, m."""
+
+    size: tuple[float, ...]
 
 
-@dataclass(eq=False)
-class Shape:
-    """A geometry in its own frame.
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Heights, m, shape (rows along y, columns along x), that begin at the origin; `size` is their extent
+    along x and y, m."""
 
-    `size` (m) is that of a box; radius and height of a cylinder or capsule, whose axis is z; the radius of a
-    sphere; the extent of a grid along x and y. A capsule is without its caps as high as `height`. A grid
-    begins at its origin; its heights are row by row along x.
-    """
+    size: tuple[float, float]
+    heights: Floats
 
-    kind: Kind
-    size: tuple[float, ...] = ()
-    vertices: Sequence[Triple] = ()
-    faces: Sequence[tuple[int, int, int]] = ()
-    heights: Sequence[float] = ()
-    columns: int = 0
 
-    @cached_property
-    def volume(self) -> float:
-        """In m^3; 0 for planes and grids."""
-        match self.kind:
-            case "box":
-                x, y, z = self.size
-                return x * y * z
-            case "sphere":
-                return 4 / 3 * pi * self.size[0] ** 3
-            case "cylinder":
-                return pi * self.size[0] ** 2 * self.size[1]
-            case "capsule":
-                radius, height = self.size
-                return pi * radius**2 * height + 4 / 3 * pi * radius**3
-            case "mesh":
-                return _mesh_volume(self.vertices, self.faces)
-        return 0.0
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles: points, m, shape (points, 3), and the points of each face, shape (faces, 3)."""
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+
+
+Shape = Box | Sphere | Cylinder | Capsule | Plane | Grid | Mesh
+"""A geometry in its own frame. The axis of a cylinder or capsule is z."""
+
+
+def kind_of(shape: Shape) -> str:
+    """Return the name of the kind of a shape, such as `box`."""
+    return type(shape).__name__.lower()
+
+
+def volume_of(shape: Shape) -> float:
+    """Return the volume, m^3; 0 for planes and grids."""
+    match shape:
+        case Box((x, y, z)):
+            return x * y * z
+        case Sphere(radius):
+            return 4 / 3 * pi * radius**3
+        case Cylinder(radius, height):
+            return pi * radius**2 * height
+        case Capsule(radius, height):
+            return pi * radius**2 * height + 4 / 3 * pi * radius**3
+        case Mesh(vertices, faces):
+            # Signed tetrahedra with the origin (divergence theorem); faces that point inward give a negative
+            # sum.
+            a, b, c = vertices[faces].transpose(1, 0, 2)
+            return abs(float(sum((a * np.cross(b, c)).sum(axis=1).tolist()))) / 6
+    return 0.0
 
 
 def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> Shape | None:
@@ -88,15 +104,16 @@ def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -
     match node.type:
         case "Box":
             x, y, z = (*numbers(node, "size"), 0.0, 0.0, 0.0)[:3]
-            return _positive(node, Shape("box", (x * sx, y * sy, z * sz)), findings)
+            return _positive(node, Box((x * sx, y * sy, z * sz)), (x * sx, y * sy, z * sz), findings)
         case "Sphere":
-            return _positive(node, Shape("sphere", (number(node, "radius") * max(widest, sz),)), findings)
+            radius = number(node, "radius") * max(widest, sz)
+            return _positive(node, Sphere(radius), (radius,), findings)
         case "Cylinder" | "Capsule":
-            kind: Kind = "cylinder" if node.type == "Cylinder" else "capsule"
+            kind = Cylinder if node.type == "Cylinder" else Capsule
             size = (number(node, "radius") * widest, number(node, "height") * sz)
-            return _positive(node, Shape(kind, size), findings)
+            return _positive(node, kind(*size), size, findings)
         case "Plane":
-            return Shape("plane", tuple(numbers(node, "size")))
+            return Plane(tuple(numbers(node, "size")))
         case "ElevationGrid":
             return _grid(node, (sx, sy, sz), findings)
         case "IndexedFaceSet":
@@ -107,8 +124,8 @@ def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -
     return None
 
 
-def _positive(node: Node, shape: Shape, findings: WorldFindings) -> Shape | None:
-    if all(1e-7 < length < 1e6 for length in shape.size):
+def _positive(node: Node, shape: Shape, size: Sequence[float], findings: WorldFindings) -> Shape | None:
+    if all(1e-7 < length < 1e6 for length in size):
         return shape
     findings.error(node.span, f"a {node.type} whose size is not positive, or is above 1000 km")
     return None
@@ -125,9 +142,8 @@ def _grid(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
         findings.error(node.span, f"an ElevationGrid with more than {MAX_HEIGHTS:,} heights")
         return None
     count = columns * rows
-    heights = [height * scale[2] for height in (heights + [0.0] * count)[:count]]  # Webots fills with 0
-    size = ((columns - 1) * along_x, (rows - 1) * along_y)
-    return Shape("grid", size, heights=heights, columns=columns)
+    filled = np.array((heights + [0.0] * count)[:count]).reshape(rows, columns)  # Webots fills with 0
+    return Grid(((columns - 1) * along_x, (rows - 1) * along_y), filled * scale[2])
 
 
 def _face_set(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
@@ -162,7 +178,7 @@ def _mesh(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> S
     return _solid_mesh(node, points, faces, scale, findings)
 
 
-def _load_mesh(path: Path) -> tuple[list[Triple], list[tuple[int, int, int]]]:
+def _load_mesh(path: Path) -> tuple[Any, Any]:
     import trimesh
 
     suffix = path.suffix[1:].lower()
@@ -182,34 +198,19 @@ def _load_mesh(path: Path) -> tuple[list[Triple], list[tuple[int, int, int]]]:
     if problem is not None or faces > MAX_FACES:
         raise UsageError(problem or f"it has {faces:,} faces, and the limit is {MAX_FACES:,}")
     loaded = trimesh.load_mesh(BytesIO(data), file_type=suffix, skip_materials=True)
-    points = [(float(x), float(y), float(z)) for x, y, z in loaded.vertices]
-    return points, [(int(a), int(b), int(c)) for a, b, c in loaded.faces]
+    return loaded.vertices, loaded.faces
 
 
-def _solid_mesh(
-    node: Node,
-    points: Sequence[Triple],
-    faces: Sequence[tuple[int, int, int]],
-    scale: Triple,
-    findings: WorldFindings,
-) -> Shape | None:
-    scaled = [(x * scale[0], y * scale[1], z * scale[2]) for x, y, z in points]
-    extents = [max(axis) - min(axis) for axis in zip(*scaled, strict=True)] if scaled else []
-    if len(scaled) < 4 or not faces or min(extents, default=0.0) < _FLAT:
+def _solid_mesh(node: Node, points: Any, faces: Any, scale: Triple, findings: WorldFindings) -> Shape | None:
+    scaled = np.array(points, np.float64).reshape(-1, 3) * scale
+    extents = np.ptp(scaled, axis=0) if len(scaled) else np.zeros(3)
+    if len(scaled) < 4 or not len(faces) or extents.min() < _FLAT:
         findings.error(node.span, f"{node.type} encloses no volume", "use a Box as the bounding object")
         return None
-    if len(scaled) > MAX_VERTICES or max(extents) > 1e6:
+    if len(scaled) > MAX_VERTICES or extents.max() > 1e6:
         findings.error(node.span, f"{node.type} has more than {MAX_VERTICES:,} points, or is above 1000 km")
         return None
-    return Shape("mesh", vertices=scaled, faces=faces)
-
-
-def _mesh_volume(vertices: Sequence[Triple], faces: Sequence[tuple[int, int, int]]) -> float:
-    # Signed tetrahedra with the origin (divergence theorem); faces that point inward give a negative sum.
-    total = 0.0
-    for a, b, c in faces:
-        total += frames.dot(vertices[a], frames.cross(vertices[b], vertices[c]))
-    return abs(total) / 6
+    return Mesh(scaled, np.array(faces, np.int32))
 
 
 def compose(outer: Frame, inner: Frame, scale: Triple = (1.0, 1.0, 1.0)) -> Frame:
@@ -337,17 +338,19 @@ def visible_shape(visual: Visual, files: Files) -> Shape | None:
 
 def _cone(radius: float, height: float, scale: Triple) -> Shape:
     """Return a cone around z, with its base at the bottom."""
-    rim: list[Triple] = [
-        (radius * cos(2 * pi * k / CONE_SIDES), radius * sin(2 * pi * k / CONE_SIDES), -height / 2)
-        for k in range(CONE_SIDES)
-    ]
-    points = [*rim, (0.0, 0.0, height / 2), (0.0, 0.0, -height / 2)]
-    faces = []
-    for k in range(CONE_SIDES):
-        after = (k + 1) % CONE_SIDES
-        faces += [(k, after, CONE_SIDES), (after, k, CONE_SIDES + 1)]
-    scaled = [(x * scale[0], y * scale[1], z * scale[2]) for x, y, z in points]
-    return Shape("mesh", vertices=scaled, faces=faces)
+    angles = 2 * pi * np.arange(CONE_SIDES) / CONE_SIDES
+    rim = np.stack(
+        [radius * np.cos(angles), radius * np.sin(angles), np.full(CONE_SIDES, -height / 2)], axis=1
+    )
+    points = np.concatenate([rim, [(0.0, 0.0, height / 2), (0.0, 0.0, -height / 2)]])
+    side, base, tip = (
+        np.arange(CONE_SIDES),
+        np.full(CONE_SIDES, CONE_SIDES + 1),
+        np.full(CONE_SIDES, CONE_SIDES),
+    )
+    after = (side + 1) % CONE_SIDES
+    faces = np.concatenate([np.stack([side, after, tip], axis=1), np.stack([after, side, base], axis=1)])
+    return Mesh(points * scale, faces.astype(np.int32))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.view import server
 from deepbots_cli.view.panel import heading, hint, notice, set_theme
 from deepbots_cli.view.playback import RELEASE_TIMEOUT_S
@@ -32,7 +31,7 @@ from deepbots_cli.view.scene import (
     with_edges,
 )
 from deepbots_cli.webots.rendering import HEIGHT, WIDTH, Viewpoint
-from deepbots_cli.webots.shapes import color_of, sky_color, visible_shape
+from deepbots_cli.webots.shapes import Grid, Mesh, Plane, color_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -50,12 +49,6 @@ _MAX_LINES, _MAX_CHARACTERS, _MAX_ROBOTS = 8, 200, 10
 """What the page shows of the output: lines of each robot, characters of a line, and robots."""
 _FAREWELL_S = 0.3  # s; the time in which a browser gets the last picture
 _DEFAULT_PLANE_M = 100.0
-_SOLIDS: dict[str, Callable[[Any], Any]] = {
-    "box": Box,
-    "sphere": lambda size: Sphere(*size),
-    "cylinder": lambda size: Cylinder(*size),
-    "capsule": lambda size: Capsule(*size),
-}
 
 
 class HeldKeys:
@@ -182,22 +175,21 @@ class Viewer:
     def _add(self, name: str, shape: Shape, color: Any, frame: Frame) -> None:
         import trimesh
 
-        scene, size = self._server.scene, shape.size
-        match shape.kind:
-            case "box" | "sphere" | "cylinder" | "capsule":
-                add_shape(scene, name, _SOLIDS[shape.kind](size), color, frame)
-            case "mesh":
-                solid = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+        scene = self._server.scene
+        match shape:
+            case Mesh(vertices, faces):
+                solid = trimesh.Trimesh(vertices, faces, process=False)
                 add_triangles(scene, name, with_edges(solid), color, frame)
-            case "plane":
+            case Plane(size):
                 x, y = (*size, _DEFAULT_PLANE_M, _DEFAULT_PLANE_M)[:2]
                 flat = HeightGrid(np.zeros((2, 2)), (x, y)).triangles()
                 add_triangles(scene, name, trimesh.Trimesh(*flat, process=False), color, frame)
-            case "grid":
-                heights = np.array(shape.heights).reshape(-1, shape.columns)
-                points, faces = HeightGrid(heights, (size[0], size[1])).coarsened(MAX_CELLS).triangles()
-                solid = shaded_mesh(points + np.array([size[0] / 2, size[1] / 2, 0.0]), faces, color)
+            case Grid(extent, heights):
+                points, triangles = HeightGrid(heights, extent).coarsened(MAX_CELLS).triangles()
+                solid = shaded_mesh(points + np.array([extent[0] / 2, extent[1] / 2, 0.0]), triangles, color)
                 scene.add_mesh_trimesh(name, solid, position=frame[0], wxyz=frames.wxyz(frame[1]))
+            case _:
+                add_shape(scene, name, shape, color, frame)
 
     def _aim(self) -> None:
         """Look from the viewpoint; a person turns the camera around the middle of the bodies."""

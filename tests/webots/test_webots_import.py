@@ -688,7 +688,7 @@ def test_a_proto_of_the_project_is_read_from_its_file(tmp_path: Path):
     )
     path = tmp_path / "worlds" / "w.wbt"
     path.write_text(HEADER + 'EXTERNPROTO "../protos/Ball.proto"\nBall { radius 0.5 }')
-    assert build_scene(read_world(path)).bodies[0].geometries[0].shape.size == (0.5,)
+    assert build_scene(read_world(path)).bodies[0].geometries[0].shape.radius == 0.5
 
 
 def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -256,7 +256,7 @@ def test_a_scale_shrinks_shapes_and_places():
       DEF PART Solid { translation 1 0 0 boundingObject Sphere { radius 1 } } ] }"""
     simulation = simulate(text)
     assert node(simulation, "PART").getPosition() == pytest.approx([0.1, 0, 2])
-    assert simulation.physics.geoms[0][1].shape.size == pytest.approx([0.1])
+    assert simulation.physics.geoms[0][1].shape.radius == pytest.approx(0.1)
 
 
 def test_an_elevation_grid_begins_at_its_origin():

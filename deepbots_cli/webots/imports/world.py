@@ -23,7 +23,7 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_cli.webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
-from deepbots_cli.webots.shapes import color_of, inverse, visible_shape
+from deepbots_cli.webots.shapes import Grid, Mesh, Plane, color_of, inverse, kind_of, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -66,7 +66,6 @@ class Names:
 
 _LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
 """A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
-_LINK_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
 _MAX_FACES = 20_000  # triangles of the visible meshes of a link
 _EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
 
@@ -172,8 +171,8 @@ def _as_seen(
 ) -> urdf.Link:
     """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
     shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
-    drawn = [(visual, shape) for visual, shape in shapes if shape is not None and shape.kind in _LINK_SHAPES]
-    if not drawn or sum(len(shape.faces) for _, shape in drawn) > _MAX_FACES:
+    drawn = [(visual, shape) for visual, shape in shapes if not isinstance(shape, Plane | Grid | None)]
+    if not drawn or sum(len(shape.faces) for _, shape in drawn if isinstance(shape, Mesh)) > _MAX_FACES:
         return link
     geometries = []
     for visual, shape in drawn:
@@ -203,11 +202,11 @@ def _link(
         pose = pose_of(frames.compose(origin, geometry.frame))
         shape = _shape(geometry.shape, built, name)
         if shape is None:
-            findings.warning(geometry.owner.span, f"a {geometry.shape.kind} of a robot is left out")
+            findings.warning(geometry.owner.span, f"a {kind_of(geometry.shape)} of a robot is left out")
             continue
         shapes.append(urdf.Geometry(shape, pose))
         if geometry.mass > 0:
-            masses.append(_homogeneous(geometry.shape, shape, geometry.mass, pose))
+            masses.append(_homogeneous(geometry.shape, geometry.mass, pose))
     if not masses and name != built.model.root:
         masses = [_LIGHT]
     friction = urdf.Friction(lateral=_friction(geometries, scene))
@@ -226,47 +225,39 @@ def _unit(value: float) -> float:
 
 
 def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
-    match shape.kind:
-        case "box":
-            x, y, z = shape.size
-            return urdf.Box((x, y, z))
-        case "sphere":
-            return urdf.Sphere(shape.size[0])
-        case "cylinder":
-            return urdf.Cylinder(*shape.size)
-        case "capsule":
-            return urdf.Capsule(*shape.size)
-        case "mesh":
+    """Return a shape of URDF, with the file of a mesh; None for a plane or a grid."""
+    match shape:
+        case Plane() | Grid():
+            return None
+        case Mesh():
             content = _stl(shape)
             path = f"{built.model.name}_{link}_{len(built.meshes)}.stl"
             built.meshes[path] = content
             return urdf.Mesh(path, hashlib.sha256(content).hexdigest())
-    return None
+    return shape
 
 
-def _stl(shape: Shape) -> bytes:
+def _stl(mesh: Mesh) -> bytes:
     """Return the triangles of a mesh as a binary STL file."""
-    facets = np.zeros(len(shape.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    facets["corners"] = np.array(shape.vertices)[np.array(shape.faces)]
+    facets = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = mesh.vertices[mesh.faces]
     return b"\0" * 80 + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
 # Masses
 
 
-def _homogeneous(shape: Shape, urdf_shape: urdf.Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
-    exact = urdf.homogeneous_inertial(urdf_shape, mass, pose)
-    if exact is not None:
-        return exact
-    # A mesh has the inertia of the box around it; its convex hull collides.
-    low = tuple(min(point[axis] for point in shape.vertices) for axis in range(3))
-    high = tuple(max(point[axis] for point in shape.vertices) for axis in range(3))
-    size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
-    center = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, (high[2] + low[2]) / 2)
-    frame = frames.compose(frames.frame(pose), (center, frames.IDENTITY_ROTATION))
-    box = urdf.homogeneous_inertial(urdf.Box(size), mass, pose_of(frame))
-    assert box is not None
-    return box
+def _homogeneous(shape: Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
+    if isinstance(shape, Mesh):  # the inertia of the box around it; its convex hull collides
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        x, y, z = ((high + low) / 2).tolist()
+        pose = pose_of(frames.compose(frames.frame(pose), ((x, y, z), frames.IDENTITY_ROTATION)))
+        x, y, z = (high - low).tolist()
+        shape = urdf.Box((x, y, z))
+    assert not isinstance(shape, Plane | Grid)  # they have no mass
+    inertial = urdf.homogeneous_inertial(shape, mass, pose)
+    assert inertial is not None
+    return inertial
 
 
 def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
@@ -437,11 +428,10 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
     heights."""
     for body in scene.bodies:
         is_alone = body.robot is None and body.parent is None and not body.is_free
-        if not is_alone or [geometry.shape.kind for geometry in body.geometries] != ["grid"]:
+        if not is_alone or len(body.geometries) != 1 or not isinstance(body.geometries[0].shape, Grid):
             continue
-        (geometry,) = body.geometries
-        shape = geometry.shape
-        low, high = min(shape.heights), max(shape.heights)
+        (geometry,), shape = body.geometries, body.geometries[0].shape
+        low, high = float(shape.heights.min()), float(shape.heights.max())
         (x, y, z), orientation = frames.compose(body.frame, geometry.frame)
         middle = (x + shape.size[0] / 2, y + shape.size[1] / 2, z + low)
         if max(map(abs, middle)) > 1e-6 or abs(orientation[3]) < 1 - 1e-9 or high - low < 1e-3:
@@ -458,12 +448,12 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
     return set()
 
 
-def _picture(shape: Shape, low: float, high: float) -> bytes:
+def _picture(grid: Grid, low: float, high: float) -> bytes:
     """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest
     y."""
     from PIL import Image
 
-    shares = (np.array(shape.heights).reshape(-1, shape.columns)[::-1] - low) / (high - low)
+    shares = (grid.heights[::-1] - low) / (high - low)
     content = BytesIO()
     Image.fromarray(np.rint(shares * 65535).astype(np.uint16)).save(content, "PNG")
     return content.getvalue()
@@ -493,7 +483,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
     for position, geometry in enumerate(solid):
         shape = _shape_text(geometry.shape)
         if shape is None:
-            result.left_out.append((body.node.span.location, f"the {geometry.shape.kind} of '{label}'"))
+            result.left_out.append((body.node.span.location, f"the {kind_of(geometry.shape)} of '{label}'"))
             continue
         parts = [shape]
         mass = geometry.mass + sum(inertia.mass for inertia in body.inertias)
@@ -519,21 +509,20 @@ def _color_text(body: Body, scene: Scene) -> str:
 
 def _is_ground(geometry: Geometry, body: Body) -> bool:
     """Return whether a plane is the ground of a scenario: level, at the height 0."""
-    if geometry.shape.kind != "plane" or body.is_free:
+    if not isinstance(geometry.shape, Plane) or body.is_free:
         return False
     position, orientation = frames.compose(body.frame, geometry.frame)
     return abs(position[2]) < 1e-3 and frames.rotate(orientation, (0.0, 0.0, 1.0))[2] > 0.9999
 
 
 def _shape_text(shape: Shape) -> str | None:
-    match shape.kind:
-        case "box":
-            return f"shape: box, size: {plain(*shape.size)} m"
-        case "sphere":
-            return f"shape: sphere, radius: {plain(*shape.size)} m"
-        case "cylinder" | "capsule":
-            radius, height = shape.size
-            return f"shape: {shape.kind}, radius: {plain(radius)} m, height: {plain(height)} m"
+    match shape:
+        case urdf.Box(size):
+            return f"shape: box, size: {plain(*size)} m"
+        case urdf.Sphere(radius):
+            return f"shape: sphere, radius: {plain(radius)} m"
+        case urdf.Cylinder(radius, height) | urdf.Capsule(radius, height):
+            return f"shape: {kind_of(shape)}, radius: {plain(radius)} m, height: {plain(height)} m"
     return None
 
 
