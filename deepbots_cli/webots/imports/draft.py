@@ -272,11 +272,15 @@ def _bindings(controller: Controller) -> Bindings:
             match node:
                 case ast.Name(id=name) | ast.Attribute(attr=name) if name in _BINDS_UNSEEN:
                     return Bindings()
-                case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
-                    result.counts[name] += 1
-                case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.arg(arg=name):
-                    result.counts[name] += 1
-                case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)):
+                case (
+                    ast.Name(id=name, ctx=ast.Store())
+                    | ast.Attribute(attr=name, ctx=ast.Store())
+                    | ast.FunctionDef(name=name)
+                    | ast.ClassDef(name=name)
+                    | ast.arg(arg=name)
+                    | ast.ExceptHandler(name=str(name))
+                    | ast.MatchAs(name=str(name))
+                ):
                     result.counts[name] += 1
                 case (
                     ast.Assign(targets=[target], value=value)
