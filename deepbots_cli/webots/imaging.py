@@ -287,12 +287,12 @@ class Lidar(_HasRange):
         axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
         least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
-        hits = self._simulation.physics.rays.cast(start, rays, most, self._spec.body.robot)
+        distances = self._simulation.physics.rays.distances(start, rays, most, self._spec.body.robot)
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
-        for number_, (distance, geom, _) in enumerate(hits):
+        for number_, distance in enumerate(distances):
             layer, at = divmod(number_, len(columns))
-            value = self._rounded(distance + self._noise(noise)) if geom >= 0 else math.inf
+            value = self._rounded(distance + self._noise(noise)) if distance <= most else math.inf
             self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
             self._times[columns[at]] = now
 

@@ -307,6 +307,12 @@ def test_a_robot_that_pushes_a_wall_does_not_sink_into_it():
     assert nearest == pytest.approx(0.19 + 0.037, abs=0.005)
 
 
+def test_too_many_contacts_end_a_run_with_a_sentence():
+    simulation = simulate("E-puck { }" * 40)
+    with pytest.raises(FloatingPointError, match="more contacts than MuJoCo has room for"):
+        simulation.run_step()
+
+
 def test_bb8_rocks_in_the_pit():
     """The strategy of robotbenchmark's example: the motor turns with the ball. It climbs, and stays within."""
     pit = """Pit { size 20 20 4 pitRadius 2.7 }
