@@ -29,6 +29,7 @@ from deepbots_cli.course.lessons import (
 from deepbots_cli.document import MappingNode, Node, ScalarNode, to_data, walk
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import read_at_most
 
 MAX_FILES = 2_000
 MAX_BYTES = 200 * 2**20
@@ -36,6 +37,7 @@ _STRUCTURE = ("include", "extends", "remove", "deepbots")
 """Keys that would read other files, or take away what the task has."""
 _CODE = (".py", ".so", ".dll", ".exe", ".sh", ".pkl", ".pickle", ".ipynb", ".js")
 _CHUNK = 2**20
+_MAX_FILE_BYTES = 2**20
 _OWN = (ANSWERS_NAME, "README.md", "course.json", "runs")
 """What a student has beside the files of the exercise."""
 
@@ -81,27 +83,27 @@ def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
 
 def _inner_folder(folder: Path, lesson: Lesson) -> Path:
     """Return the folder with the files of the steps: a zip often has one folder around them."""
-    names = {f"{step}.yaml" for step in lesson.steps} | {ANSWERS_NAME}
     for candidate in (folder, *sorted(path for path in folder.glob("*/") if path.is_dir())):
-        if any((candidate / name).is_file() for name in names):
+        if any((candidate / name).is_file() for name in lesson.step_files):
             return candidate
     if not any(folder.iterdir()):
         raise HandInError("it is empty")
-    raise HandInError(f"it has none of the files of this lesson: {', '.join(sorted(names - {ANSWERS_NAME}))}")
+    raise HandInError(f"it has none of the files of this lesson: {', '.join(lesson.step_files)}")
 
 
 def _foreign_files(folder: Path, lesson: Lesson) -> Iterator[str]:
     """Yield remarks about files that have no effect: those that the exercise does not have, and those of its
     world that were changed."""
     start = lesson.folder / START
-    steps = {f"{step}.yaml" for step in lesson.steps}
-    expected = {path.name for path in start.iterdir()} | steps | set(_OWN)
+    steps = set(lesson.step_files)
+    taken = {name for step in lesson.steps.values() for name in step.files}
+    expected = {path.name for path in start.iterdir()} | steps | taken | set(_OWN)
     foreign = sorted(path.name for path in folder.iterdir() if path.name not in expected)
     if foreign:
         yield f"{', '.join(foreign[:5])}: not a part of the exercise, and without effect on the marks"
     for path in sorted(start.iterdir()):
         copy = folder / path.name
-        is_world = path.is_file() and path.name not in steps | {ANSWERS_NAME}
+        is_world = path.is_file() and path.name not in steps | taken
         if is_world and copy.is_file() and copy.read_bytes() != path.read_bytes():
             yield f"{path.name} was changed, which has no effect on the marks"
 
@@ -205,7 +207,22 @@ def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
     started = _root(start / file, file) if (start / file).is_file() else None
     before = {path: node_at(started, *path.split(".")) for path in step.parts}
     is_changed = any(_data(parts.get(path)) != _data(node) for path, node in before.items())
+    is_changed = is_changed or any(_content(folder / name) != _content(start / name) for name in step.files)
     return StepFile(parts, tuple(_without_effect(file, root, started, step)), is_changed)
+
+
+def _content(path: Path) -> bytes | None:
+    """Return the content of a file that the task takes; None if there is none.
+
+    Raises:
+        HandInError: It is too large.
+    """
+    if path.is_symlink() or not path.is_file():
+        return None
+    content = read_at_most(path, _MAX_FILE_BYTES + 1)
+    if len(content) > _MAX_FILE_BYTES:
+        raise HandInError(f"{path.name} is larger than {_MAX_FILE_BYTES >> 20} MiB")
+    return content
 
 
 def _data(node: Node | None) -> object:
@@ -277,8 +294,9 @@ def _is_in_parts(path: str, parts: tuple[str, ...]) -> bool:
     return any(path == part or path.startswith(f"{part}.") or part.startswith(f"{path}.") for part in parts)
 
 
-def write_parts(step_file: StepFile, step: Step, folder: Path) -> None:
-    """Write the parts beside the teacher's task, each in a file of its own.
+def write_parts(step_file: StepFile, step: Step, own: Path, folder: Path) -> None:
+    """Write the parts beside the teacher's task, each in a file of its own, and the files of the student in
+    the folder `own` that the task takes.
 
     A part keeps its lines and columns: what stands before it in the file of the student becomes spaces, so
     that a finding names the place in that file.
@@ -294,3 +312,8 @@ def write_parts(step_file: StepFile, step: Step, folder: Path) -> None:
             )
             text = above + source[part.span.start : part.span.end]
         (folder / HANDED_IN / f"{path}.yaml").write_text(text + "\n", encoding="utf-8")
+    for name in step.files:
+        content = _content(own / name)
+        if content is None:
+            raise HandInError(f"there is no {name}")
+        (folder / HANDED_IN / name).write_bytes(content)

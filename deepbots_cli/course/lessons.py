@@ -34,6 +34,7 @@ HANDED_IN = "handed_in"
 ANSWERS_NAME = "answers.yaml"
 _NUMBERED = re.compile(r"(\d+)-(.+)")
 _MAX_BYTES = 2**20
+_FILE = r"^[A-Za-z0-9_-]+\.(urdf|obj|stl)$"
 _NAME = r"^[a-z][a-z0-9_-]{0,39}$"
 
 StepName = Annotated[str, Field(pattern=_NAME)]
@@ -103,6 +104,7 @@ class Step(_Part):
         goal: What the student does, in a sentence.
         parts: The sections that the teacher's task takes from the file of the student, such as `reward` or
             `robots.rover.sensors`; each is a mapping.
+        files: Files that the task takes beside them, such as `robot.urdf`; of at most 1 MiB.
         sensors: The types of sensors that the parts may have; None allows all.
         forbidden: Names that no expression of the parts may use, such as the position that the robot cannot
             know.
@@ -112,6 +114,7 @@ class Step(_Part):
 
     goal: Text
     parts: tuple[str, ...] = ()
+    files: tuple[Annotated[str, Field(pattern=_FILE)], ...] = ()
     sensors: tuple[str, ...] | None = None
     forbidden: tuple[str, ...] = ()
     checks: tuple[Check, ...] = Field(min_length=1)
@@ -164,6 +167,14 @@ class Lesson:
     @property
     def label(self) -> str:
         return f"{self.number} {self.title}" if self.number else self.title
+
+    @property
+    def step_files(self) -> tuple[str, ...]:
+        """The files that a student edits: one for each step with parts, and that of the answers."""
+        steps = self.steps.values()
+        has_answers = any(check.kind == "answer" for step in steps for check in step.checks)
+        files = (f"{name}.yaml" for name, step in self.steps.items() if step.parts)
+        return (*files, *([ANSWERS_NAME] if has_answers else []))
 
     def task(self, step: str) -> Path:
         """Return the teacher's task of a step."""

@@ -115,9 +115,21 @@ class Marker:
             answers = self._answers()
             return StepMark(name, tuple(self._answered(check, answers) for check in step.checks))
         try:
-            written = read_step(self.folder, name, step, self.lesson.folder / START)
+            return self._marked(name, step)
         except HandInError as error:
-            return nothing(name, step, str(error))
+            return nothing(name, step, str(error), self.remarks)
+        except ScenarioError as error:
+            errors = [finding for finding in error.findings if finding.severity == "error"]
+            return nothing(name, step, self._finding(name, errors[0]), self.remarks)
+
+    def _marked(self, name: str, step: Step) -> StepMark:
+        """Return the marks of the teacher's task with the parts of the student.
+
+        Raises:
+            HandInError: The file of the step is missing, broken, or has what no part may have.
+            ScenarioError: The task has errors with these parts.
+        """
+        written = read_step(self.folder, name, step, self.lesson.folder / START)
         self.remarks += written.remarks
         if not written.is_changed:
             return nothing(name, step, UNCHANGED, self.remarks)
@@ -125,31 +137,26 @@ class Marker:
         for folder in (START, CHECKS):
             shutil.copytree(self.lesson.folder / folder, project / folder)
         (project / "deepbots.toml").touch()  # one project, so that a task may extend the world of `start`
-        write_parts(written, step, project / CHECKS)
-        try:
-            checked = api.load(project / CHECKS / f"{name}.yaml", tests=True)
-            compiled = api.compile(checked)
-        except ScenarioError as error:
-            errors = [finding for finding in error.findings if finding.severity == "error"]
-            return nothing(name, step, self._finding(name, errors[0]), self.remarks)
-        answers = self._answers() if any(check.answer for check in step.checks) else {}
-        marks: list[CheckMark] = []
+        write_parts(written, step, self.folder, project / CHECKS)
+        checked = api.load(project / CHECKS / f"{name}.yaml", tests=True)
+        compiled = api.compile(checked)
+        answers = self._answers()
         policy = _Policy(self, name, compiled)
+        marks = []
         for check in step.checks:
             try:
                 match check.kind:
                     case "test":
-                        mark = self._tested(check, compiled, checked.tests)
+                        marks.append(self._tested(check, compiled, checked.tests))
                     case "without":
-                        mark = self._linted(name, check, compiled.findings)
+                        marks.append(self._linted(name, check, compiled.findings))
                     case "answer":
-                        mark = self._answered(check, answers)
+                        marks.append(self._answered(check, answers))
                     case "policy":
-                        mark = policy.mark(check)
+                        marks.append(policy.mark(check))
             except DeepbotsError as error:
                 reason = str(error).replace(f"{self.folder}/", "").replace(f"{self.work}/", "")
-                mark = CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON])
-            marks.append(mark)
+                marks.append(CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON]))
         return StepMark(name, tuple(marks), tuple(self.remarks), policy.weights)
 
     def _finding(self, name: str, finding: Finding) -> str:

@@ -117,7 +117,7 @@ def _is_full(row: Row) -> bool:
 
 
 def _start(name: str, folder: Path | None) -> None:
-    from deepbots_cli.course.lessons import START, lesson_named
+    from deepbots_cli.course.lessons import START, course_folder, lesson_named
 
     lesson = lesson_named(name)
     folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
@@ -129,11 +129,13 @@ def _start(name: str, folder: Path | None) -> None:
     shutil.copytree(lesson.folder / START, folder, dirs_exist_ok=True)
     if text := lesson.text("text.md"):
         (folder / "README.md").write_text(text, encoding="utf-8")
-    shipped = lesson_named(str(lesson.number)).name == lesson.name if lesson.number else False
-    _write(
-        folder, {"lesson": lesson.name if shipped else str(lesson.folder.resolve()), "points": 0, "hints": {}}
-    )
-    rows = [{"step": name, "points": step.points, "goal": step.goal} for name, step in lesson.steps.items()]
+    is_shipped = lesson.folder.parent == course_folder()
+    name = lesson.name if is_shipped else str(lesson.folder.resolve())
+    _write(folder, {"lesson": name, "points": 0, "hints": {}})
+    rows = [
+        {"step": step_name, "points": step.points, "goal": step.goal}
+        for step_name, step in lesson.steps.items()
+    ]
     terminal.print_result(
         f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n\n"
         f"{table(rows, is_prose=True)}\n\nread {folder / 'README.md'} first"
