@@ -6,6 +6,7 @@ its place; a test that fails says what was expected and measured.
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import zipfile
@@ -27,7 +28,7 @@ from deepbots_cli.course.lessons import (
     rate_or_return,
     read_mapping,
 )
-from deepbots_cli.document import ScalarNode
+from deepbots_cli.document import ScalarNode, to_data
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import DeepbotsError, ScenarioError
 from deepbots_cli.expressions import parser, syntax
@@ -38,9 +39,11 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.diagnostics import Finding
     from deepbots_cli.learning.runs.run import Run
+    from deepbots_cli.program.task import ScenarioTest
 
 UNCHANGED = "not changed yet"
 _MAX_REASON = 400
+_MISSING_TEST = "the task has no such test; tell your teacher"
 _WEIGHTS = "policy.pth"
 """The file of a model of Stable-Baselines3 with its weights."""
 
@@ -138,8 +141,9 @@ class Marker:
             shutil.copytree(self.lesson.folder / folder, project / folder)
         (project / "deepbots.toml").touch()  # one project, so that a task may extend the world of `start`
         write_parts(written, step, self.folder, project / CHECKS)
-        checked = api.load(project / CHECKS / f"{name}.yaml", tests=True)
-        compiled = api.compile(checked)
+        task = project / CHECKS / f"{name}.yaml"
+        compiled = api.compile(_with_tests(task, ()))
+        tests = self._tests(name, task, step)
         answers = self._answers()
         policy = _Policy(self, name, compiled)
         marks = []
@@ -147,7 +151,7 @@ class Marker:
             try:
                 match check.kind:
                     case "test":
-                        marks.append(self._tested(check, compiled, checked.tests))
+                        marks.append(self._tested(check, compiled, tests[check.test or ""]))
                     case "without":
                         marks.append(self._linted(name, check, compiled.findings))
                     case "answer":
@@ -166,19 +170,31 @@ class Marker:
         help = f"; {finding.help}" if finding.help and is_of_student else ""
         return f"{place}: {finding.headline} ({finding.code}){help}"
 
-    def _tested(self, check: Check, compiled: Compiled, tests: Sequence[Any]) -> CheckMark:
+    def _tests(self, name: str, task: Path, step: Step) -> dict[str, ScenarioTest | str]:
+        """Return the tests of the step; for one that cannot be compiled with the parts of the student, because
+        it names what they lack, the reason."""
+        names = [check.test for check in step.checks if check.test is not None]
+        checked = api.load(task, tests=True)
+        if checked.program is not None:
+            by_name = {test.name: test for test in checked.tests}
+            return {one: by_name.get(one, _MISSING_TEST) for one in names}
+        tests: dict[str, ScenarioTest | str] = {}
+        for one in names:
+            checked = api.load(_with_tests(task, (one,)), tests=True)
+            errors = [finding for finding in checked.findings if finding.severity == "error"]
+            tests[one] = self._finding(name, errors[0]) if errors else next(iter(checked.tests), _MISSING_TEST)
+        return tests
+
+    def _tested(self, check: Check, compiled: Compiled, test: ScenarioTest | str) -> CheckMark:
         from deepbots_cli.learning.scenario_tests import run_tests
 
-        test = next((test for test in tests if test.name == check.test), None)
-        if test is None:
-            raise HandInError(f"the task has no test `{check.test}`; tell your teacher")
+        if isinstance(test, str):
+            return CheckMark(check.says, 0, check.points, test)
         (result,) = run_tests(compiled.program, [test], engine=compiled.program.engine)
         if result.passed:
             return CheckMark(check.says, check.points, check.points)
         unmet = result.unmet[0]
-        return CheckMark(
-            check.says, 0, check.points, f"expected {unmet.expected}; measured: {unmet.measured}"
-        )
+        return CheckMark(check.says, 0, check.points, f"expected {unmet.expected}; measured: {unmet.measured}")
 
     def _linted(self, name: str, check: Check, findings: Sequence[Finding]) -> CheckMark:
         finding = next((finding for finding in findings if finding.code == check.without), None)
@@ -204,6 +220,16 @@ class Marker:
         position = node.span.start_position
         where = f"{ANSWERS_NAME}:{position.line}:{position.column}"
         return CheckMark(check.says, 0, check.points, f"`{node.text[:60]}` is not right ({where})")
+
+
+def _with_tests(task: Path, names: Sequence[str]) -> Path:
+    """Write a task with only these of its tests beside it; JSON is YAML. Returns its path."""
+    node, _ = read_mapping(task)
+    data: Any = {} if node is None else to_data(node)
+    tests = {name: test for name, test in (data.pop("tests", None) or {}).items() if name in names}
+    path = task.with_name("-".join((task.stem, "only", *names)) + ".yaml")
+    path.write_text(json.dumps(data | ({"tests": tests} if tests else {})), encoding="utf-8")
+    return path
 
 
 def is_right(text: str, expected: str | float) -> bool:

@@ -50,7 +50,7 @@ TASK = """
 deepbots: 1
 extends: cartpole
 name: Task
-remove: [augment, observation, robots.cart.sensors, reward, solved, train, termination, tests]
+remove: [augment, observation, robots.cart.sensors, reward, solved, train, termination]
 augment: {AUGMENT}
 robots: {cart: {sensors: {SENSORS}}}
 observation: {cart.angle: -20 .. 20 deg}
