@@ -202,12 +202,12 @@ def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
     file = f"{name}.yaml"
     root = _root(folder / file, file)
     parts = {path: part for path in step.parts if (part := node_at(root, *path.split("."))) is not None}
-    for path, part in parts.items():
-        _check_part(file, path, part, step)
     started = _root(start / file, file) if (start / file).is_file() else None
     before = {path: node_at(started, *path.split(".")) for path in step.parts}
     is_changed = any(_data(parts.get(path)) != _data(node) for path, node in before.items())
     is_changed = is_changed or any(_content(folder / name) != _content(start / name) for name in step.files)
+    for path, part in parts.items() if is_changed else ():
+        _check_part(file, path, part, step)
     return StepFile(parts, tuple(_without_effect(file, root, started, step)), is_changed)
 
 

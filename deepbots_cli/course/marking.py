@@ -114,28 +114,31 @@ class Marker:
         """Return the marks of a step. Mistakes of the student are reasons, not errors."""
         step = self.lesson.steps[name]
         self.remarks = []
-        if not step.parts:
-            answers = self._answers()
-            return StepMark(name, tuple(self._answered(check, answers) for check in step.checks))
-        try:
-            return self._marked(name, step)
-        except HandInError as error:
-            return nothing(name, step, str(error), self.remarks)
-        except ScenarioError as error:
-            errors = [finding for finding in error.findings if finding.severity == "error"]
-            return nothing(name, step, self._finding(name, errors[0]), self.remarks)
+        answers = self._answers()
+        reason = ""
+        if step.parts:
+            try:
+                return self._marked(name, step, answers)
+            except HandInError as error:
+                reason = str(error)
+            except ScenarioError as error:
+                errors = [finding for finding in error.findings if finding.severity == "error"]
+                reason = self._finding(name, errors[0])
+        marks = zip(nothing(name, step, reason).checks, step.checks, strict=True)
+        checks = (self._answered(check, answers) if check.kind == "answer" else mark for mark, check in marks)
+        return StepMark(name, tuple(checks), tuple(self.remarks))
 
-    def _marked(self, name: str, step: Step) -> StepMark:
+    def _marked(self, name: str, step: Step, answers: dict[str, Any]) -> StepMark:
         """Return the marks of the teacher's task with the parts of the student.
 
         Raises:
-            HandInError: The file of the step is missing, broken, or has what no part may have.
+            HandInError: The file of the step is missing, unchanged, broken, or has what no part may have.
             ScenarioError: The task has errors with these parts.
         """
         written = read_step(self.folder, name, step, self.lesson.folder / START)
         self.remarks += written.remarks
         if not written.is_changed:
-            return nothing(name, step, UNCHANGED, self.remarks)
+            raise HandInError(UNCHANGED)
         project = self.work / name
         for folder in (START, CHECKS):
             shutil.copytree(self.lesson.folder / folder, project / folder)
@@ -144,7 +147,6 @@ class Marker:
         task = project / CHECKS / f"{name}.yaml"
         compiled = api.compile(_with_tests(task, ()))
         tests = self._tests(name, task, step)
-        answers = self._answers()
         policy = _Policy(self, name, compiled)
         marks = []
         for check in step.checks:
