@@ -38,7 +38,7 @@ _STRUCTURE = ("include", "extends", "remove", "deepbots")
 _CODE = (".py", ".so", ".dll", ".exe", ".sh", ".pkl", ".pickle", ".ipynb", ".js")
 _CHUNK = 2**20
 _MAX_FILE_BYTES = 2**20
-_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs")
+_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs", "world.png")
 """What a student has beside the files of the exercise."""
 
 

@@ -184,7 +184,9 @@ class Marker:
         for one in names:
             checked = api.load(_with_tests(task, (one,)), tests=True)
             errors = [finding for finding in checked.findings if finding.severity == "error"]
-            tests[one] = self._finding(name, errors[0]) if errors else next(iter(checked.tests), _MISSING_TEST)
+            tests[one] = (
+                self._finding(name, errors[0]) if errors else next(iter(checked.tests), _MISSING_TEST)
+            )
         return tests
 
     def _tested(self, check: Check, compiled: Compiled, test: ScenarioTest | str) -> CheckMark:
@@ -196,7 +198,9 @@ class Marker:
         if result.passed:
             return CheckMark(check.says, check.points, check.points)
         unmet = result.unmet[0]
-        return CheckMark(check.says, 0, check.points, f"expected {unmet.expected}; measured: {unmet.measured}")
+        return CheckMark(
+            check.says, 0, check.points, f"expected {unmet.expected}; measured: {unmet.measured}"
+        )
 
     def _linted(self, name: str, check: Check, findings: Sequence[Finding]) -> CheckMark:
         finding = next((finding for finding in findings if finding.code == check.without), None)

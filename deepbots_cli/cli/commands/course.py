@@ -129,6 +129,8 @@ def _start(name: str, folder: Path | None) -> None:
     shutil.copytree(lesson.folder / START, folder, dirs_exist_ok=True)
     if text := lesson.text("text.md"):
         (folder / "README.md").write_text(text, encoding="utf-8")
+    for picture in sorted(lesson.folder.glob("*.png")):
+        shutil.copy(picture, folder)
     is_shipped = lesson.folder.parent == course_folder()
     name = lesson.name if is_shipped else str(lesson.folder.resolve())
     _write(folder, {"lesson": name, "points": 0, "hints": {}})
