@@ -25,8 +25,8 @@ from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, w
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.words import sentence_list
 
-SUFFIXES = (".zip", ".yaml", ".yml")
-"""The files in a folder of hand-ins that are hand-ins; the others are folders."""
+_SUFFIXES = (".zip", ".yaml", ".yml")
+"""The suffixes that are not part of the name of a student."""
 
 
 @dataclass(frozen=True)
@@ -88,20 +88,19 @@ class Marks:
         }
 
 
-def hand_ins_of(paths: Sequence[Path]) -> list[tuple[str, Path]]:
+def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]:
     """Return hand-ins with the names of their students: those of files and folders, numbered where two are
-    the same. A folder of hand-ins stands for all that is in it."""
+    the same. A folder with several entries, and no file of the lesson, stands for all that is in it."""
     single: list[Path] = []
     for path in paths:
         inside = [] if path.is_symlink() or not path.is_dir() else sorted(path.iterdir())
         visible = [entry for entry in inside if not entry.name.startswith(".")]
-        is_class = bool(visible) and all(entry.is_dir() or entry.suffix == ".zip" for entry in visible)
-        is_class = is_class and not any(entry.name == "runs" for entry in visible)
+        is_class = len(visible) > 1 and not any((path / name).exists() for name in lesson.step_files)
         single += visible if is_class else [path]
     counts: dict[str, int] = {}
     named: list[tuple[str, Path]] = []
     for path in single:
-        name = path.resolve().stem if path.suffix in SUFFIXES else (path.name or path.resolve().name)
+        name = path.stem if path.suffix in _SUFFIXES else path.resolve().name
         counts[name] = counts.get(name, 0) + 1
         named.append((name if counts[name] == 1 else f"{name} ({counts[name]})", path))
     return named

@@ -249,14 +249,20 @@ def test_a_damaged_zip_is_refused_or_opened(
         assert collect(folder / "ada.zip", "ada", folder / "into", lesson).folder == folder / "into"
 
 
-def test_students_are_named_by_their_files(tmp_path: Path) -> None:
+def test_students_are_named_by_their_files(lesson: Lesson, tmp_path: Path) -> None:
     handed_in = tmp_path / "handed_in"
     put(handed_in / "ada", mend=STEP % "1")
     archive(handed_in / "ada.zip", {})
     archive(handed_in / "José ß.zip", {})
     (handed_in / ".DS_Store").touch()
-    assert [name for name, _ in hand_ins_of([handed_in])] == ["José ß", "ada", "ada (2)"]
-    assert [name for name, _ in hand_ins_of([handed_in / "ada"])] == ["ada"]
+    (handed_in / "notes.txt").touch()
+    assert [name for name, _ in hand_ins_of(lesson, [handed_in])] == [
+        "José ß",
+        "ada",
+        "ada (2)",
+        "notes.txt",
+    ]
+    assert [name for name, _ in hand_ins_of(lesson, [handed_in / "ada"])] == ["ada"]
 
 
 def test_a_step_beyond_its_limits_costs_that_student_that_step(lesson: Lesson, tmp_path: Path) -> None:

@@ -315,7 +315,7 @@ def command_grade(
         check_folder(html)
         if html.exists() and any(html.iterdir()) and not force:
             raise UsageError(f"{html} is not empty; name another folder, or add --force")
-    students = hand_ins_of(hand_ins)
+    students = hand_ins_of(lesson, hand_ins)
     with terminal.progress("hand-ins", always=False) as show:
         marks = grade(
             lesson,
