@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,16 +16,13 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write, check_folder, check_output, read_at_most
+from deepbots_cli.files import atomic_write, check_folder, check_output
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.course.grading import Marks
     from deepbots_cli.course.lessons import Lesson
-
-PROGRESS_NAME = "course.json"
-"""The file in the folder of a student that names its lesson, with the points so far and the hints shown."""
-_MAX_PROGRESS_BYTES = 65_536
+    from deepbots_cli.course.progress import Started
 
 
 class Action(StrEnum):
@@ -84,31 +80,29 @@ def command(
 
 def _list(folder: Path, *, as_json: bool) -> None:
     from deepbots_cli.course.lessons import shipped_lessons
+    from deepbots_cli.course.progress import started_in
 
-    started = {
-        progress["lesson"]: (place, progress)
-        for place in (folder, *sorted(path for path in folder.glob("*/") if path.is_dir()))
-        if (progress := _progress(place)) is not None
-    }
+    folders = (folder, *sorted(path for path in folder.glob("*/") if path.is_dir()))
+    started = {one.reference: one for place in folders if (one := started_in(place)) is not None}
     rows: list[Row] = []
     for lesson in shipped_lessons():
-        place, progress = started.get(lesson.name, (None, {}))
+        own = started.get(lesson.name)
         rows.append(
             {
                 "lesson": lesson.number,
                 "title": lesson.title,
                 "about": lesson.content.summary,
                 "minutes": lesson.content.minutes,
-                "points": f"{progress.get('points', 0)} of {lesson.points}" if place else "",
-                "folder": str(place or ""),
+                "points": "" if own is None else f"{own.points} of {lesson.points}",
+                "folder": "" if own is None else str(own.folder),
             }
         )
     current = next((row for row in rows if row["points"] and not _is_full(row)), None)
     following = next((row["lesson"] for row in rows if not row["points"]), 1)
-    next_commands = (
-        [f"deepbots course check {current['folder']}"] if current else [f"deepbots course start {following}"]
+    command = f"check {current['folder']}" if current else f"start {following}"
+    terminal.show(
+        rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
     )
-    terminal.show(rows, table(rows, is_prose=True), as_json=as_json, next_commands=next_commands)
 
 
 def _is_full(row: Row) -> bool:
@@ -117,23 +111,12 @@ def _is_full(row: Row) -> bool:
 
 
 def _start(name: str, folder: Path | None) -> None:
-    from deepbots_cli.course.lessons import START, course_folder, lesson_named
+    from deepbots_cli.course.lessons import lesson_named
+    from deepbots_cli.course.progress import start
 
     lesson = lesson_named(name)
     folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
-    check_folder(folder)
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(
-            f"{folder} is not empty; name another folder, or go on there with `deepbots course check`"
-        )
-    shutil.copytree(lesson.folder / START, folder, dirs_exist_ok=True)
-    if text := lesson.text("text.md"):
-        (folder / "README.md").write_text(text, encoding="utf-8")
-    for picture in sorted(lesson.folder.glob("*.png")):
-        shutil.copy(picture, folder)
-    is_shipped = lesson.folder.parent == course_folder()
-    name = lesson.name if is_shipped else str(lesson.folder.resolve())
-    _write(folder, {"lesson": name, "points": 0, "hints": {}})
+    start(lesson, folder)
     rows = [
         {"step": step_name, "points": step.points, "goal": step.goal}
         for step_name, step in lesson.steps.items()
@@ -142,57 +125,30 @@ def _start(name: str, folder: Path | None) -> None:
         f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n\n"
         f"{table(rows, is_prose=True)}\n\nread {folder / 'README.md'} first"
     )
-    terminal.note(f"\nnext:\n  cd {folder}\n  deepbots course check")
+    terminal.note(f"\nnext:\n  cd {quote(str(folder))}\n  deepbots course check")
 
 
-def _progress(folder: Path) -> dict[str, Any] | None:
-    path = folder / PROGRESS_NAME
-    if not path.is_file():
-        return None
-    try:
-        data = json.loads(read_at_most(path, _MAX_PROGRESS_BYTES))
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(data, dict) or not isinstance(data.get("lesson"), str):
-        return None
-    points, hints = data.get("points"), data.get("hints")
-    return {
-        "lesson": data["lesson"],
-        "points": points if isinstance(points, int) else 0,
-        "hints": hints if isinstance(hints, dict) else {},
-    }
+def _opened(folder: Path) -> Started:
+    """Return the lesson that was started in a folder."""
+    from deepbots_cli.course.progress import PROGRESS_NAME, started_in
 
-
-def _write(folder: Path, progress: dict[str, Any]) -> None:
-    with atomic_write(folder / PROGRESS_NAME) as draft:
-        draft.write_text(json.dumps(progress, indent=1) + "\n", encoding="utf-8")
-
-
-def _opened(folder: Path) -> tuple[Lesson, dict[str, Any]]:
-    """Return the lesson that was started in a folder, and the progress there."""
-    from deepbots_cli.course.lessons import lesson_named
-
-    progress = _progress(folder)
-    if progress is None:
+    started = started_in(folder)
+    if started is None:
         raise UsageError(
-            f"no lesson was started in {folder if str(folder) != '.' else 'this folder'}: it has no {PROGRESS_NAME};"
-            " start one with `deepbots course start 1`"
+            f"no lesson was started in {folder if str(folder) != '.' else 'this folder'}: it has no"
+            f" {PROGRESS_NAME}; start one with `deepbots course start 1`"
         )
-    return lesson_named(progress["lesson"]), progress
+    return started
 
 
 def _check(folder: Path, workers: int, *, as_json: bool) -> None:
-    lesson, progress = _opened(folder)
-    from deepbots_cli.course.grading import grade
-
+    started = _opened(folder)
     with terminal.transient_line("checking ..."):
-        (marks,) = grade(lesson, [(folder.resolve().name, folder)], workers=workers)
-    _write(folder, {**progress, "points": marks.points})
+        marks = started.check(workers)
     open_step = next((step for step in marks.steps if step.points < step.of), None)
-    following = (
-        ["deepbots course next"] if open_step is None else [f"deepbots course hint --step {open_step.step}"]
-    )
-    terminal.show(marks.data(), *_lines(lesson, marks), as_json=as_json, next_commands=following)
+    following = "next" if open_step is None else f"hint --step {open_step.step}"
+    lines = _lines(started.lesson(), marks)
+    terminal.show(marks.data(), *lines, as_json=as_json, next_commands=[f"deepbots course {following}"])
     if open_step is not None:
         raise typer.Exit(FAILED)
 
@@ -217,33 +173,24 @@ def _lines(lesson: Lesson, marks: Marks) -> list[str]:
 
 
 def _hint(folder: Path, name: str | None) -> None:
-    lesson, progress = _opened(folder)
+    started = _opened(folder)
     if name is None:
-        from deepbots_cli.course.grading import grade
-
         with terminal.transient_line("checking ..."):
-            (marks,) = grade(lesson, [("", folder)])
+            marks = started.check()
         name = next((step.step for step in marks.steps if step.points < step.of), None)
         if name is None:
             terminal.print_result("all points are reached; go on with `deepbots course next`")
             return
-    if name not in lesson.steps:
-        raise UsageError(f"there is no step '{name}'; the steps are {', '.join(lesson.steps)}")
-    hints = lesson.steps[name].hints
-    if not hints:
-        terminal.print_result(f"{name} has no hints; README.md explains what it needs")
-        return
-    shown = progress["hints"].get(name, 0)
-    number = min(shown if isinstance(shown, int) else 0, len(hints) - 1)
-    more = "" if number + 1 == len(hints) else "; the next call leads further"
-    terminal.print_result(f"{name}, hint {number + 1} of {len(hints)}{more}\n\n  {hints[number]}")
-    _write(folder, {**progress, "hints": {**progress["hints"], name: number + 1}})
+    number, hint = started.next_hint(name)
+    count = len(started.lesson().steps[name].hints)
+    more = "" if number == count else "; the next call leads further"
+    terminal.print_result(f"{name}, hint {number} of {count}{more}\n\n  {hint}")
 
 
 def _next(folder: Path, into: Path | None) -> None:
     from deepbots_cli.course.lessons import shipped_lessons
 
-    lesson, _ = _opened(folder)
+    lesson = _opened(folder).lesson()
     following = next((other for other in shipped_lessons() if other.number == lesson.number + 1), None)
     if following is None or not lesson.number:
         terminal.print_result("this was the last lesson; `deepbots course` lists all")
