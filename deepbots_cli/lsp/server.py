@@ -34,7 +34,7 @@ from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import definitions, hover, references
+from deepbots_cli.lsp.hover import definitions, hover
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -42,8 +42,6 @@ from deepbots_cli.lsp.workspace import (
     Locator,
     Workspace,
     analyze,
-    changed_part,
-    document_symbols,
     path_of,
 )
 
@@ -252,9 +250,7 @@ class CodeActions:
         if _is_wanted(FIX_ALL, only) and any(
             finding.fix is not None and finding.fix.safe for finding in findings
         ):
-            actions.append(
-                types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri})
-            )
+            actions.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, edit=self.fix_all()))
         return actions
 
     def fix_all(self) -> types.WorkspaceEdit | None:
@@ -275,7 +271,7 @@ class CodeActions:
             return None
         by_path = self._workspace.by_path
         changes = {
-            by_path[rewrite.path]: minimal_edits(
+            by_path[rewrite.path]: _whole(
                 by_path[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff")
             )
             for rewrite in rewrites
@@ -392,21 +388,12 @@ def formatting(document: Document) -> list[types.TextEdit]:
     _, root, findings = document.read()
     before = document.plain
     after = canonical_text(before) if root is not None and not findings.errors else None
-    return minimal_edits(document, after) if after is not None else []
+    return _whole(document, after) if after not in (None, before) else []
 
 
-def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
-    """Return the edit that turns a document into `after`, without the common start and end, so that cursors
-    and marks there stay."""
-    before = document.plain
-    if after == before:
-        return []
-    start, end, end_after = changed_part(before, after)
-    # No position exists between the two characters of a line end.
-    start -= before[max(0, start - 1) : start + 1] == "\r\n"
-    if before[max(0, end - 1) : end + 1] == "\r\n":
-        end, end_after = end + 1, end_after + 1
-    return [types.TextEdit(document.lines.range(start, end), after[start:end_after])]
+def _whole(document: Document, after: str) -> list[types.TextEdit]:
+    """Return the edit that replaces the text of a document."""
+    return [types.TextEdit(document.lines.range(0, len(document.plain)), after)]
 
 
 # The server and its request handlers
@@ -459,16 +446,11 @@ class Server(LanguageServer):
             types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris))
         )
         self._register(
-            types.TEXT_DOCUMENT_REFERENCES, self._at(lambda view: references(view, self.scenarios.open_uris))
-        )
-        self._register(
             types.TEXT_DOCUMENT_CODE_ACTION,
             self._code_actions,
-            types.CodeActionOptions(list(KINDS), resolve_provider=True),
+            types.CodeActionOptions(list(KINDS)),
         )
-        self._register(types.CODE_ACTION_RESOLVE, self._resolve_code_action)
-        self._register(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, self._of(document_symbols))
-        self._register(types.TEXT_DOCUMENT_FORMATTING, self._of(formatting))
+        self._register(types.TEXT_DOCUMENT_FORMATTING, self._format)
         self._register(types.INITIALIZED, self._initialized)
         self._register(types.SHUTDOWN, self._shut_down)
         self._register(types.EXIT, self._exit)
@@ -536,14 +518,9 @@ class Server(LanguageServer):
 
         return handler
 
-    def _of(self, answer: Callable[[Document], Any]) -> Callable[[Any], Any]:
-        """Return the handler of a request about a whole document."""
-
-        def handler(params: Any) -> Any:
-            document = self.scenarios.document(params.text_document.uri)
-            return answer(document) if document else None
-
-        return handler
+    def _format(self, params: types.DocumentFormattingParams) -> list[types.TextEdit] | None:
+        document = self.scenarios.document(params.text_document.uri)
+        return formatting(document) if document else None
 
     def _code_actions(self, params: types.CodeActionParams) -> list[types.CodeAction]:
         actions = self._actions(params.text_document.uri)
@@ -553,16 +530,7 @@ class Server(LanguageServer):
             if params.context.only is None
             else [str(getattr(kind, "value", kind)) for kind in params.context.only]
         )
-        offered = actions.at(params.range, only) if actions else []
-        return offered if self._resolves else [self._resolve_code_action(action) for action in offered]
-
-    def _resolve_code_action(self, action: types.CodeAction) -> types.CodeAction:
-        """Compute the edit of an action, which takes time."""
-        data = action.data
-        actions = self._actions(str(data.get("uri"))) if isinstance(data, dict) else None
-        if actions is not None and action.edit is None:
-            action.edit = actions.fix_all()
-        return action
+        return actions.at(params.range, only) if actions else []
 
     def _shut_down(self, _params: object) -> None:
         self.checker.stop()
@@ -581,15 +549,6 @@ class Server(LanguageServer):
             if document
             else None
         )
-
-    @property
-    def _resolves(self) -> bool:
-        """Whether the client requests the edit of an action when the user chooses it."""
-        capability = (
-            self.client_capabilities.text_document and self.client_capabilities.text_document.code_action
-        )
-        support = capability.resolve_support if capability else None
-        return support is not None and "edit" in support.properties
 
     def shutdown(self) -> None:
         """Close the connection too, because pygls leaves it open, and asyncio waits for it from Python 3.12

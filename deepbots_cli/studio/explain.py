@@ -24,7 +24,7 @@ from deepbots_cli.cli.explanations import (
 from deepbots_cli.diagnostics.registry import RULES, matching_rules, retired_rule_message
 from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
-from deepbots_cli.studio.language import Meaning, line_link
+from deepbots_cli.studio.language import line_link
 
 _PAGES = Path(__file__).parents[2] / "docs"
 """The pages of a clone; an installed package has none."""
@@ -180,13 +180,13 @@ def _section(text: str, anchor: str) -> str:
     return ""
 
 
-def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None) -> None:
+def show_explanation(first: str, of_text: OfText, meaning: str = "") -> None:
     """Open a dialog that explains words.
 
     Args:
         first: The first word; empty to ask for one.
         of_text: What the open text says about words.
-        meaning: What the first word means at the cursor.
+        meaning: What the first word means at the cursor (Markdown).
     """
     earlier: list[str] = []
 
@@ -195,7 +195,7 @@ def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None
             return
         earlier.append(query)
         word.set_value(query)
-        answer.set_content(_answer(query, of_text, meaning if len(earlier) == 1 else None))
+        answer.set_content(_answer(query, of_text, meaning if len(earlier) == 1 else ""))
         back.set_enabled(len(earlier) > 1)
         offered = list(of_text.fixes(query))
         fixes.clear()
@@ -231,9 +231,9 @@ def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None
     word.run_method("select")  # a letter replaces the word
 
 
-def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
-    """Return the explanation of a word: what it means in the text, and its entries."""
-    here = meaning.markdown() if meaning is not None else ""
+def _answer(query: str, of_text: OfText, here: str) -> str:
+    """Return the explanation of a word: what it means at the cursor (`here`) or in the text, and its
+    entries."""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
     names = [] if here else of_text.names(query)
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])

@@ -16,7 +16,6 @@ from deepbots_cli.studio.dialogs import Kind, StartPage, new_scenario
 from deepbots_cli.studio.editor import Editor, FindingList
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.language import Meaning
 from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
@@ -360,10 +359,10 @@ class StudioPage:
             return
         self._explain(
             place.word,
-            self._session.language.meaning(file.path, place.text, place.line, place.column, place.word),
+            self._session.language.meaning(file.path, place.text, place.line, place.column),
         )
 
-    def _explain(self, word: str = "", meaning: Meaning | None = None) -> None:
+    def _explain(self, word: str = "", meaning: str = "") -> None:
         """Open the explanation of a word, with what can be written into the text."""
         file, language = self._file, self._session.language
 

@@ -31,7 +31,6 @@ from deepbots_cli.lsp.workspace import (
     DocumentAnalysis,
     Workspace,
     analyze,
-    document_symbols,
     path_of,
     uri_of,
 )
@@ -235,7 +234,6 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
             diagnostics(analysis := analyze(document, workspace.drafts), workspace.open_uris)
             workspace.record(analysis)
             formatting(document)
-            document_symbols(document)
         answer_all(workspace, document, document.lines.position(end))
 
 
@@ -264,7 +262,6 @@ def test_a_hostile_document_is_answered_for(client, project, name):
                 f"textDocument/{method}",
                 {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}},
             )
-    client.request("textDocument/documentSymbol", {"textDocument": {"uri": uri}})
     client.request(
         "textDocument/formatting",
         {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},

@@ -42,7 +42,6 @@ from deepbots_cli.studio import server
 from deepbots_cli.studio import session as sessions
 from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.language import Meaning
 from deepbots_cli.studio.robot_pane import robot_text
 from deepbots_cli.studio.server import studio
 from deepbots_cli.studio.session import TABS, Session
@@ -792,37 +791,34 @@ def test_all_that_is_shown_agrees_with_the_files_in_a_walk(trained, tmp_path):
 LINES = SCENARIO.split("\n")
 
 
-def _meaning(folder: Path, line_begins: str, word: str) -> Meaning:
+def _meaning(folder: Path, line_begins: str, word: str) -> str:
     """Return the meaning of a word in the first line that begins so."""
     line = next(number for number, text in enumerate(LINES) if text.startswith(line_begins))
     (folder / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
 
-    async def run() -> Meaning:
+    async def run() -> str:
         async with Running(folder) as running:
             file = running.session.open(Path("mine.yaml"))
             await running.checked(file.path)
             column = LINES[line].index(word) + 1
-            return running.session.language.meaning(file.path, file.text, line, column, word)
+            return running.session.language.meaning(file.path, file.text, line, column)
 
     return asyncio.run(run())
 
 
-def test_a_parameter_says_where_it_is_used_and_a_use_where_it_is_defined(tmp_path):
-    at_its_definition = _meaning(tmp_path, "  fall_angle:", "fall_angle")
-    assert "a parameter, an angle" in at_its_definition.text
-    assert at_its_definition.definitions == ()
-    assert at_its_definition.uses == ("[line 22](#line:22): `fallen: abs(cart.pole_angle) > fall_angle`",)
-    at_its_use = _meaning(tmp_path, "    fallen:", "fall_angle")
-    assert (at_its_use.definitions, at_its_use.uses) == (("[line 4](#line:4)",), ())
-
-
-def test_a_sensor_and_a_key_of_the_language(tmp_path):
-    sensor = _meaning(tmp_path, "    fallen:", "pole_angle")
-    assert "an angle" in sensor.text
-    assert sensor.definitions == ("[line 10](#line:10)",)
-    key = _meaning(tmp_path, "truncation:", "max_steps")
-    assert key.text
-    assert not key.uses
+@pytest.mark.parametrize(
+    ("line", "word", "says", "place"),
+    [
+        ("  fall_angle:", "fall_angle", "a parameter, an angle", ""),
+        ("    fallen:", "fall_angle", "a parameter, an angle", "[line 4](#line:4)"),
+        ("    fallen:", "pole_angle", "an angle", "[line 10](#line:10)"),
+        ("truncation:", "max_steps", "**max_steps**", ""),
+    ],
+)
+def test_a_word_has_a_meaning_and_the_place_of_its_definition(tmp_path, line, word, says, place):
+    meaning = _meaning(tmp_path, line, word)
+    assert says in meaning
+    assert f"Defined in {place}." in meaning if place else "Defined" not in meaning
 
 
 @pytest.mark.parametrize("phrase", ["pole length", "pole_angle"])
