@@ -220,8 +220,7 @@ class Session:
         robot, commands: The process of the robot, and the commands that run.
         runs: The runs of the folder, the newest last.
         run_changes: The start and the changes of each run, by its path.
-        training_options: The options for the next training, by name, such as `--seed`; empty texts for those
-            of the file.
+        timesteps: The timesteps of the next training; empty for those of the file.
     """
 
     def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
@@ -235,7 +234,7 @@ class Session:
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
-        self.training_options = {"--timesteps": "", "--seed": ""}
+        self.timesteps = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
@@ -309,7 +308,7 @@ class Session:
         file = self.open(path)
         if self.current != file.path:
             self.current = file.path
-            self.training_options["--timesteps"] = ""  # of the scenario before
+            self.timesteps = ""  # of the scenario before
             self.shown.show_newest_training(file.path.stem)
             self._written = self._saved_parameters()
             self.shown.show_robot(file.path)
@@ -398,7 +397,7 @@ class Session:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             draft.edit([edit])
         if "train.total_timesteps" in values:
-            self.training_options["--timesteps"] = ""
+            self.timesteps = ""
         if draft.text == file.text:
             raise UsageError(f"{file.path.name} has these values already")
         lines = changed_lines(file.text, draft.text)

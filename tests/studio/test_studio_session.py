@@ -184,9 +184,9 @@ def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
             with pytest.raises(UsageError, match="has no place for it"):
                 session.write_values({"reward.bonus": "0.2", "name.first": "3"})
             assert (file.text, file.revision) == (SCENARIO, revision)
-            session.training_options["--timesteps"] = "512"  # which would override the next value
+            session.timesteps = "512"  # which would override the next value
             session.write_values({"train.total_timesteps": "1_024"})
-            assert session.training_options["--timesteps"] == ""
+            assert session.timesteps == ""
 
     asyncio.run(run())
 
@@ -349,6 +349,10 @@ def test_a_robot_that_does_not_answer_is_named_and_ended_by_the_next_save(folder
             await running.runs()
             pid = running.robot_pid
             os.kill(pid, signal.SIGSTOP)
+            begun = time.monotonic()
+            for _ in range(200):  # 200 kB, which no pipe takes
+                session.robot.set_parameter("fall_angle", "1" * 1_000)
+            assert time.monotonic() - begun < 5.0
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
             await running.until(lambda: session.robot.is_late)
             _writes(session, SCENARIO.replace("15 deg", "25 deg"))
