@@ -51,7 +51,6 @@ _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
 _COLON = re.compile(r"[\"']?[ \t]*:")
 _VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
-_ALIAS = re.compile(r"\*([\w-]+)")
 
 
 class ExpressionNode(NamedTuple):
@@ -383,11 +382,8 @@ def _reference_text(view: CursorView, target: KeyOrValue) -> str | None:
 
 
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
-    """Return the definitions of the name, alias or file under the cursor; several for a pattern that matches
+    """Return the definitions of the name or file under the cursor; several for a pattern that matches
     several names."""
-    anchor = _anchor(view)
-    if anchor is not None:
-        return [anchor]
     target = key_or_value_at(view)
     file = _file(view, target, open_uris) if target is not None else None
     if file is not None:
@@ -398,20 +394,6 @@ def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Loca
     return [
         locator.location(span) for span in _by_name(view) or (_by_reference(view, target) if target else [])
     ]
-
-
-def _anchor(view: CursorView) -> types.Location | None:
-    text = view.document.plain
-    begin = text.rfind("\n", 0, view.offset) + 1
-    for alias in _ALIAS.finditer(text, begin, view.offset + 100):
-        if alias.start() <= view.offset <= alias.end():
-            anchors = list(re.finditer(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()]))
-            return (
-                types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span()))
-                if anchors
-                else None
-            )
-    return None
 
 
 def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:

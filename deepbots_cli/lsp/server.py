@@ -10,7 +10,6 @@ import asyncio
 import gc
 import logging
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,12 +24,11 @@ from pygls.protocol import LanguageServerProtocol
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Edit, Finding, Source
+from deepbots_cli.diagnostics import Edit, Finding
 from deepbots_cli.diagnostics.render import message, shortened
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts, allowed_folders
-from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
@@ -45,7 +43,7 @@ from deepbots_cli.lsp.workspace import (
     path_of,
 )
 
-# Findings as diagnostics, and the text edits that fix or suppress them
+# Findings as diagnostics, and the text edits that fix them
 
 _SOURCE = "deepbots"
 _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
@@ -58,8 +56,6 @@ _DEBOUNCE = 0.05
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
 KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
 
-# In YAML, `#` begins a comment only after a space.
-_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
 _MAX_TITLE = 40
 
 
@@ -310,12 +306,6 @@ class CodeActions:
             yield types.CodeAction(
                 title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit
             )
-        if finding.severity == "warning" and not finding.code.startswith("DB9"):
-            suppression = self._suppression_edit(finding)
-            if suppression is not None:
-                title = f"Suppress {finding.code} ({finding.name}) on this line"
-                edit = self._edit({self._document: [suppression]})
-                yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, edit=edit)
 
     def _changes(self, finding: Finding, analysis: DocumentAnalysis) -> dict[Document, list[types.TextEdit]]:
         """Return the edits of a fix by document; empty unless all apply to the current text of open
@@ -330,26 +320,6 @@ class CodeActions:
                 span = document.lines.range(edit.span.start, edit.span.end)
                 changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
         return changes
-
-    def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:
-        """Return the edit that adds the code to the line's suppressing comment, or adds a comment; None if it
-        changes the values of the file."""
-        text = self._document.plain
-        begin = text.rfind("\n", 0, finding.span.start) + 1
-        end = text.find("\n", begin)
-        end = len(text) if end < 0 else end
-        line = text[begin:end].rstrip()
-        match = _SUPPRESSION.search(line)
-        if match:
-            at = begin + match.end(1)
-            added = f", {finding.code}"
-        else:
-            at = begin + len(line)
-            added = f"  # deepbots: ignore[{finding.code}]"
-        if not has_same_values(Source("", text), text[:at] + added + text[at:]):
-            return None
-        position = self._document.lines.position(at)
-        return types.TextEdit(types.Range(position, position), added)
 
     def _edit(self, changes: dict[Document, list[types.TextEdit]]) -> types.WorkspaceEdit:
         if not self._versioned:

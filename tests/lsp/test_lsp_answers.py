@@ -1,7 +1,7 @@
 """Completion: keys, words, names, parts of the world, functions, units and files, also in a text
 that cannot be parsed.
 
-What can be done about findings: fixes as they are, guesses called so, suppressions, all safe fixes at
+What can be done about findings: fixes as they are, guesses called so, all safe fixes at
 once; formatting.
 
 Hover and definitions: the text under the cursor, and its origin.
@@ -318,37 +318,6 @@ def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(
     assert client.actions(pit, "sum¦mary") == []
 
 
-def test_a_warning_can_be_suppressed_on_its_line_and_is_gone_then(client, pit, changed):
-    (unused,) = changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
-    assert (unused["severity"], unused["tags"]) == (WARNING, [1])
-    (action,) = [
-        offer for offer in client.actions(pit, "spa¦re: time") if offer["title"].startswith("Suppress")
-    ]
-    assert action["title"] == "Suppress DB205 (unused-definition) on this line"
-    client.change(pit, text_after(client, pit, action))
-    assert "  spare: time  # not yet  # deepbots: ignore[DB205]\n" in client.texts[pit]
-    assert client.findings(pit) == []
-
-
-def test_a_second_code_goes_into_the_comment_that_is_there(client, pit, changed):
-    changed(("signals:\n", "signals:\n  spare: 1 / (time - 1 s)  # deepbots: ignore[DB405]\n"))
-    (action,) = [offer for offer in client.actions(pit, "spa¦re: 1") if offer["title"].startswith("Suppress")]
-    assert "# deepbots: ignore[DB405, DB205]\n" in text_after(client, pit, action)
-
-
-def test_an_error_cannot_be_suppressed(client, pit, changed):
-    changed(("timestep: 32", "timestop: 32"))
-    assert [
-        offer["title"] for offer in client.actions(pit, "time¦stop") if "Suppress" in offer["title"]
-    ] == []
-
-
-def test_a_suppression_that_would_become_part_of_a_text_is_not_offered(client, pit, changed):
-    changed(("signals:\n", 'signals:\n  spare: "time\n    + 1 s"\n'))
-    assert [entry["code"] for entry in client.diagnostics[pit]["diagnostics"]] == ["DB205"]
-    assert [entry for entry in client.actions(pit, "spa¦re") if entry["title"].startswith("Suppress")] == []
-
-
 def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed):
     original = client.texts[pit]
     changed(
@@ -486,9 +455,7 @@ def test_a_name_leads_to_its_definition(client, pit, around, file, place):
 
 
 @pytest.mark.parametrize(("around", "file", "place"), TABLES["included"])
-def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(
-    client, ball, around, file, place
-):
+def test_definitions_are_found_in_included_files_and_by_paths_of_settings(client, ball, around, file, place):
     assert client.definition(ball, around) == [place_of(file, place)]
 
 
@@ -509,12 +476,6 @@ def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(cl
     )
     assert client.definition(uri, "extends: cart¦pole") == [("cartpole.yaml", 0, 0)]
     assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
-    client.close(uri)
-
-
-def test_an_alias_leads_to_the_last_anchor_of_its_name_before_it(client, project):
-    uri = client.open(project / "scenarios" / "mine.yaml", "deepbots: 1\na: &x 1\nb: &x 2\nc: *x\nd: &x 3\n")
-    assert client.definition(uri, "c: *¦x") == [("mine.yaml", 2, 3)]
     client.close(uri)
 
 
