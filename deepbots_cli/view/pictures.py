@@ -1,10 +1,7 @@
 """Pictures and clips: PNG, MP4 and GIF drawn by the engine, and offline pages drawn by viser in the reader's
 browser; the moving parts of an episode and their paths, for reports.
 
-The parts are chosen by the task: the bodies that the goal or a success reads, those that the reward reads,
-those that a failure or the observation reads, and then the other robots. A free robot moves as its root link.
-A robot with a fixed base moves as the links that the goal or a success reads, or else as the first link that
-the task reads and that moves, or else as the link that goes farthest.
+A free robot moves as its root link, a robot with a fixed base as the link that goes farthest.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view.episodes import Player
@@ -240,25 +237,13 @@ Positions = Mapping[LinkName, NDArray[np.float64]]
 MAX_TRAJECTORIES = 8
 _MIN_EXTENT_M = 1e-3  # m; a part that moves less stands still
 _MIN_SHARE = 0.02  # share of the longest trajectory; a shorter one is a dot
-_MIN_SHARE_OF_ROBOT = 0.1  # share of the path of the link that goes farthest
 
 
 class Moving(NamedTuple):
-    """The drawn parts of an episode: the parts that move, the one of the task first, and their goals."""
+    """The drawn parts of an episode: the parts that move, robots first, and their goals."""
 
     parts: tuple[LinkName, ...]
     targets: tuple[LinkName, ...]
-
-
-class _Subject(NamedTuple):
-    """A body, and one of its links or joints (empty for the body as a whole), that the task reads.
-
-    `rank` is 0 for a part that the goal or a success reads, 1 for the reward, 2 for anything else.
-    """
-
-    body: str
-    part: str
-    rank: int
 
 
 def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positions:
@@ -284,40 +269,41 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     extents = {
         part: max(_extent(positions[part]) for positions in episodes if part in positions) for part in parts
     }
-    analysis = Analysis(program).ideal
-    subjects = _subjects(program, analysis)
-    candidates: list[LinkName] = []
-    named = {subject.body: None for subject in subjects} | {
-        robot.name: None for robot in program.world.robots
-    }
-    for body in named:
-        mine = [subject for subject in subjects if subject.body == body]
-        for robot in world.robots:
-            if robot.name.partition("#")[0] == body:
-                candidates += _parts_of_robot(robot, mine, extents)
-        candidates += [
-            (object_body.name, object_body.name)
-            for object_body in world.objects
-            if object_body.name.partition("#")[0] == body and not object_body.fixed
-        ]
-    candidates = [part for part in dict.fromkeys(candidates) if part in extents]
+    robots = [
+        (
+            robot.name,
+            max((link.name for link in robot.model.links), key=lambda link: extents[robot.name, link]),
+        )
+        if robot.fixed_base
+        else (robot.name, robot.model.root)
+        for robot in world.robots
+    ]
+    objects = [(body.name, body.name) for body in world.objects]
+    fixed = {(body.name, body.name) for body in world.objects if body.fixed}
+    candidates = [part for part in (*robots, *objects) if part in extents.keys() - fixed]
     least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in candidates), default=0.0))
     moving = [part for part in candidates if extents[part] >= least] or candidates[:1]
-    objects = {object_body.name.partition("#")[0] for object_body in world.objects}
-    rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    # Failures often read walls that must not be touched.
-    failures = [value for value in program.endings if value.name in program.failures]
-    avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
-    reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
-    standing = [
-        (object_body.name, object_body.name)
-        for object_body in world.objects
-        if object_body.name.partition("#")[0] in reached
-    ]
-    targets = [part for part in extents if not part[0]] + [
-        part for part in standing if part in extents and part not in moving
-    ]
+    goals = [part for part in parts if not part[0]]
+    aims = _aims(program)
+    standing = [part for part in objects if part in extents and part[0].partition("#")[0] in aims]
+    targets = [*goals, *(part for part in standing if part not in moving)]
     return Moving(tuple(moving[:MAX_TRAJECTORIES]), tuple(targets))
+
+
+def _aims(program: Program) -> set[str]:
+    """Return the bodies that the goal or a success reads; without one, those that the reward reads and no
+    failure, which often reads walls that must not be touched."""
+    analysis, agent = Analysis(program).ideal, program.agent
+
+    def read(values: Iterable[Expression]) -> set[str]:
+        return {body for value in values for body in _read_by(analysis, value)}
+
+    aims = read(ending for ending in program.endings if ending.name in agent.success)
+    aims |= read([agent.goal.achieved]) if agent.goal else set()
+    objects = {body.name.partition("#")[0] for body in program.world.objects}
+    if aims & objects:
+        return aims
+    return read(agent.reward) - read(value for value in program.endings if value.name in program.failures)
 
 
 def describe(world: WorldModel, part: LinkName) -> str:
@@ -339,33 +325,13 @@ def _extent(points: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 0.0
 
 
-def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
-    """Return the parts that the task reads, each once, in the order of the module's docstring."""
-    agent = program.agent
-    endings = [(0 if ending.name in agent.success else 2, ending) for ending in program.endings]
-    goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
-    values = [
-        *goals,
-        *endings,
-        *((1, term) for term in agent.reward),
-        *((2, entry.value) for entry in agent.observation),
-    ]
-    subjects: dict[tuple[str, str], _Subject] = {}
-    for rank, value in sorted(values, key=lambda ranked: ranked[0]):
-        for both in _read_by(analysis, value):
-            subjects.setdefault(both, _Subject(*both, rank))
-    return list(subjects.values())
-
-
-def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
-    """Yield the bodies that an expression reads, each with its link or joint (empty for the body as a
-    whole)."""
+def _read_by(analysis: Analysis, value: Expression) -> Iterator[str]:
+    """Yield the bodies that an expression reads."""
     if not value.foreign:
         for tree in analysis.scalars(value):
             for node in analysis.walk_definitions(tree):
                 for full_name in _full_names(analysis, node):
-                    body, _, part = full_name.partition(".")
-                    yield body.partition("#")[0], part
+                    yield full_name.partition(".")[0].partition("#")[0]
 
 
 def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
@@ -374,30 +340,6 @@ def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
             yield from subjects
         case Name() if sensor := analysis.sensor(node):
             yield from (f"{sensor[0]}.{subject}" for subject in sensor[1].subjects)
-
-
-def _parts_of_robot(
-    robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]
-) -> list[LinkName]:
-    """Return the links whose positions represent the path of a robot."""
-    links = [link.name for link in robot.model.links]
-    if not robot.fixed_base:
-        return [(robot.name, robot.model.root)]
-    farthest = max(links, key=lambda link: extents[robot.name, link])
-    least = _MIN_SHARE_OF_ROBOT * extents[robot.name, farthest]
-    moving: dict[str, int] = {}
-    for subject in subjects:
-        driven = [joint.child for joint in robot.model.joints if joint.name == subject.part]
-        below = (
-            [subject.part]
-            if subject.part in links
-            else [link for child in driven for link in robot.model.links_below(child)]
-        )
-        link = max(below, key=lambda link: extents[robot.name, link], default=None)
-        if link is not None and extents[robot.name, link] >= max(least, _MIN_EXTENT_M):
-            moving.setdefault(link, subject.rank)
-    deciding = [link for link, rank in moving.items() if rank == 0]
-    return [(robot.name, link) for link in deciding or [*moving, farthest][:1]]
 
 
 # Clips
