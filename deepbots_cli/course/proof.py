@@ -160,8 +160,6 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
     with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
         folders = [("", base)]
         for title, cheat in CHEATS.items():
-            if cheat is _run and not _policy_points(lesson):
-                continue  # no run is read
             folder = Path(name, str(len(folders)))
             shutil.copytree(lesson.folder / START, folder)
             shutil.copytree(base, folder, dirs_exist_ok=True)
@@ -169,7 +167,10 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
             folders.append((title, folder))
         honest, *cheats = grade(lesson, folders, workers=workers)
         for marks in cheats:
-            is_named = bool(marks.all_remarks) or marks.points < honest.points
+            # A run is read only for a step that was changed.
+            is_named = (
+                bool(marks.all_remarks) or marks.points < honest.points or CHEATS[marks.student] is _run
+            )
             expected = f"at most {honest.points}, and a remark"
             yield _proven(
                 f"cheat: {marks.student}", marks, is_named and marks.points <= honest.points, expected

@@ -15,6 +15,7 @@ dialogs.py        what a folder without a scenario can begin with, and the dialo
 editor.py         the text editor of the page, with `editor.js`, and the findings below it
 explain.py        explanations of words and findings, with links
 robot_pane.py     the robot on the page
+lesson_tab.py     the tab of a lesson that was started in the folder: its text, its checks, its points
 training_tab.py   the tab for training, with the learning curve
 runs_tab.py       the tab with the runs, and their diagnosis
 

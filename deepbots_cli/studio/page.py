@@ -17,6 +17,7 @@ from deepbots_cli.studio.editor import Editor, FindingList
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
+from deepbots_cli.studio.lesson_tab import LessonTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
 from deepbots_cli.studio.session import HAS_ERRORS, TABS, Session, Topic
@@ -151,9 +152,12 @@ class StudioPage:
         shown = self._shown
         self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
         with self._tabs.props("dense no-caps align=left"):
-            train, runs, command = map(ui.tab, TABS)
+            lesson, train, runs, command = map(ui.tab, TABS)
+        lesson.set_visibility(self._session.has_lesson)
         panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
         with panels.props("keep-alive").classes("studio-panels"):
+            with ui.tab_panel(lesson):
+                LessonTab(self._session)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._write_values, self._train)
             with ui.tab_panel(train):

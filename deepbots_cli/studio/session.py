@@ -16,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, get_args
 
+from deepbots_cli.course.progress import PROGRESS_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
@@ -33,7 +34,7 @@ _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice", "tab"]
-Tab = Literal["Train", "Runs", "Commands"]
+Tab = Literal["Lesson", "Train", "Runs", "Commands"]
 TABS: tuple[Tab, ...] = get_args(Tab)
 Listener = Callable[[Topic], None]
 HAS_ERRORS = "the scenario has errors; correct them first"
@@ -214,6 +215,7 @@ class Session:
     Attributes:
         folder: The folder, beyond which no file is opened but those that its scenarios read.
         state_folder: The folder of tasks, which need not exist.
+        has_lesson: Whether a lesson was started in the folder.
         files: The open files by path, in the order of opening.
         current: The scenario that is edited, and that commands get.
         shown: What the page shows.
@@ -231,6 +233,9 @@ class Session:
         self.robot = Robot(permissions, lambda: self.shown.robot_changed())
         self.commands = Commands(self.folder, permissions, lambda task: self.shown.started(task))
         self.shown = Shown(self.robot, self.commands, self._tell)
+        self.has_lesson = (self.folder / PROGRESS_NAME).is_file()
+        if self.has_lesson:
+            self.shown.tab = "Lesson"
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
