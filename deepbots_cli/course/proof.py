@@ -148,33 +148,43 @@ def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[P
     before = 0
     for name, _ in folders[2:]:
         points = marks[name].points
-        least = before + train  # without trainings, two may differ in their policies only
-        yield _proven(name, marks[name], least <= points < full, f"{least} or more, and fewer than {full}")
+        # Without trainings, two may differ in their policies only.
+        least, most = before + train, full - train
+        yield _proven(name, marks[name], least <= points <= most, f"{least} to {most}")
         before = max(before, points)
     base = halves[-1] if halves else lesson.folder / START
     yield from _cheats(lesson, base, workers)
 
 
 def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
-    """Yield what each cheat earns on top of a half solution without a policy."""
+    """Yield what each cheat that changes anything earns on top of a half solution without a policy."""
     with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
         folders = [("", base)]
         for title, cheat in CHEATS.items():
             folder = Path(name, str(len(folders)))
             shutil.copytree(lesson.folder / START, folder)
             shutil.copytree(base, folder, dirs_exist_ok=True)
+            before = _contents(folder)
             cheat(folder)
-            folders.append((title, folder))
+            if _contents(folder) != before:
+                folders.append((title, folder))
         honest, *cheats = grade(lesson, folders, workers=workers)
         for marks in cheats:
             # A run is read only for a step that was changed.
-            is_named = (
-                bool(marks.all_remarks) or marks.points < honest.points or CHEATS[marks.student] is _run
-            )
+            is_named = bool(marks.all_remarks) or _reasons(marks) != _reasons(honest)
+            is_named = is_named or CHEATS[marks.student] is _run
             expected = f"at most {honest.points}, and a remark"
             yield _proven(
                 f"cheat: {marks.student}", marks, is_named and marks.points <= honest.points, expected
             )
+
+
+def _contents(folder: Path) -> dict[Path, bytes | None]:
+    return {path: path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def _reasons(marks: Marks) -> list[str]:
+    return [check.reason for step in marks.steps for check in step.checks]
 
 
 def _policy_points(lesson: Lesson) -> int:

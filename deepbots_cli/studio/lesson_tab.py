@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from nicegui import run, ui
 
 from deepbots_cli.course.grading import Marks
@@ -10,6 +12,9 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 from deepbots_cli.words import counted
+
+_TYPED_S = 0.6
+"""The time in s after which the text that was typed last has arrived from the browser."""
 
 
 class LessonTab:
@@ -54,6 +59,7 @@ class LessonTab:
             return
         self._check.disable()
         self._points.set_text("checking ...")
+        await asyncio.sleep(_TYPED_S)
         try:
             for file in [*self._session.files.values()]:
                 if file.is_modified and not file.read_only:

@@ -29,6 +29,11 @@ def choose_file(page: StudioTab, name: str) -> None:
     page.wait(f"document.querySelector('.studio-files').innerText.includes('{name}')")
 
 
+def go_to_end(page: StudioTab, begin: str) -> None:
+    page.click_line(begin)
+    page.press(("End", 35))  # of the whole line, which is wrapped
+
+
 def erase(page: StudioTab, count: int) -> None:
     page.press(BACKSPACE, count)
 
@@ -51,13 +56,13 @@ def test_lesson_1_is_done_on_the_page(tmp_path: Path) -> None:
         page.wait("document.querySelector('.studio-lesson-text')?.innerText.includes('Units and sensors')")
         assert check(page) == "0 of 10 points"
 
-        page.click_line("      ahead: {type: sonar")
+        go_to_end(page, "      ahead: {type: sonar")
         erase(page, len(", yaw: 90 deg}, range: 0 .. 400 mm}"))
         page.type("}, " + RANGE)
         assert check(page) == "3 of 10 points"
 
         choose_file(page, "complete.yaml")
-        page.click_line("      ahead: {type: sonar")
+        go_to_end(page, "      ahead: {type: sonar")
         page.press(ENTER)
         page.type(
             "eyes: {type: reflectance, link: base_link, rays: {left: {x: 8 cm, y: 2 cm}, right: {x: 8 cm, y: -2 cm}}}"
@@ -65,7 +70,7 @@ def test_lesson_1_is_done_on_the_page(tmp_path: Path) -> None:
         assert check(page) == "6 of 10 points"
 
         choose_file(page, "invent.yaml")
-        page.click_line("      ahead: {type: sonar")
+        go_to_end(page, "      ahead: {type: sonar")
         erase(page, 1)
         page.type(", rays: 21, angle_range: 40 .. -40 deg, measure: nearest}")
         assert check(page) == "9 of 10 points"
@@ -80,14 +85,14 @@ def test_lesson_3_is_done_on_the_page_with_a_training(tmp_path: Path) -> None:
     start(lesson, folder)
     with served(folder, "mend.yaml") as studio, browser() as new_tab:
         page = StudioTab(new_tab(), studio.address, 1280, 720)
-        page.click_line("  closer: 10 * delta")
+        go_to_end(page, "  closer: 10 * delta")
         text = "10 * delta(apart) / m         # delta: the change since the last step"
         erase(page, len(text))
         page.type("-10 * delta(apart) / m")
         assert check(page) == "2 of 10 points"
 
         choose_file(page, "complete.yaml")
-        page.click_line("  found: 5 when found")
+        go_to_end(page, "  found: 5 when found")
         page.press(ENTER)
         page.type("closer: -10 * delta(apart) / m")
         page.open_tab("Train")
