@@ -168,9 +168,9 @@ def message_streams() -> tuple[IO[bytes], IO[bytes]]:
     return streams
 
 
-def limit(cpu_s: int, memory_mib: int) -> None:
-    """Limit the CPU time and the address space of this process and of all that it starts. Windows has no such
-    limits."""
+def limit(cpu_s: int, memory_mib: int, file_mib: int | None = None) -> None:
+    """Limit the CPU time, the address space and perhaps the size of each written file of this process and of
+    all that it starts. Windows has no such limits."""
     if sys.platform == "win32":
         return
     import resource
@@ -179,6 +179,7 @@ def limit(cpu_s: int, memory_mib: int) -> None:
         (resource.RLIMIT_CPU, cpu_s),
         (resource.RLIMIT_AS, memory_mib * _MIB),
         (resource.RLIMIT_CORE, 0),  # an engine that crashes leaves no file of its memory
+        *([] if file_mib is None else [(resource.RLIMIT_FSIZE, file_mib * _MIB)]),
     ):
         hard = resource.getrlimit(kind)[1]
         resource.setrlimit(kind, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))

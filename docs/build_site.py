@@ -49,6 +49,7 @@ NAMES = {
 UNSEARCHED = ("pages.md", "changelog.md")
 """Pages that would be found for every word."""
 _LINK = re.compile(r"(\]\(|<img src=\")([^)\s\"#]*)(#[^)\s\"]*)?")
+_LESSON = re.compile(r"course/([^/]+)/text\.md")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
 _ROW = re.compile(r"^\| \[([^\]]+)\]\(([^)]+)\) \| (.*) \|$")
 
@@ -82,7 +83,8 @@ def write_sources(target: Path) -> None:
 def _all_pages() -> Iterator[tuple[str, str]]:
     """Yield the path of each page in the repository, or the path that a built one would have, and its text."""
     built = built_pages()
-    paths = [*NAMES, *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md")))]
+    committed = [*sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "course").glob("*/text.md"))]
+    paths = [*NAMES, *(path.relative_to(ROOT).as_posix() for path in committed)]
     for path in dict.fromkeys([*paths, *built]):
         if path in build_gallery.merged():
             continue
@@ -105,6 +107,8 @@ def place_of(path: str) -> str:
     if path in NAMES:
         return NAMES[path]
     path = build_gallery.merged().get(path, path)
+    if lesson := _LESSON.fullmatch(path):
+        return f"course/{lesson[1]}.md"
     return (
         path.removeprefix("docs/")
         if path.startswith("docs/")

@@ -53,6 +53,12 @@ def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[N
         case "message field":
             fields = namespace.names_of(Origin.FIELD)
             return _defined(namespace, (name for name in fields if name.partition(".")[0] != robot))
+        case "letter":
+            cells = node_at(checked.document.root, *path[:3], "map")
+            letters = cells.text.split() if isinstance(cells, ScalarNode) else []
+            return [
+                NameEntry(letter, "a letter of the map") for letter in dict.fromkeys(letters) if letter != "."
+            ]
         case "value":
             return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
     words = dict(reference.words)

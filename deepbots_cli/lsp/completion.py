@@ -1,7 +1,7 @@
 """Completion in keys, values, and texts of the expression language.
 
 The schema gives keys and words by the path of the cursor. Names come from the last analysis that resolved
-them and from the current text.
+them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lsprotocol.types import (
 )
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inventory import action_at, definition, names_at
+from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
@@ -52,7 +52,6 @@ from deepbots_cli.scenario.fields import (
     Flag,
     Pattern,
     Reference,
-    ReferenceKind,
     Word,
 )
 from deepbots_cli.scenario.quantities import MEASURES, Column, Expression, Quantity, Range
@@ -78,15 +77,9 @@ _REPEATS = {
 }
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
 _ROBOT_CONTEXTS = ("emit", "apply")
-_BODY = "body or link"
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
 """The number of characters before the cursor that are searched for an open bracket."""
-VALUE_ON_BOARD = "value on board"
-"""The kind of the names in expressions of a robot controller, beside those of `REFERENCE_KINDS`."""
-_ON_BOARD = ReferenceKind({("parameters",): "a parameter", ("action",): "an action"}, ("sensors", "receive"))
-_WRITTEN_PARTS = ("sensors", "actuators", "receive")
-"""The sections of a robot whose keys are names, not names or patterns of parts of its file."""
 
 
 class Choice(NamedTuple):
@@ -112,8 +105,7 @@ def is_expression(field: FieldType) -> bool:
 
 
 def expression_choices(view: CursorView, field: FieldType) -> Iterator[Choice]:
-    """Yield the choices that may come next in an expression, including names in the text that no analysis has
-    resolved yet."""
+    """Yield the choices that may come next in an expression."""
     path, text = view.cursor.path, view.cursor.text
     if _expects_unit(text):
         yield from _units(text, field)
@@ -122,11 +114,7 @@ def expression_choices(view: CursorView, field: FieldType) -> Iterator[Choice]:
     if scope is not None and view.checked is not None:
         choices = _choices_in_scope(text, scope, view.checked)
         yield from (choice for choice in choices if not defines(path, choice.text))
-    kind = _expected_kind(text, field)
-    for name in names_in_text(kind, path, view.data):
-        if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
-            yield Choice(name, CompletionItemKind.Variable, "")
-    if scope is None and kind != _BODY:
+    else:
         yield from functions(frozenset(Family))
 
 
@@ -155,16 +143,6 @@ def _expects_unit(text: str) -> bool:
     """Return whether `text` ends in a number, or in a unit followed by `*` or `/`."""
     word = word_before(text)
     return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
-
-
-def _expected_kind(text: str, field: FieldType) -> str:
-    """Return the kind of name that may end `text`: a kind of `names_in_text`."""
-    word = word_before(text)
-    if _expected_parts(text[: len(text) - len(word)]) is not None:
-        return _BODY
-    if not isinstance(field, Expression) or field.context in _CONTEXTS:
-        return "setting"
-    return VALUE_ON_BOARD if field.context in _ROBOT_CONTEXTS else "value"
 
 
 def _expected_parts(before: str) -> frozenset[Kind] | None:
@@ -334,53 +312,9 @@ def _component_choices(vector: ValueType | None, before: str) -> Iterator[Choice
         yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
 
 
-def names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
-    """Yield the names in `data` that a reference of this kind may name at `path`."""
-    for section in _section_paths(kind, path):
-        value = value_at(data, section)
-        if isinstance(value, dict):
-            yield from (name for name in value if not defines(path, name))
-        elif isinstance(value, list):
-            names = (value_at(item, ("name",)) for item in value)
-            yield from (name for name in names if isinstance(name, str) and name)
-    if kind == "value":
-        yield from _sent(data)
-    if kind == "message field":
-        yield from (name for name in _sent(data) if not name.startswith(f"{path[1]}."))
-    if kind == "letter":
-        cells = dict.fromkeys(str(value_at(data, (*path[:3], "map"))).split())
-        yield from (letter for letter in cells if letter != ".")
-
-
 def defines(path: NodePath, name: str) -> bool:
     """Return whether `path` is the definition of the name, which cannot refer to itself."""
     return path[:-1] in REFERENCE_KINDS["value"].sections and path[-1] == name
-
-
-def _sent(data: Any) -> Iterator[str]:
-    """Yield the full names of what robots send."""
-    robots = value_at(data, ("robots",))
-    for robot in robots if isinstance(robots, dict) else ():
-        sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
-        if isinstance(sent, (dict, list)):
-            yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
-
-
-def _section_paths(kind: str, path: NodePath) -> Iterator[NodePath]:
-    if kind in ("choice", "option"):
-        if action := action_at(path):
-            yield ("action", action, "choices")
-        return
-    if kind == "value" and path[:1] == ("observation",):
-        yield ("augment",)
-        return
-    reference = _ON_BOARD if kind == VALUE_ON_BOARD else REFERENCE_KINDS[kind]
-    robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
-    if robot:
-        yield from ((*robot, part) for part in reference.parts if part in _WRITTEN_PARTS)
-    yield from reference.sections
-    if path[:1] == ("agents",) and len(path) > 1:
-        yield from ((*path[:2], *section) for section in reference.sections)
 
 
 _INCLUDE = Choice(
@@ -542,10 +476,6 @@ def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choic
     if isinstance(field, (Reference, Pattern)):
         entries = names_at(view.checked, field.kind, path) if view.checked is not None else ()
         yield from (Choice(entry.name, CompletionItemKind.Reference, entry.description) for entry in entries)
-        yield from (
-            Choice(name, CompletionItemKind.Reference, field.kind)
-            for name in names_in_text(field.kind, path, view.data)
-        )
 
 
 def _files(

@@ -1,4 +1,4 @@
-"""What is under the cursor: hover texts, definitions and uses; the descriptions of keys, functions, types and
+"""What is under the cursor: hover texts and definitions; the descriptions of keys, functions, types and
 rules."""
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from lsprotocol import types
 
-from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.texts import SourceText
@@ -52,7 +51,6 @@ _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
 _COLON = re.compile(r"[\"']?[ \t]*:")
 _VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
-_ALIAS = re.compile(r"\*([\w-]+)")
 
 
 class ExpressionNode(NamedTuple):
@@ -83,7 +81,8 @@ class ExpressionNode(NamedTuple):
     @property
     def robot(self) -> str | None:
         """The robot that computes the expression; None for the supervisor."""
-        return _robot_of(self.reading)
+        scope = self.reading.scope
+        return scope.robot if isinstance(scope, RobotScope) else None
 
     @property
     def type(self) -> ValueType | None:
@@ -96,10 +95,6 @@ class ExpressionNode(NamedTuple):
             return None
         typed = check(self.node, self.reading.scope, ignore_finding)
         return typed.type if typed else None
-
-
-def _robot_of(reading: ScopedExpression) -> str | None:
-    return reading.scope.robot if isinstance(reading.scope, RobotScope) else None
 
 
 class KeyOrValue(NamedTuple):
@@ -383,15 +378,12 @@ def _reference_text(view: CursorView, target: KeyOrValue) -> str | None:
     return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
 
 
-# Definitions and uses
+# Definitions
 
 
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
-    """Return the definitions of the name, alias or file under the cursor; several for a pattern that matches
+    """Return the definitions of the name or file under the cursor; several for a pattern that matches
     several names."""
-    anchor = _anchor(view)
-    if anchor is not None:
-        return [anchor]
     target = key_or_value_at(view)
     file = _file(view, target, open_uris) if target is not None else None
     if file is not None:
@@ -402,20 +394,6 @@ def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Loca
     return [
         locator.location(span) for span in _by_name(view) or (_by_reference(view, target) if target else [])
     ]
-
-
-def _anchor(view: CursorView) -> types.Location | None:
-    text = view.document.plain
-    begin = text.rfind("\n", 0, view.offset) + 1
-    for alias in _ALIAS.finditer(text, begin, view.offset + 100):
-        if alias.start() <= view.offset <= alias.end():
-            anchors = list(re.finditer(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()]))
-            return (
-                types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span()))
-                if anchors
-                else None
-            )
-    return None
 
 
 def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
@@ -480,50 +458,6 @@ def _setting(root: MappingNode, text: str) -> list[Span]:
     steps, _, unresolved = follow_dotted(root, text)
     key = descend(root, steps)[1] if steps and not unresolved else None
     return [key.span] if key else []
-
-
-def references(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
-    """Return the places where expressions use the name under the cursor, or the name that a key under it
-    defines; without its definition."""
-    analysis, checked = view.analysis, view.checked
-    if analysis is None or checked is None:
-        return []
-    span = _definition_span(view, checked)
-    if span is None:
-        return []
-    locator = Locator(analysis, open_uris)
-    return [
-        locator.location(reading.text.part(name.start, name.end))
-        for reading in analysis.readings
-        for name in _names(reading)
-        if _definition_of(name, reading, checked) == span
-    ]
-
-
-def _definition_span(view: CursorView, checked: CheckedScenario) -> Span | None:
-    """Return the place of the definition of the word: of a name in an expression, or of a key that is one."""
-    if spans := _by_name(view):
-        return spans[0]
-    target = key_or_value_at(view)
-    if checked.document.root is None or target is None or not target.is_key:
-        return None
-    _, key, steps = descend(checked.document.root, target.path)
-    return key.span if key is not None and steps == len(target.path) else None
-
-
-def _definition_of(name: syntax.Name, reading: ScopedExpression, checked: CheckedScenario) -> Span | None:
-    entry = definition(checked, name.dotted, _robot_of(reading))
-    return entry.span if entry is not None else None
-
-
-def _names(reading: ScopedExpression) -> Iterator[syntax.Name]:
-    tree = parser.parse(reading.text.text, ignore_finding)
-    nodes: list[syntax.Node] = [] if tree is None else [tree]
-    while nodes:
-        node = nodes.pop()
-        if isinstance(node, syntax.Name):
-            yield node
-        nodes += syntax.children(node)
 
 
 # Descriptions

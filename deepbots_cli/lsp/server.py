@@ -10,7 +10,6 @@ import asyncio
 import gc
 import logging
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,16 +24,15 @@ from pygls.protocol import LanguageServerProtocol
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.diagnostics import Edit, Finding, Source
+from deepbots_cli.diagnostics import Edit, Finding
 from deepbots_cli.diagnostics.render import message, shortened
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts, allowed_folders
-from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import definitions, hover, references
+from deepbots_cli.lsp.hover import definitions, hover
 from deepbots_cli.lsp.workspace import (
     CursorView,
     Document,
@@ -42,12 +40,10 @@ from deepbots_cli.lsp.workspace import (
     Locator,
     Workspace,
     analyze,
-    changed_part,
-    document_symbols,
     path_of,
 )
 
-# Findings as diagnostics, and the text edits that fix or suppress them
+# Findings as diagnostics, and the text edits that fix them
 
 _SOURCE = "deepbots"
 _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
@@ -60,8 +56,6 @@ _DEBOUNCE = 0.05
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
 KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
 
-# In YAML, `#` begins a comment only after a space.
-_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
 _MAX_TITLE = 40
 
 
@@ -252,9 +246,7 @@ class CodeActions:
         if _is_wanted(FIX_ALL, only) and any(
             finding.fix is not None and finding.fix.safe for finding in findings
         ):
-            actions.append(
-                types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri})
-            )
+            actions.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, edit=self.fix_all()))
         return actions
 
     def fix_all(self) -> types.WorkspaceEdit | None:
@@ -275,7 +267,7 @@ class CodeActions:
             return None
         by_path = self._workspace.by_path
         changes = {
-            by_path[rewrite.path]: minimal_edits(
+            by_path[rewrite.path]: _whole(
                 by_path[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff")
             )
             for rewrite in rewrites
@@ -314,12 +306,6 @@ class CodeActions:
             yield types.CodeAction(
                 title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit
             )
-        if finding.severity == "warning" and not finding.code.startswith("DB9"):
-            suppression = self._suppression_edit(finding)
-            if suppression is not None:
-                title = f"Suppress {finding.code} ({finding.name}) on this line"
-                edit = self._edit({self._document: [suppression]})
-                yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, edit=edit)
 
     def _changes(self, finding: Finding, analysis: DocumentAnalysis) -> dict[Document, list[types.TextEdit]]:
         """Return the edits of a fix by document; empty unless all apply to the current text of open
@@ -334,26 +320,6 @@ class CodeActions:
                 span = document.lines.range(edit.span.start, edit.span.end)
                 changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
         return changes
-
-    def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:
-        """Return the edit that adds the code to the line's suppressing comment, or adds a comment; None if it
-        changes the values of the file."""
-        text = self._document.plain
-        begin = text.rfind("\n", 0, finding.span.start) + 1
-        end = text.find("\n", begin)
-        end = len(text) if end < 0 else end
-        line = text[begin:end].rstrip()
-        match = _SUPPRESSION.search(line)
-        if match:
-            at = begin + match.end(1)
-            added = f", {finding.code}"
-        else:
-            at = begin + len(line)
-            added = f"  # deepbots: ignore[{finding.code}]"
-        if not has_same_values(Source("", text), text[:at] + added + text[at:]):
-            return None
-        position = self._document.lines.position(at)
-        return types.TextEdit(types.Range(position, position), added)
 
     def _edit(self, changes: dict[Document, list[types.TextEdit]]) -> types.WorkspaceEdit:
         if not self._versioned:
@@ -392,21 +358,12 @@ def formatting(document: Document) -> list[types.TextEdit]:
     _, root, findings = document.read()
     before = document.plain
     after = canonical_text(before) if root is not None and not findings.errors else None
-    return minimal_edits(document, after) if after is not None else []
+    return _whole(document, after) if after not in (None, before) else []
 
 
-def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
-    """Return the edit that turns a document into `after`, without the common start and end, so that cursors
-    and marks there stay."""
-    before = document.plain
-    if after == before:
-        return []
-    start, end, end_after = changed_part(before, after)
-    # No position exists between the two characters of a line end.
-    start -= before[max(0, start - 1) : start + 1] == "\r\n"
-    if before[max(0, end - 1) : end + 1] == "\r\n":
-        end, end_after = end + 1, end_after + 1
-    return [types.TextEdit(document.lines.range(start, end), after[start:end_after])]
+def _whole(document: Document, after: str) -> list[types.TextEdit]:
+    """Return the edit that replaces the text of a document."""
+    return [types.TextEdit(document.lines.range(0, len(document.plain)), after)]
 
 
 # The server and its request handlers
@@ -459,16 +416,11 @@ class Server(LanguageServer):
             types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris))
         )
         self._register(
-            types.TEXT_DOCUMENT_REFERENCES, self._at(lambda view: references(view, self.scenarios.open_uris))
-        )
-        self._register(
             types.TEXT_DOCUMENT_CODE_ACTION,
             self._code_actions,
-            types.CodeActionOptions(list(KINDS), resolve_provider=True),
+            types.CodeActionOptions(list(KINDS)),
         )
-        self._register(types.CODE_ACTION_RESOLVE, self._resolve_code_action)
-        self._register(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, self._of(document_symbols))
-        self._register(types.TEXT_DOCUMENT_FORMATTING, self._of(formatting))
+        self._register(types.TEXT_DOCUMENT_FORMATTING, self._format)
         self._register(types.INITIALIZED, self._initialized)
         self._register(types.SHUTDOWN, self._shut_down)
         self._register(types.EXIT, self._exit)
@@ -536,14 +488,9 @@ class Server(LanguageServer):
 
         return handler
 
-    def _of(self, answer: Callable[[Document], Any]) -> Callable[[Any], Any]:
-        """Return the handler of a request about a whole document."""
-
-        def handler(params: Any) -> Any:
-            document = self.scenarios.document(params.text_document.uri)
-            return answer(document) if document else None
-
-        return handler
+    def _format(self, params: types.DocumentFormattingParams) -> list[types.TextEdit] | None:
+        document = self.scenarios.document(params.text_document.uri)
+        return formatting(document) if document else None
 
     def _code_actions(self, params: types.CodeActionParams) -> list[types.CodeAction]:
         actions = self._actions(params.text_document.uri)
@@ -553,16 +500,7 @@ class Server(LanguageServer):
             if params.context.only is None
             else [str(getattr(kind, "value", kind)) for kind in params.context.only]
         )
-        offered = actions.at(params.range, only) if actions else []
-        return offered if self._resolves else [self._resolve_code_action(action) for action in offered]
-
-    def _resolve_code_action(self, action: types.CodeAction) -> types.CodeAction:
-        """Compute the edit of an action, which takes time."""
-        data = action.data
-        actions = self._actions(str(data.get("uri"))) if isinstance(data, dict) else None
-        if actions is not None and action.edit is None:
-            action.edit = actions.fix_all()
-        return action
+        return actions.at(params.range, only) if actions else []
 
     def _shut_down(self, _params: object) -> None:
         self.checker.stop()
@@ -581,15 +519,6 @@ class Server(LanguageServer):
             if document
             else None
         )
-
-    @property
-    def _resolves(self) -> bool:
-        """Whether the client requests the edit of an action when the user chooses it."""
-        capability = (
-            self.client_capabilities.text_document and self.client_capabilities.text_document.code_action
-        )
-        support = capability.resolve_support if capability else None
-        return support is not None and "edit" in support.properties
 
     def shutdown(self) -> None:
         """Close the connection too, because pygls leaves it open, and asyncio waits for it from Python 3.12

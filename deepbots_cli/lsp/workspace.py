@@ -1,5 +1,4 @@
-"""The open documents, positions in them, their symbols and analyses, and the view of the cursor that answers
-requests.
+"""The open documents, positions in them, their analyses, and the view of the cursor that answers requests.
 
 The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on
 another encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.
@@ -9,7 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
@@ -26,7 +25,7 @@ from deepbots_cli.compiler.texts import does_harm
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
-from deepbots_cli.document import Entry, MappingNode, Permissions, descend, files, load, to_data
+from deepbots_cli.document import MappingNode, Permissions, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import Node, NodePath
@@ -44,23 +43,6 @@ _UTF_16 = PositionCodec()
 _MAX_EXAMINED = 3
 """The number of errors whose fixes are examined, each by a check of the whole scenario."""
 _NAMELESS = "<untitled {:08x}>"
-_DEPTH = 4
-_SECTIONS = {
-    "parameters": types.SymbolKind.Constant,
-    "signals": types.SymbolKind.Variable,
-    "augment": types.SymbolKind.Variable,
-    "robots": types.SymbolKind.Class,
-    "objects": types.SymbolKind.Object,
-    "action": types.SymbolKind.Event,
-    "reward": types.SymbolKind.Number,
-    "success": types.SymbolKind.Boolean,
-    "failure": types.SymbolKind.Boolean,
-    "sensors": types.SymbolKind.Interface,
-    "actuators": types.SymbolKind.Interface,
-    "scripts": types.SymbolKind.Function,
-    "tests": types.SymbolKind.Method,
-}
-"""The symbol kind of the names in a section."""
 
 
 class Lines:
@@ -165,39 +147,6 @@ def path_of(uri: str) -> Path:
 
 def uri_of(path: Path) -> str:
     return str(uris.from_fs_path(str(path)))
-
-
-def document_symbols(document: Document) -> list[types.DocumentSymbol]:
-    """Return the keys of a document in the order of the file; empty if the document cannot be parsed."""
-    _, root, _ = document.read()
-    return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, MappingNode) else []
-
-
-def _symbols(
-    document: Document, mapping: MappingNode, section: str, depth: int
-) -> Iterator[types.DocumentSymbol]:
-    for name, entry in mapping.entries.items():
-        inner = entry.value
-        # The value of an alias has another place in the text.
-        is_here = isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start
-        below = (
-            list(_symbols(document, inner, name, depth - 1))
-            if isinstance(inner, MappingNode) and is_here and depth > 1
-            else []
-        )
-        kind = types.SymbolKind.Namespace if below else types.SymbolKind.Property
-        yield _document_symbol(document, entry, _SECTIONS.get(section, kind), below)
-
-
-def _document_symbol(
-    document: Document, entry: Entry, kind: types.SymbolKind, below: list[types.DocumentSymbol]
-) -> types.DocumentSymbol:
-    key = entry.key.span
-    end = max(key.end, entry.value.span.end if entry.value.span.start >= key.start else key.end)
-    full_range = document.lines.range(key.start, end)
-    return types.DocumentSymbol(
-        entry.key.text, kind, full_range, document.lines.range(key.start, key.end), children=below or None
-    )
 
 
 @dataclass(frozen=True, eq=False)

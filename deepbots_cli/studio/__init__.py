@@ -2,7 +2,7 @@
 
 server.py         the web server: its checks, the application, and the page of the robot behind its address
 session.py        the state of the studio, free of the page: files, robot, tasks, runs; what the page shows
-files.py          the open files: revisions, merged changes, drafts of unsaved text, changes outside
+files.py          the open files: revisions, and changes outside
 language.py       findings, completion, hover and fixes of the open files; what a word of the text means
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
@@ -11,11 +11,11 @@ trainings.py      what files say about trainings: curves and their charts, the t
                   each run changed against the run before it
 page.py           the page: the text, and the parts around it
 layout.py         the areas of the page, the bars between them, the notices, and the outputs of commands
-dialogs.py        what a folder without a scenario can begin with; the dialogs for that and for two versions
-                  of a file
+dialogs.py        what a folder without a scenario can begin with, and the dialog for it
 editor.py         the text editor of the page, with `editor.js`, and the findings below it
 explain.py        explanations of words and findings, with links
 robot_pane.py     the robot on the page
+lesson_tab.py     the tab of a lesson that was started in the folder: its text, its checks, its points
 training_tab.py   the tab for training, with the learning curve
 runs_tab.py       the tab with the runs, and their diagnosis
 

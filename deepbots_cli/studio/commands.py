@@ -29,7 +29,7 @@ from deepbots_cli.processes import python_command, python_environment
 
 RUNS_FOLDER = "runs"
 STUDIO_FOLDER = ".studio"
-"""The folder in `runs` for drafts and tasks."""
+"""The folder in `runs` for tasks."""
 
 _INTERRUPTED = 130
 """The exit code after Ctrl-C."""

@@ -1,5 +1,4 @@
-"""What a new scenario begins with, the dialogs for it and for two versions of a file, and the control for a
-robot file.
+"""What a new scenario begins with, the dialog for it, and the control for a robot file.
 
 The page shows the choices in a folder without a scenario, and after `New ...`.
 """
@@ -9,7 +8,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Awaitable, Callable, Mapping
-from difflib import unified_diff
 from enum import StrEnum
 from functools import cache
 from itertools import count
@@ -19,7 +17,6 @@ from nicegui import events, ui
 
 from deepbots_cli.cli.starters.draft import Template, from_template
 from deepbots_cli.document.shipped import scenario_names, scenario_path
-from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 
@@ -33,7 +30,6 @@ PICTURES = Path(__file__).with_name("pictures")
 _FIRST = "cartpole"
 """The template for those who begin."""
 MAX_ROBOT_BYTES = 10 << 20
-_MAX_DIFF_LINES = 300
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
 _EXTENDS = re.compile(r"^extends:", re.MULTILINE)
 _SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
@@ -244,24 +240,3 @@ def _heading(icon: str, title: str, about: str) -> None:
         ui.icon(ICONS[icon])
         ui.label(title).props('role="heading" aria-level="3"')
         ui.label(about).classes("studio-choice-about")
-
-
-def compare_versions(file: OpenFile) -> None:
-    """Show the text of a file beside the text that another program has written."""
-    if file.outside is None:
-        return
-    lines = unified_diff(
-        file.outside.splitlines(), file.text.splitlines(), "on disk", "in the editor", lineterm=""
-    )
-    with (
-        ui.dialog().props('aria-label="Both versions of the file"') as dialog,
-        ui.card().classes("studio-dialog"),
-    ):
-        ui.label(
-            f"Lines with - are on disk only, lines with + in the editor only; up to {_MAX_DIFF_LINES} are"
-            " shown."
-        )
-        shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
-        ui.code(shown, language="diff").classes("studio-code")
-        ui.button("Close", on_click=dialog.close).props("flat no-caps")
-    dialog.open()

@@ -1,11 +1,10 @@
 // The text editor of the studio. Positions are a line from 0 and a column in UTF-16 units.
 //
-// A text is sent with the revision that it is based on. While the answer is awaited, no further text is sent;
-// a text of the server that arrives meanwhile is kept until then. If the answer changes places that were typed
-// at since, the next text is sent with the text that it is based on, and the server merges both.
+// A text is sent with the revision that it is based on. While the answer is awaited, no further text is sent.
+// If the server has another text by then, it answers with it: changes at other places are kept on both sides, and
+// where both changed the same place, the person chooses.
 //
-// While the server does not answer, the text is kept in the storage of the browser, and offered when the file is
-// shown again.
+// The storage of the browser keeps a text that is not saved, and it is offered when the file is shown again.
 import * as CM from "nicegui-codemirror";
 
 const SEND_AFTER_MS = 60;
@@ -14,7 +13,8 @@ const OFFLINE_AFTER_MS = 1500;
 const OFFLINE = "The studio does not answer: its server has ended, or the connection is lost. Go on writing: this " +
   "browser keeps the text. If the server has ended, start it again with `deepbots studio`, and open its address.";
 const TEXT_FIELD = "input:not([readonly], [type=checkbox], [type=range]), textarea, [contenteditable=true]";
-const OFFER = "This browser kept a text of this file that the studio did not get.";
+const OFFER = "This browser kept an unsaved text of this file.";
+const BOTH_CHANGED = "This place was also changed by a button or in another browser.";
 const WRAPPED_FROM = 20; // letters; a shorter line is never wrapped
 // Colors of CodeMirror's two styles, and what the page has instead: quieter comments, and keys that are not red.
 const LIGHT = CM.syntaxHighlighting(recolored(CM.defaultHighlightStyle, { "#940": "#5b6774", "#00c": "#0b57a4" }));
@@ -93,7 +93,7 @@ async function ask(what, body) {
 
 export default {
   template: `<div class="studio-editor"></div>`,
-  data: () => ({ path: "", revision: 0, base: "", waiting: false, behind: false, pushed: null,
+  data: () => ({ path: "", revision: 0, base: "", waiting: false, other: null, offered: null,
     afterwards: "", timer: 0, findings: [], offline: false }),
   mounted() {
     this.bar = element("div", "studio-banner");
@@ -129,8 +129,9 @@ export default {
       CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350, hideOnChange: true }),
       CM.EditorView.contentAttributes.of({ "aria-label": "text of the scenario", tabindex: "0" }),
       CM.EditorView.updateListener.of((update) => {
-        if (update.docChanged && !update.transactions.some((each) => each.annotation(fromServer)))
-          this.schedule();
+        if (!update.docChanged) return;
+        this.keep();
+        if (!update.transactions.some((each) => each.annotation(fromServer))) this.schedule();
       }),
     ];
     this.view = new CM.EditorView({ parent: this.$el, extensions: this.extensions });
@@ -142,8 +143,6 @@ export default {
     this.resized.observe(this.view.scrollDOM);
     this.lost = () => { this.offlineTimer = setTimeout(() => this.setOffline(true), OFFLINE_AFTER_MS); };
     this.found = () => { clearTimeout(this.offlineTimer); this.setOffline(false); };
-    this.hidden = () => { if (this.text() != this.base) this.keep(); };
-    window.addEventListener("pagehide", this.hidden);
     window.addEventListener("keydown", this.keyElsewhere, true);
     const yaml = CM.languages.find((each) => each.name == "YAML");
     yaml.load().then((support) => {
@@ -155,7 +154,6 @@ export default {
     clearTimeout(this.timer);
     window.socket?.off("disconnect", this.lost);
     window.socket?.off("connect", this.found);
-    window.removeEventListener("pagehide", this.hidden);
     window.removeEventListener("keydown", this.keyElsewhere, true);
     this.resized.disconnect();
     this.view.destroy();
@@ -178,6 +176,7 @@ export default {
       event.stopImmediatePropagation();
     },
     command(name) {
+      if (this.other) return true; // the person chooses a text first
       if (this.waiting && this.text() != this.sent) { // the last letters go first
         this.afterwards = name;
         return true;
@@ -194,17 +193,19 @@ export default {
       }
       this.leave();
       clearTimeout(this.timer);
-      Object.assign(this, { path, revision, base: text, waiting: false, behind: false, pushed: null,
-        afterwards: "", findings: [] });
+      Object.assign(this, { path, revision, base: text, waiting: false, other: null, afterwards: "",
+        findings: [] });
       this.view.setState(CM.EditorState.create({ doc: text, extensions: this.extensions }));
       this.view.scrollDOM.scrollTo(0, 0);
       this.view.dispatch({ effects: [
         this.language.reconfigure(this.yaml ?? []),
         this.writing.reconfigure(CM.EditorState.readOnly.of(readOnly)),
         this.dark.reconfigure(dark ? DARK : LIGHT) ] });
-      this.offer(readOnly);
+      const kept = this.kept();
+      this.offered = typeof kept == "string" && kept != text && !readOnly ? kept : null;
+      this.showBar();
     },
-    // Text that the server did not get
+    // Text that is not saved
     say(text, ...buttons) {
       this.bar.replaceChildren(element("span", "", text), ...buttons.map(([label, act]) => {
         const button = element("button", "studio-plain-button", label);
@@ -213,36 +214,40 @@ export default {
       }));
       this.bar.hidden = !text;
     },
+    showBar() {
+      if (this.offline) this.say(OFFLINE);
+      else if (this.other)
+        this.say(BOTH_CHANGED, ["Keep what I typed", () => this.choose(null)],
+          ["Take the other text", () => this.choose(this.other.text)]);
+      else if (this.offered != null)
+        this.say(OFFER, ["Use it", () => this.useKept(true)], ["Discard it", () => this.useKept(false)]);
+      else this.say("");
+    },
     setOffline(offline) {
       if (offline == this.offline) return;
       this.offline = offline;
-      this.say(offline ? OFFLINE : "");
-      if (offline && this.text() != this.base) this.keep();
+      this.showBar();
     },
     keep() {
-      if (!this.path) return;
-      const kept = JSON.stringify({ text: this.text(), base: this.base });
-      try { localStorage.setItem(this.storageKey(), kept); } catch { /* the storage is full or forbidden */ }
+      if (!this.path || this.offered != null) return;
+      try { localStorage.setItem(storageKey(this.path), this.text()); } catch { /* the storage is full or forbidden */ }
     },
-    forget() {
-      try { localStorage.removeItem(this.storageKey()); } catch { /* forbidden */ }
+    kept() {
+      try { return localStorage.getItem(storageKey(this.path)); } catch { return null; /* forbidden */ }
     },
-    storageKey() {
-      return `deepbots-studio:${this.path}`;
+    forget(path) {
+      try { localStorage.removeItem(storageKey(path)); } catch { /* forbidden */ }
     },
-    offer(readOnly) {
-      if (this.offline) return;
-      let kept = null;
-      try { kept = JSON.parse(localStorage.getItem(this.storageKey())); } catch { /* forbidden, or not ours */ }
-      this.say("");
-      if (typeof kept?.text != "string" || kept.text == this.text() || readOnly) return this.forget();
-      this.say(OFFER, ["Use it", () => {
-        this.say("");
-        this.view.dispatch({ changes: difference(this.text(), kept.text) ?? [], annotations: fromServer.of(true) });
-        Object.assign(this, { waiting: true, sent: kept.text });
-        this.$emit("change", this.path, kept.base, kept.text);
-        this.view.focus();
-      }], ["Discard it", () => { this.say(""); this.forget(); this.view.focus(); }]);
+    useKept(use) {
+      const text = this.offered;
+      this.offered = null;
+      if (use) this.view.dispatch({ changes: difference(this.text(), text) ?? [] });
+      else this.forget(this.path);
+      this.showBar();
+      this.view.focus();
+    },
+    markSaved(saved) {
+      if (saved && this.text() == this.base && this.offered == null) this.forget(this.path);
     },
     setDark(dark) {
       this.view.dispatch({ effects: this.dark.reconfigure(dark ? DARK : LIGHT) });
@@ -252,67 +257,65 @@ export default {
     },
     // Text to the server
     schedule() {
-      if (this.offline) this.keep();
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.send(), SEND_AFTER_MS);
     },
     send() {
       const text = this.text();
-      if (!this.path || this.waiting || (text == this.base && !this.behind)) return;
+      if (!this.path || this.waiting || this.other || text == this.base) return;
       this.waiting = true;
       this.sent = text;
-      this.$emit("change", this.path, this.behind ? this.base : this.revision, text);
+      this.$emit("change", this.path, this.revision, text);
     },
-    // Send what was typed last into a file that is no longer shown; no answer to it is awaited.
+    // Send what was typed last into a file that is no longer shown. The browser keeps it until it has arrived.
     leave() {
       const text = this.text();
-      if (this.path && this.waiting && text != this.sent) this.$emit("change", this.path, this.sent, text);
+      if (!this.path || this.other || text == this.base) return;
+      if (this.waiting && text != this.sent) this.$emit("change", this.path, this.revision + 1, text);
       else this.send();
     },
-    confirm(path, revision, merged) {
+    // The answer to a text that was sent; `text` is null if the server has taken it
+    confirm(path, revision, text) {
       if (path != this.path) return;
       this.waiting = false;
-      this.revision = revision;
-      this.base = this.sent;
-      this.behind = false;
-      if (merged != null) this.rebase(merged);
-      const pushed = this.pushed;
-      this.pushed = null;
-      if (pushed && pushed.revision > this.revision) this.receive(path, pushed.text, pushed.revision);
-      if (this.text() == this.base && this.bar.hidden) this.forget();
-      if (this.text() != this.base || this.behind) this.schedule();
+      if (text == null) Object.assign(this, { base: this.sent, revision });
+      else this.rebase(text, revision);
+      if (text == null && this.text() != this.base) this.schedule();
       const name = this.afterwards;
       this.afterwards = "";
       if (name) this.command(name);
     },
-    // Text from the server
+    // Text from the server. While an answer is awaited, it brings the newest one.
     receive(path, text, revision) {
-      if (path != this.path || revision <= this.revision) return;
-      if (this.waiting) {
-        this.pushed = { text, revision };
-        return;
-      }
-      if (this.text() != this.base || this.behind) return this.send(); // the answer has both changes
-      this.revision = revision;
-      this.rebase(text);
+      if (path == this.path && !this.waiting && revision > this.revision) this.rebase(text, revision);
     },
     // Replace the base by a newer text, and keep what was typed since.
-    rebase(text) {
+    rebase(text, revision) {
       const changes = difference(this.base, text);
-      const typed = this.text() == this.base ? null : difference(this.base, this.text());
-      if (!changes) return;
-      if (typed) {
+      const typed = difference(this.base, this.text());
+      this.other = null;
+      if (changes && typed && text != this.text()) {
         if (changes.from > typed.to) {
           const moved = typed.insert.length - (typed.to - typed.from);
           changes.from += moved;
           changes.to += moved;
-        } else if (changes.to >= typed.from) {
-          this.behind = true;
-          return;
-        }
+        } else if (changes.to >= typed.from) this.other = { text, revision };
       }
-      this.base = text;
-      this.view.dispatch({ changes, annotations: fromServer.of(true) });
+      if (!this.other) {
+        const isHere = text == this.text();
+        Object.assign(this, { base: text, revision });
+        if (changes && !isHere) this.view.dispatch({ changes, annotations: fromServer.of(true) });
+        if (changes && this.text() != this.base) this.schedule();
+      }
+      this.showBar();
+    },
+    // Go on with what was typed, or with a text of the server.
+    choose(text) {
+      Object.assign(this, { base: this.other.text, revision: this.other.revision, other: null });
+      if (text != null) this.view.dispatch({ changes: difference(this.text(), text) ?? [] });
+      this.schedule();
+      this.showBar();
+      this.view.focus();
     },
     // Findings
     underline(revision, findings) {
@@ -430,6 +433,10 @@ function indentation(context, position) {
 
 function recolored(style, colors) {
   return CM.HighlightStyle.define(style.specs.map((spec) => ({ ...spec, color: colors[spec.color] ?? spec.color })));
+}
+
+function storageKey(path) {
+  return `deepbots-studio:${path}`;
 }
 
 // Return the one change that turns a text into another, null for equal texts.

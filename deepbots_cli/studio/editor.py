@@ -3,7 +3,7 @@
 The editor is CodeMirror, which NiceGUI brings, with `editor.js`.
 
 NiceGUI's own element replaces the text of a browser when the server changes it, and loses what was typed
-meanwhile. This one sends the text with the revision that it is based on (`files.py` merges).
+meanwhile. This one sends the text with the revision that it is based on.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MAX_FINDINGS = 50
 _LOOK_S, _LOOKS = 0.05, 60
 """The time in s between two looks whether the text is checked, and the most looks for a fix."""
 
-OnChange = Callable[[Path, int | str, str], OpenFile | None]
+OnChange = Callable[[Path, int, str], OpenFile | None]
 
 
 @dataclass(frozen=True)
@@ -56,18 +56,18 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
     """
 
     def __init__(self, on_change: OnChange, on_key: Callable[[str], Awaitable[None]]) -> None:
-        """`on_change` gets a path, the revision or the text that a text is based on, and the text; it returns
-        the file, None if the path is not open. `on_key` gets `save`, `train` or `explain`."""
+        """`on_change` gets a path, the revision that a text is based on, and the text; it returns the file,
+        None if the path is not open. `on_key` gets `save`, `train` or `explain`."""
         super().__init__()
         self._file: OpenFile | None = None
         self._sent = 0
-        self._takes = False
+        self._takes = self._is_saved = False
         self.on("change", lambda event: self._changed(event, on_change))
         self.on("command", lambda event: on_key(str(event.args)))
 
     def show(self, file: OpenFile, *, dark: bool) -> None:
         """Show another file."""
-        self._file, self._sent = file, file.revision
+        self._file, self._sent, self._is_saved = file, file.revision, False
         self.run_method("show", str(file.path), file.text, file.revision, file.read_only, dark)
 
     def refresh(self) -> None:
@@ -75,6 +75,12 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
         if self._file is not None and self._file.revision != self._sent and not self._takes:
             self._sent = self._file.revision
             self.run_method("receive", str(self._file.path), self._file.text, self._file.revision)
+
+    def mark_saved(self, saved: bool) -> None:
+        """Tell the browser whether it need not keep the text, because the file has it."""
+        if saved != self._is_saved:
+            self._is_saved = saved
+            self.run_method("markSaved", saved)
 
     def underline(self, revision: int, findings: Sequence[EditorFinding]) -> None:
         """Underline findings of a revision."""
@@ -101,18 +107,19 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
         self.run_method("setDark", dark)
 
     def _changed(self, event: GenericEventArguments, on_change: OnChange) -> None:
-        """Take the text of the browser, and confirm it."""
-        path, base, text = event.args
-        if not isinstance(path, str) or not isinstance(base, int | str) or not isinstance(text, str):
+        """Take the text of the browser, and confirm it, or answer with the present text."""
+        path, revision, text = event.args
+        if not isinstance(path, str) or not isinstance(revision, int) or not isinstance(text, str):
             return
         # A text that was typed just before another file was shown belongs to the file before.
         self._takes = True
         try:
-            file = on_change(Path(path), base, text)
+            file = on_change(Path(path), revision, text)
         finally:
             self._takes = False
-        if file is not None and file is self._file:
-            self._sent = file.revision
+        if file is not None:
+            if file is self._file:
+                self._sent = file.revision
             self.run_method("confirm", path, file.revision, None if file.text == text else file.text)
 
 

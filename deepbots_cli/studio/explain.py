@@ -1,4 +1,4 @@
-"""Explanations of words and findings as Markdown, with links to further words, findings and pages.
+"""Explanations of words and findings as Markdown, with links to further words and findings.
 
 The texts are those of `deepbots explain`. A link has the address `#explain:WORD`; `linked` calls a function
 with the word.
@@ -10,7 +10,6 @@ import re
 import urllib.parse
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from nicegui import ui
 
@@ -24,19 +23,13 @@ from deepbots_cli.cli.explanations import (
 from deepbots_cli.diagnostics.registry import RULES, matching_rules, retired_rule_message
 from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
-from deepbots_cli.studio.language import Meaning, line_link
+from deepbots_cli.studio.language import line_link
 
-_PAGES = Path(__file__).parents[2] / "docs"
-"""The pages of a clone; an installed package has none."""
 _LINK = "#explain:"
 _MAX_NAMES = 6
 _HINT = "Put the cursor on a word of the text and press F1, or write a word here: a key, a unit, a term."
 _FENCED = re.compile(r"(```.*?```|^(?: {4}.*\n?)+)", re.DOTALL | re.MULTILINE)
 _WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3})\b")
-_PAGE = re.compile(r"\bdocs/([\w-]+\.md)(#[\w-]+)?")
-_PAGE_LINK = re.compile(r"\]\(([\w-]+\.md)(#[\w-]+)?\)")
-_HEADING = re.compile(r"^(#{1,4}) +(.+)$", re.MULTILINE)
-_PICTURE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
 _ON_CLICK = """(event) => {
   const link = event.target.closest("a[href]");
   if (!/^#(explain|line):/.test(link?.hash ?? "")) return;
@@ -64,11 +57,9 @@ class OfText:
 
 
 def explanation(word: str, *, only_concepts: bool = False) -> str:
-    """Return what `deepbots explain` says about a word, a code or name of a finding, or a page such as
-    `docs/view.md`, as Markdown with links."""
+    """Return what `deepbots explain` says about a word, or a code or name of a finding, as Markdown with
+    links."""
     word = word.strip()
-    if page := _PAGE.fullmatch(word):
-        return _page(page[1], page[2] or "")
     rules = matching_rules(word) if word else ()
     if len(rules) == 1:
         rule = rules[0]
@@ -136,19 +127,14 @@ def _escaped(text: str) -> str:
 
 
 def _with_links(text: str, itself: str = "") -> str:
-    """Return Markdown in which words with an entry, codes and pages are links, except in examples."""
+    """Return Markdown in which words with an entry, and codes, are links, except in examples."""
 
     def word(match: re.Match[str]) -> str:
         name = match[1] or match[2]
         return _link(name) if name != itself and (match[2] in RULES or name in entry_names()) else match[0]
 
-    def page(match: re.Match[str]) -> str:
-        return f"[{match[0]}]({_LINK}{match[0]})" if (_PAGES / match[1]).is_file() else match[0]
-
     parts = _FENCED.split(text)
-    return "".join(
-        part if number % 2 else _PAGE.sub(page, _WORD.sub(word, part)) for number, part in enumerate(parts)
-    )
+    return "".join(part if number % 2 else _WORD.sub(word, part) for number, part in enumerate(parts))
 
 
 def _link(word: str) -> str:
@@ -156,37 +142,13 @@ def _link(word: str) -> str:
     return f"[{text}]({_LINK}{urllib.parse.quote(word)})"
 
 
-def _page(name: str, anchor: str) -> str:
-    """Return a page of the documentation, or the section of an anchor, without pictures."""
-    try:
-        text = (_PAGES / name).read_text("utf-8")
-    except OSError:
-        return f"The page docs/{name} is not installed."
-    text = _section(text, anchor.removeprefix("#")) or text
-    return _PAGE_LINK.sub(rf"]({_LINK}docs/\1\2)", _PICTURE.sub("", text))
-
-
-def _section(text: str, anchor: str) -> str:
-    """Return the section of a page with the heading of an anchor; empty if there is none."""
-    headings = list(_HEADING.finditer(text))
-    for number, heading in enumerate(headings):
-        if re.sub(r"[^\w -]", "", heading[2].lower()).strip().replace(" ", "-") == anchor:
-            following = (
-                candidate.start()
-                for candidate in headings[number + 1 :]
-                if len(candidate[1]) <= len(heading[1])
-            )
-            return text[heading.start() : next(following, len(text))]
-    return ""
-
-
-def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None) -> None:
+def show_explanation(first: str, of_text: OfText, meaning: str = "") -> None:
     """Open a dialog that explains words.
 
     Args:
         first: The first word; empty to ask for one.
         of_text: What the open text says about words.
-        meaning: What the first word means at the cursor.
+        meaning: What the first word means at the cursor (Markdown).
     """
     earlier: list[str] = []
 
@@ -195,7 +157,7 @@ def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None
             return
         earlier.append(query)
         word.set_value(query)
-        answer.set_content(_answer(query, of_text, meaning if len(earlier) == 1 else None))
+        answer.set_content(_answer(query, of_text, meaning if len(earlier) == 1 else ""))
         back.set_enabled(len(earlier) > 1)
         offered = list(of_text.fixes(query))
         fixes.clear()
@@ -231,9 +193,9 @@ def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None
     word.run_method("select")  # a letter replaces the word
 
 
-def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
-    """Return the explanation of a word: what it means in the text, and its entries."""
-    here = meaning.markdown() if meaning is not None else ""
+def _answer(query: str, of_text: OfText, here: str) -> str:
+    """Return the explanation of a word: what it means at the cursor (`here`) or in the text, and its
+    entries."""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
     names = [] if here else of_text.names(query)
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])

@@ -1,22 +1,16 @@
-"""The open files of the studio: their text in revisions, drafts of unsaved text, and changes outside.
+"""The open files of the studio: their text in revisions, and changes outside.
 
 Browsers and the studio change the same text at the same time. A browser sends the revision that its text is
-based on, so a change of the studio in between is merged with it, and no letter that a person typed is lost.
+based on. If the text has changed since, the studio does not take it, and the browser, which still has what
+was typed, combines both (`editor.js`). The browser also keeps unsaved text when the studio ends.
 """
 
 from __future__ import annotations
 
 import codecs
-import hashlib
-import json
-import os
-import re
-from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from difflib import SequenceMatcher
-from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,11 +18,6 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.lsp.workspace import changed_part
-
-_MAX_REVISIONS = 10_000
-"""The number of earlier texts that a late change of a browser can be based on; a browser that was away for a
-minute missed up to 1 000."""
-_MAX_DRAFT_BYTES = 8 * MAX_BYTES
 
 
 class Form(NamedTuple):
@@ -75,53 +64,6 @@ def edited(text: str, edits: Sequence[TextEdit]) -> str:
     return text
 
 
-def merged(base: str, typed: str, other: str) -> str:
-    """Return the text with both changes of `base`, by lines and, within lines that changed, by words. Where
-    both changed the same word, that of `typed` counts. Two insertions at one place are both kept.
-    """
-    if typed in (base, other):
-        return other
-    if other == base:
-        return typed
-    first, second = sorted((difference(base, typed), difference(base, other)))
-    if first.end <= second.start and first.start != second.start:
-        return edited(base, [first, second])
-    edits = {(edit.start, edit.end): edit.new for edit in _edits(_lines(base), _lines(typed))}
-    for start, end, new in _edits(_lines(base), _lines(other)):
-        if start == end and (start, end) in edits:
-            edits[start, end] = _both(edits[start, end], new)
-        elif not any(begin < end and start < stop for begin, stop in edits):
-            edits[start, end] = new
-    return edited(base, [TextEdit(*place, new) for place, new in edits.items()])
-
-
-def _both(typed: str, other: str) -> str:
-    """Return both insertions, or the one that contains the other one, as if it was sent twice."""
-    if other in typed:
-        return typed
-    return other if typed in other else typed + other
-
-
-def _edits(before: list[str], after: list[str], offset: int = 0, *, words: bool = True) -> Iterator[TextEdit]:
-    """Yield the edits that turn lines into others, or else words; with `words`, changed lines are compared by
-    them. `before` begins at `offset`."""
-    places = list(accumulate(map(len, before), initial=offset))
-    for kind, start, end, first, last in SequenceMatcher(None, before, after).get_opcodes():
-        old, new = "".join(before[start:end]), "".join(after[first:last])
-        if kind == "replace" and words:
-            yield from _edits(_words(old), _words(new), places[start], words=False)
-        elif kind != "equal":
-            yield TextEdit(places[start], places[end], new)
-
-
-def _lines(text: str) -> list[str]:
-    return text.splitlines(keepends=True)
-
-
-def _words(text: str) -> list[str]:
-    return re.findall(r"\w+|\W", text)
-
-
 @dataclass(eq=False)
 class OpenFile:
     """A text file in the editor.
@@ -132,7 +74,6 @@ class OpenFile:
         saved: The text of the file when the studio last read or wrote it.
         revision: The number of the present text; each change counts up.
         outside: The text of the file on disk if another program changed it while `text` was not saved.
-        is_restored: Whether the text comes from the draft of an earlier session.
         read_only: Whether the studio may not write the file.
         is_gone: Whether the file was removed while it was open.
     """
@@ -142,13 +83,10 @@ class OpenFile:
     saved: str = ""
     revision: int = 1
     outside: str | None = None
-    is_restored: bool = False
     read_only: bool = False
     is_gone: bool = False
     form: Form = Form()
     _stamp: tuple[int, int] = (0, 0)
-    _earlier: deque[TextEdit] = field(default_factory=lambda: deque(maxlen=_MAX_REVISIONS))
-    """For each revision before the present one, the edit that returns to it."""
 
     @classmethod
     def open(cls, path: Path, *, read_only: bool = False) -> OpenFile:
@@ -165,15 +103,11 @@ class OpenFile:
     def is_modified(self) -> bool:
         return self.is_gone or self.text != self.saved
 
-    def change(self, base: int | str, text: str) -> bool:
-        """Take the text of a browser.
-
-        Args:
-            base: The revision that the text is based on, or the text that it is based on.
+    def change(self, revision: int, text: str) -> bool:
+        """Take the text of a browser, unless the revision that it is based on is an earlier one.
 
         Returns:
-            Whether the present text is that of the browser. Otherwise it also has a change that the browser
-            does not know. Where both changed the same words, the text of the browser counts.
+            Whether the present text is that of the browser.
 
         Raises:
             UsageError: The text is too large.
@@ -181,19 +115,9 @@ class OpenFile:
         text = _clean(text)
         if len(text.encode()) > MAX_BYTES:
             raise UsageError(f"{self.path.name} would have more than {MAX_BYTES:,} bytes")
-        before = base if isinstance(base, str) else self._text_of(base)
-        self._set(text if before is None else merged(before, text, self.text))
+        if revision == self.revision:
+            self._set(text)
         return self.text == text
-
-    def _text_of(self, revision: int) -> str | None:
-        """Return the text of an earlier revision, None if it is too old."""
-        age = self.revision - revision
-        if not 0 <= age <= len(self._earlier):
-            return None
-        text = self.text
-        for number in range(age):
-            text = edited(text, [self._earlier[-1 - number]])
-        return text
 
     def edit(self, edits: Sequence[TextEdit]) -> list[int]:
         """Change the text by edits at offsets of the present text. Returns the line of each edit, from 0."""
@@ -218,7 +142,7 @@ class OpenFile:
             return
         with atomic_write(self.path) as draft:
             draft.write_bytes(self.form.encode(self.text))
-        self.saved, self.is_restored, self.is_gone = self.text, False, False
+        self.saved, self.is_gone = self.text, False
         self._stamp = _stamp(self.path)
 
     def read_outside(self) -> bool:
@@ -254,7 +178,7 @@ class OpenFile:
     def take_outside(self) -> None:
         """Replace the text by that of the file on disk."""
         if self.outside is not None:
-            self.saved, self.outside, self.is_restored = self.outside, None, False
+            self.saved, self.outside = self.outside, None
             self._set(self.saved)
 
     def keep_own(self) -> None:
@@ -262,14 +186,8 @@ class OpenFile:
         if self.outside is not None:
             self.saved, self.outside = self.outside, None
 
-    def discard(self) -> None:
-        """Return to the text of the file."""
-        self.is_restored = False
-        self._set(self.saved)
-
     def _set(self, text: str) -> None:
         if text != self.text:
-            self._earlier.append(difference(text, self.text))
             self.text, self.revision = text, self.revision + 1
 
 
@@ -310,72 +228,3 @@ def _stamp(path: Path) -> tuple[int, int]:
     except OSError:
         return 0, 0
     return status.st_mtime_ns, status.st_size
-
-
-class Drafts:
-    """Unsaved texts, kept in a folder until they are saved or discarded."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._kept: dict[Path, str] = {}
-
-    def keep(self, file: OpenFile) -> None:
-        """Write the text of a file with unsaved changes, or remove its draft.
-
-        Raises:
-            OSError: The folder cannot be written.
-        """
-        if not file.is_modified:
-            if self._kept.pop(file.path, None) is not None or self._path(file.path).exists():
-                self._path(file.path).unlink(missing_ok=True)
-        elif self._kept.get(file.path) != file.text:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            path = self._path(file.path)
-            draft = path.with_suffix(".new")
-            content = {"path": str(file.path), "text": file.text, "saved": file.saved}
-            draft.write_text(json.dumps(content), encoding="utf-8")
-            os.replace(draft, path)
-            self._kept[file.path] = file.text
-
-    def restore(self, file: OpenFile) -> None:
-        """Give a file that was just opened its unsaved text of an earlier session.
-
-        If the file was changed since, both texts are offered as after a change outside.
-        """
-        content = _draft(self._path(file.path))
-        if content is not None and content["text"] != file.text:
-            text, saved = content["text"], content["saved"]
-            with suppress(UsageError):  # a draft that is too large is none of the studio's
-                file.change(file.revision, text)
-                file.is_restored = True
-                if saved != file.saved:
-                    file.saved, file.outside = saved, file.saved
-
-    def removed(self) -> dict[Path, str]:
-        """Return the unsaved texts of files that are gone."""
-        texts = {}
-        for draft in sorted(self._folder.glob("*.json")):
-            content = _draft(draft)
-            if content is not None and not Path(content["path"]).exists():
-                texts[Path(content["path"])] = content["text"]
-        return texts
-
-    def discard(self, path: Path) -> None:
-        """Remove the draft of a file."""
-        self._kept.pop(path, None)
-        self._path(path).unlink(missing_ok=True)
-
-    def _path(self, path: Path) -> Path:
-        digest = hashlib.sha256(str(path).encode("utf-8", "surrogatepass")).hexdigest()[:16]
-        return self._folder / f"{path.stem[:40]}-{digest}.json"
-
-
-def _draft(path: Path) -> dict[str, str] | None:
-    """Return the path, the text and the saved text of a draft; None if it cannot be read."""
-    try:
-        with path.open("rb") as stream:
-            content = json.loads(stream.read(_MAX_DRAFT_BYTES))
-        texts = {name: content[name] for name in ("path", "text", "saved")}
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        return None
-    return texts if all(isinstance(text, str) for text in texts.values()) else None

@@ -8,7 +8,7 @@ they do in its protocol and in the editor of the page.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,10 +19,10 @@ from lsprotocol import types
 from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.document.layout import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
-from deepbots_cli.document.nodes import NodePath, entries_at
+from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, entries_at
 from deepbots_cli.insight.suggestions import Suggestion, properties, suggestions
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import definitions, hover, references
+from deepbots_cli.lsp.hover import definitions, hover
 from deepbots_cli.lsp.server import Checker, CodeActions
 from deepbots_cli.lsp.workspace import (
     CursorView,
@@ -30,13 +30,11 @@ from deepbots_cli.lsp.workspace import (
     DocumentAnalysis,
     Workspace,
     analyze,
-    document_symbols,
     uri_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
 
 _WORD = re.compile(r"[^\W_]+")
-_MAX_USES = 12
 _NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
 
 
@@ -67,33 +65,6 @@ class EditorFix:
 
     title: str
     edits: tuple[TextEdit, ...]
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What the word at a place means.
-
-    Attributes:
-        word: The word.
-        text: The hover text (Markdown); empty without one.
-        definitions, uses: Places as Markdown, with links to the lines of the same file; without the place of
-            the word itself.
-    """
-
-    word: str
-    text: str = ""
-    definitions: tuple[str, ...] = ()
-    uses: tuple[str, ...] = ()
-
-    def markdown(self) -> str:
-        """Return the meaning as Markdown; empty if nothing is known about the word."""
-        parts = [self.text] if self.text else []
-        if self.definitions:
-            parts.append(f"Defined in {', '.join(self.definitions)}.")
-        if self.uses:
-            parts.append("Used in:")
-            parts.append("\n".join(f"- {use}" for use in self.uses))
-        return "\n\n".join(parts)
 
 
 class Language:
@@ -180,21 +151,14 @@ class Language:
         return all(edit is not None and file.text[edit.start : edit.end] == edit.new for edit in edits)
 
     def complete(self, path: Path, text: str, line: int, column: int) -> dict[str, Any]:
-        """Return the completions at a place of a text, as the editor takes them.
-
-        `from` is the offset of the text that a completion replaces, in UTF-16 units.
-        """
+        """Return the completions at a place of a text, as the editor takes them."""
         view = self._view(path, text, line, column)
         if view is None:
             return {"options": []}
-        items = completion(view)
-        lines = text.split("\n")
         options = []
-        start = column
-        for item in items.items:
+        for item in completion(view).items:
             edit = item.text_edit
             assert isinstance(edit, types.TextEdit)
-            start = min(start, edit.range.start.character)
             documentation = item.documentation
             info = documentation.value if isinstance(documentation, types.MarkupContent) else ""
             options.append(
@@ -207,8 +171,7 @@ class Language:
                     "start": edit.range.start.character,
                 }
             )
-        before = sum(len(text) + 1 for text in map(_utf16, lines[:line]))
-        return {"from": before + start, "line": before, "options": options, "whole": not items.is_incomplete}
+        return {"options": options}
 
     def hover(self, path: Path, text: str, line: int, column: int) -> dict[str, Any] | None:
         """Return the description of a place (Markdown), and its start and end."""
@@ -222,10 +185,10 @@ class Language:
             "end": _pair(shown.range.end),
         }
 
-    def meaning(self, path: Path, text: str, line: int, column: int, word: str) -> Meaning:
-        """Return what the word at a place means."""
+    def meaning(self, path: Path, text: str, line: int, column: int) -> str:
+        """Return what the word at a place means (Markdown); empty if nothing is known about it."""
         view = self._view(path, text, line, column)
-        return Meaning(word) if view is None else meaning(view, word)
+        return "" if view is None else meaning(view)
 
     def names_like(self, file: OpenFile, phrase: str) -> list[tuple[str, int]]:
         """Return the names of a file that have a word of a phrase, with the line of each, from 0."""
@@ -330,58 +293,39 @@ def _edits(document: Document, edits: list[Any]) -> tuple[TextEdit, ...]:
     )
 
 
-def _utf16(text: str) -> str:
-    """Return a text of as many characters as UTF-16 has units."""
-    if text.isascii():
-        return text
-    return "".join("xx" if ord(character) > 0xFFFF else "x" for character in text)
-
-
-def meaning(view: CursorView, word: str) -> Meaning:
-    """Return what the word at a place means."""
+def meaning(view: CursorView) -> str:
+    """Return what the word at a place means, and where it is defined in the same file (Markdown); empty if
+    nothing is known about it."""
     shown = hover(view)
-    text = shown.contents.value if shown is not None and hasattr(shown.contents, "value") else ""
-    if view.analysis is None:
-        return Meaning(word, text)
-    line_of_word = view.document.lines.range(view.offset, view.offset).start.line
-
-    def lines_of(places: list[types.Location]) -> list[int]:
-        lines = {place.range.start.line: None for place in places if place.uri == view.document.uri}
-        return [line for line in lines if line != line_of_word]
-
-    texts = view.document.plain.split("\n")
-    uses = [(line, texts[line]) for line in lines_of(references(view, {}))]
-    return Meaning(
-        word,
-        text,
-        tuple(map(_link, lines_of(definitions(view, {})))),
-        tuple(_link(line, text) for line, text in uses[:_MAX_USES]),
-    )
+    parts = [str(getattr(shown.contents, "value", ""))] if shown is not None else []
+    word = view.document.lines.range(view.offset, view.offset).start.line
+    places = [place for place in definitions(view, {}) if place.uri == view.document.uri]
+    lines = dict.fromkeys(place.range.start.line for place in places)
+    if links := [line_link(line) for line in lines if line != word]:
+        parts.append(f"Defined in {', '.join(links)}.")
+    return "\n\n".join(parts)
 
 
 def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
     """Return the names of a text that have a word of a phrase, with the line of each, from 0; first those
     with the most words of it."""
     words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2} | properties(phrase)
-    names: dict[str, int] = {}
+    lines: dict[str, int] = {}
+    for key in _keys(document.read()[1]):
+        lines.setdefault(key.text, key.span.start_position.line - 1)
+    common = {name: len(words & set(_WORD.findall(name.lower()))) for name in lines}
+    named = [(name, line) for name, line in lines.items() if common[name]]
+    return sorted(named, key=lambda item: -common[item[0]])
 
-    def read(symbols: Iterable[object]) -> None:
-        for symbol in symbols:
-            name = str(getattr(symbol, "name", ""))
-            if words & set(_WORD.findall(name.lower())):
-                names.setdefault(name, symbol.selection_range.start.line)  # type: ignore[attr-defined]
-            read(getattr(symbol, "children", None) or ())
 
-    read(document_symbols(document))
-    common = {name: len(words & set(_WORD.findall(name.lower()))) for name in names}
-    return sorted(names.items(), key=lambda item: -common[item[0]])
+def _keys(node: Node | None) -> Iterator[ScalarNode]:
+    """Yield the keys of a text in the order of the file."""
+    if isinstance(node, MappingNode):
+        for entry in node.entries.values():
+            yield entry.key
+            yield from _keys(entry.value)
 
 
 def line_link(line: int) -> str:
     """Return a link to a line (from 0) of the shown file."""
     return f"[line {line + 1}](#line:{line + 1})"
-
-
-def _link(line: int, text: str = "") -> str:
-    quoted = text.strip().replace("`", "'")
-    return f"{line_link(line)}: `{quoted}`" if quoted else line_link(line)

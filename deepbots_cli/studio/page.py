@@ -12,12 +12,12 @@ from nicegui import ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.suggestions import Suggestion
-from deepbots_cli.studio.dialogs import Kind, StartPage, compare_versions, new_scenario
+from deepbots_cli.studio.dialogs import Kind, StartPage, new_scenario
 from deepbots_cli.studio.editor import Editor, FindingList
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.language import Meaning
 from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
+from deepbots_cli.studio.lesson_tab import LessonTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab, values_text
 from deepbots_cli.studio.session import HAS_ERRORS, TABS, Session, Topic
@@ -152,9 +152,12 @@ class StudioPage:
         shown = self._shown
         self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
         with self._tabs.props("dense no-caps align=left"):
-            train, runs, command = map(ui.tab, TABS)
+            lesson, train, runs, command = map(ui.tab, TABS)
+        lesson.set_visibility(self._session.has_lesson)
         panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
         with panels.props("keep-alive").classes("studio-panels"):
+            with ui.tab_panel(lesson):
+                LessonTab(self._session)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._write_values, self._train)
             with ui.tab_panel(train):
@@ -176,8 +179,6 @@ class StudioPage:
             self._show_file(current)
         opened = [path for path in session.files if path != session.current]
         options = {str(path): session.name_of(path) for path in (*session.scenarios(), *opened)}
-        for path in session.removed_drafts():
-            options[str(path)] = f"{session.name_of(path)} (removed, with unsaved text)"
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
@@ -213,7 +214,8 @@ class StudioPage:
             return
         self._save.set_text("Save *" if file.is_modified else "Saved")
         self._save.set_enabled(file.is_modified and not file.read_only)
-        key = (file.outside is not None, file.is_gone, file.is_restored, file.read_only)
+        self._editor.mark_saved(not file.is_modified)
+        key = (file.outside is not None, file.is_gone, file.read_only)
         if self._banner_key == (file.path, *key):
             return
         self._banner_key = (file.path, *key)
@@ -222,7 +224,6 @@ class StudioPage:
         with self._banner:
             if file.outside is not None:
                 ui.label(f"Another program has changed {file.path.name}.")
-                ui.button("Compare ...", on_click=lambda: compare_versions(file)).props("dense flat no-caps")
                 ui.button("Take its text", on_click=lambda: self._resolve(file.take_outside)).props(
                     "dense flat no-caps"
                 )
@@ -233,11 +234,6 @@ class StudioPage:
                 ui.label(f"Another program has removed {file.path.name}. Its text is kept here.")
                 ui.button("Write the file again", on_click=self._save_file).props("dense flat no-caps")
                 ui.button("Discard the text", on_click=lambda: self._close(file)).props("dense flat no-caps")
-            elif file.is_restored:
-                ui.label("These are unsaved changes of an earlier session.")
-                ui.button("Discard them", on_click=lambda: self._resolve(file.discard)).props(
-                    "dense flat no-caps"
-                )
             elif file.read_only:
                 ui.label("This file is read only: it belongs to deepbots or another project.")
 
@@ -287,10 +283,10 @@ class StudioPage:
         except UsageError as error:
             self._shown.say(str(error), is_warning=True)
 
-    def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
+    def _typed(self, path: Path, revision: int, text: str) -> OpenFile | None:
         file = self._session.files.get(path)
         if file is not None and not file.read_only:
-            self._guarded(lambda: self._session.change(file, base, text))
+            self._guarded(lambda: self._session.change(file, revision, text))
         return file
 
     async def _key(self, command: str) -> None:
@@ -367,10 +363,10 @@ class StudioPage:
             return
         self._explain(
             place.word,
-            self._session.language.meaning(file.path, place.text, place.line, place.column, place.word),
+            self._session.language.meaning(file.path, place.text, place.line, place.column),
         )
 
-    def _explain(self, word: str = "", meaning: Meaning | None = None) -> None:
+    def _explain(self, word: str = "", meaning: str = "") -> None:
         """Open the explanation of a word, with what can be written into the text."""
         file, language = self._file, self._session.language
 

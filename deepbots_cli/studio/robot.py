@@ -6,6 +6,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -40,6 +41,7 @@ class Robot:
         """`on_change` is called after each change of the attributes."""
         self._permissions, self._on_change = permissions, on_change
         self._process: Process | None = None
+        self._sender = ThreadPoolExecutor(1)
         self._starts = 0
         """The number of processes so far; the news of earlier ones are late."""
         self._loads = 0
@@ -128,6 +130,7 @@ class Robot:
         self._starts += 1
         if process is not None:
             process.end()
+        self._sender.shutdown(wait=False, cancel_futures=True)
 
     def _start(self) -> None:
         """Start a process in place of the present one."""
@@ -162,7 +165,9 @@ class Robot:
         except OSError as error:
             self.problem = f"the simulation cannot be started: {error.strerror}"
             return
-        self._process.send(f"{request.model_dump_json()}\n".encode())
+        # A process that is stopped reads nothing, and a message to it waits once its pipe is full.
+        self._sender = ThreadPoolExecutor(1)
+        self._send(request)
         self._ask(1)
 
     def _hear(self, number: int, line: bytes) -> None:
@@ -204,9 +209,9 @@ class Robot:
             self.problem = f"the process of the simulation ended ({_ended_by(code)}); it was started again"
             self._open_process()
 
-    def _send(self, command: Command) -> None:
+    def _send(self, message: RobotRequest | Command) -> None:
         if self._process is not None:
-            self._process.send(f"{command.model_dump_json()}\n".encode())
+            self._sender.submit(self._process.send, f"{message.model_dump_json()}\n".encode())
 
 
 def _ended_by(code: int) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nicegui import ui
 
+from deepbots_cli.program import ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.robot_process import RobotState
@@ -43,13 +44,11 @@ _STATES = {
 }
 _DRIVERS = {
     "random": "random actions, as in the first steps of a training",
-    "zero": "the middle of each range and the first option of each choice",
     "policy": "the policy that the training has learned",
     "you": "the keys or a gamepad; the best return stays in view",
 }
 _DRIVEN_BY = {
     "random": "driven by random actions",
-    "zero": "driven by the middle of each range",
     "policy": "driven by the policy of {name}",
     "you": "driven by you",
 }
@@ -152,7 +151,7 @@ class RobotPane:
         state = robot.state
         self._robot_text.set_text(robot_text(self._session))
         self._robot_text.classes(replace=f"studio-status {'studio-starts' if starts else ''}")
-        drivers = list(state.drivers) if state else []
+        drivers = [driver for driver in state.drivers if driver != ZERO] if state else []
         driver = state.driver if state and state.driver in drivers else None
         if drivers != self._driver.options or driver != self._driver.value:
             self._driver.set_options(drivers, value=driver)

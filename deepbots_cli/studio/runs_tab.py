@@ -67,7 +67,6 @@ _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("name", "run", "left", _SHORT),
     ("scenario", "scenario", "left", _WIDE),
-    ("state", "state", "left", _WIDE),
     ("return", "mean return", "right", {"classes": "studio-return", ":format": _RETURN}),
     ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
     ("solved", "solved", "left", _SHORT),
@@ -122,10 +121,6 @@ class RunsTab:
                 self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act))
                 number = "two runs" if label == "Compare" else "one run"
                 self._buttons[label].props(f'dense outline no-caps title="of {number}, selected in the list"')
-            self._timesteps = ui.input(placeholder="timesteps").props(
-                'dense outlined prefix="up to" aria-label="Resume up to"'
-            )
-            self._timesteps.classes("studio-number studio-resume")
         with ui.element("div").classes("studio-scroll"):
             self._add_table()
         self._show_buttons()
@@ -169,14 +164,13 @@ class RunsTab:
             {
                 "name": run.path.name,
                 "when": change.started if (change := changes.get(run.path)) else None,
-                "change": _unbroken(change.text) if change else "",
+                "change": run.problem or (_unbroken(change.text) if change else ""),
                 "scenario": run.scenario if has_several else "",
-                "state": run.problem or run.state,
                 "steps": run.steps,
                 "return": run.mean_return,
                 "score": run.score,
                 "success": run.success_rate,
-                "solved": {True: "yes", False: "no", None: ""}[run.solved],
+                "solved": {True: "yes", False: "no", None: run.state.replace("finished", "")}[run.solved],
             }
             for run in reversed(self._session.runs)
         ]
@@ -220,10 +214,8 @@ class RunsTab:
     # What can be done with runs. Each of these raises UsageError if the folder cannot be written.
 
     def resume(self, run: Path) -> None:
-        """Go on with a training that was stopped or needs more timesteps."""
-        text = str(self._timesteps.value or "").strip()
-        options = ["--timesteps", text] if text else []
-        self._session.commands.run(["resume", str(run), *options], run)
+        """Go on with a training that was stopped."""
+        self._session.commands.run(["resume", str(run)], run)
         self._shown.open_tab("Train")
 
     def _show_curve(self, run: Path) -> None:
@@ -358,7 +350,7 @@ class RunsTab:
         shown.add(timesteps)
 
         def train() -> None:
-            self._session.training_options["--timesteps"] = timesteps
+            self._session.timesteps = timesteps
             self._train()
 
         number = timesteps.replace("_", ",")
@@ -390,7 +382,7 @@ class RunsTab:
             show()
 
         def train() -> None:
-            session.training_options["--timesteps"] = ""  # which would override the file
+            session.timesteps = ""  # which would override the file
             self._train()
 
         bar = ui.element("div").classes("studio-bar")
@@ -401,7 +393,7 @@ class RunsTab:
         path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
         task = self._session.commands.run(command, path)
         if path is not None:
-            self._session.training_options["--timesteps"] = ""  # which were too few
+            self._session.timesteps = ""  # which were too few
             self._shown.open_tab("Train")
         else:
             output.clear()

@@ -16,25 +16,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, get_args
 
+from deepbots_cli.course.progress import PROGRESS_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands, Task
-from deepbots_cli.studio.files import Drafts, OpenFile, changed_lines, difference, read_text
+from deepbots_cli.studio.files import OpenFile, changed_lines, difference, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
 from deepbots_cli.studio.trainings import RunChange, RunChanges, WatchedTraining
 
 _WATCH_INTERVAL_S = 0.5
-_DRAFT_INTERVAL_S = 2.0
 _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice", "tab"]
-Tab = Literal["Train", "Runs", "Commands"]
+Tab = Literal["Lesson", "Train", "Runs", "Commands"]
 TABS: tuple[Tab, ...] = get_args(Tab)
 Listener = Callable[[Topic], None]
 HAS_ERRORS = "the scenario has errors; correct them first"
@@ -214,15 +214,15 @@ class Session:
 
     Attributes:
         folder: The folder, beyond which no file is opened but those that its scenarios read.
-        state_folder: The folder of drafts and tasks, which need not exist.
+        state_folder: The folder of tasks, which need not exist.
+        has_lesson: Whether a lesson was started in the folder.
         files: The open files by path, in the order of opening.
         current: The scenario that is edited, and that commands get.
         shown: What the page shows.
         robot, commands: The process of the robot, and the commands that run.
         runs: The runs of the folder, the newest last.
         run_changes: The start and the changes of each run, by its path.
-        training_options: The options for the next training, by name, such as `--seed`; empty texts for those
-            of the file.
+        timesteps: The timesteps of the next training; empty for those of the file.
     """
 
     def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
@@ -233,17 +233,19 @@ class Session:
         self.robot = Robot(permissions, lambda: self.shown.robot_changed())
         self.commands = Commands(self.folder, permissions, lambda task: self.shown.started(task))
         self.shown = Shown(self.robot, self.commands, self._tell)
+        self.has_lesson = (self.folder / PROGRESS_NAME).is_file()
+        if self.has_lesson:
+            self.shown.tab = "Lesson"
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
-        self.training_options = {"--timesteps": "", "--seed": ""}
+        self.timesteps = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
-        self._drafts = Drafts(self.state_folder / "drafts")
         self._written: dict[tuple[Path, str], str] = {}
         self._stamps: Mapping[Path, object] = {}
-        self._last_draft = self._last_runs = 0.0
+        self._last_runs = 0.0
 
     @property
     def language(self) -> Language:
@@ -287,7 +289,7 @@ class Session:
         return str(path.relative_to(self.folder)) if path.is_relative_to(self.folder) else path.name
 
     def open(self, path: Path) -> OpenFile:
-        """Open a file, with its unsaved text of an earlier session.
+        """Open a file.
 
         Raises:
             UsageError: It is outside of the folder and no scenario reads it, or it is not a text file.
@@ -301,17 +303,7 @@ class Session:
             raise UsageError(
                 f"{path} is not a scenario in {self.folder}; the studio does not open other files"
             )
-        removed = self.removed_drafts().get(real)
-        if removed is None:
-            file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
-            self._drafts.restore(file)
-        else:
-            file = OpenFile(real, removed, is_restored=True, is_gone=True)
-        if file.is_restored:
-            self.shown.say(
-                f"{file.path.name} has unsaved changes of an earlier session; save or discard them"
-            )
-        self.files[real] = file
+        file = self.files[real] = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
         self.language.update(file)
         self._tell("files")
         return file
@@ -321,26 +313,19 @@ class Session:
         file = self.open(path)
         if self.current != file.path:
             self.current = file.path
-            self.training_options["--timesteps"] = ""  # of the scenario before
+            self.timesteps = ""  # of the scenario before
             self.shown.show_newest_training(file.path.stem)
             self._written = self._saved_parameters()
             self.shown.show_robot(file.path)
         self._tell("files")
 
-    def removed_drafts(self) -> dict[Path, str]:
-        """Return the unsaved texts of files of the folder that are gone."""
-        drafts = self._drafts.removed()
-        return {path: text for path, text in drafts.items() if self.may_open(path)}
-
     def close_file(self, path: Path) -> None:
-        """Close a file that is gone, with its draft, or a file without unsaved changes."""
+        """Close a file that is gone, or a file without unsaved changes."""
         file = self.files.get(path)
         if file is None or (file.is_modified and not file.is_gone):
             return
         del self.files[path]
         self.language.remove(path)
-        if file.is_gone:
-            self._drafts.discard(path)
         if path == self.current:
             self.current = None
             others = [scenario for scenario in self.scenarios() if scenario != path]
@@ -348,9 +333,9 @@ class Session:
                 self.show(others[0])
         self._tell("files")
 
-    def change(self, file: OpenFile, base: int | str, text: str) -> bool:
+    def change(self, file: OpenFile, revision: int, text: str) -> bool:
         """Take the text of a browser, as `OpenFile.change` does."""
-        is_same = file.change(base, text)
+        is_same = file.change(revision, text)
         self.language.update(file)
         self._tell("text")
         return is_same
@@ -368,7 +353,6 @@ class Session:
         """
         try:
             file.save()
-            self._keep_draft(file)
             self.language.update_all()
             self._restart_robot()
             self._stamps = file_stamps(self._watched())
@@ -418,7 +402,7 @@ class Session:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             draft.edit([edit])
         if "train.total_timesteps" in values:
-            self.training_options["--timesteps"] = ""
+            self.timesteps = ""
         if draft.text == file.text:
             raise UsageError(f"{file.path.name} has these values already")
         lines = changed_lines(file.text, draft.text)
@@ -466,7 +450,7 @@ class Session:
         while True:
             try:
                 await self._look()
-            except Exception as error:  # noqa: BLE001 - drafts must be kept, whatever fails
+            except Exception as error:  # noqa: BLE001 - the page goes on, whatever fails
                 sentence = str(error) if isinstance(error, DeepbotsError | OSError) else repr(error)
                 if self.shown.notice != sentence:
                     self.shown.say(sentence)
@@ -474,10 +458,6 @@ class Session:
 
     async def _look(self) -> None:
         now = time.monotonic()
-        if now - self._last_draft > _DRAFT_INTERVAL_S:
-            self._last_draft = now
-            for file in self.files.values():
-                self._keep_draft(file)
         self._look_at_files()
         if self._listeners and now - self._last_runs > _RUNS_INTERVAL_S:
             self._last_runs = now
@@ -485,9 +465,7 @@ class Session:
         await self.shown.look(reads=bool(self._listeners))
 
     async def close(self) -> None:
-        """Keep unsaved texts, and end the robot. Commands go on."""
-        for file in self.files.values():
-            self._keep_draft(file)
+        """End the robot. Commands go on."""
         if self._language is not None:
             self._language.close()
         self.robot.close()
@@ -521,14 +499,6 @@ class Session:
         if self.current is None:
             return frozenset()
         return frozenset({self.current, *self.language.inputs_of(self.current)})
-
-    def _keep_draft(self, file: OpenFile) -> None:
-        try:
-            self._drafts.keep(file)
-        except OSError as error:
-            sentence = f"unsaved text cannot be kept: {(error.strerror or 'error').lower()}"
-            if self.shown.notice != sentence:
-                self.shown.say(sentence)
 
 
 def _real_path(path: Path) -> Path | None:

@@ -40,9 +40,6 @@ _WHY = "Why is it not solved?"
 _TIMESTEPS = (
     "how many timesteps the robot practices; the last round of experience is whole, so there may be some more"
 )
-_SEED = (
-    "random actions and starts follow from this number; with another one, the training takes another course"
-)
 _EXPLORING = (
     "In training, actions are partly random: the line is the mean of the last 100 episodes. Evaluations are"
     " without, and may differ much: dots during the training, and the result above after it."
@@ -67,8 +64,9 @@ class TrainingTab:
             )
             self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_training)
             self._stop.props("dense outline no-caps")
-            self._timesteps = self._option("Timesteps", "--timesteps", "from the file", _TIMESTEPS)
-            self._seed = self._option("Seed", "--seed", "0", _SEED)
+            timesteps = ui.input(placeholder="from the file").bind_value(session, "timesteps")
+            timesteps.props(f'dense outlined prefix="Timesteps" aria-label="Timesteps" title="{_TIMESTEPS}"')
+            timesteps.classes("studio-number studio--timesteps")
             self._follows = ui.checkbox(
                 "Robot follows",
                 value=session.shown.follows,
@@ -99,12 +97,6 @@ class TrainingTab:
             self._note = ui.label(_EXPLORING).classes("studio-note")
             self._note.set_visibility(False)
 
-    def _option(self, label: str, name: str, placeholder: str, tip: str) -> ui.input:
-        """Add a field for an option of the command; the session keeps its text."""
-        field = ui.input(placeholder=placeholder).bind_value(self._session.training_options, name)
-        field.props(f'dense outlined prefix="{label}" aria-label="{label}" title="{tip}"')
-        return field.classes(f"studio-number studio{name}")
-
     def _add_steps(self) -> None:
         self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
         with self._steps:
@@ -114,9 +106,9 @@ class TrainingTab:
                     ui.label(step)
 
     def train(self) -> None:
-        """Train the scenario with the options of the tab."""
-        values = {name: (text or "").strip() for name, text in self._session.training_options.items()}
-        options = [word for name, value in values.items() if value for word in (name, value)]
+        """Train the scenario for the timesteps of the tab."""
+        timesteps = (self._session.timesteps or "").strip()
+        options = ["--timesteps", timesteps] if timesteps else []
 
         def train() -> None:
             self._session.commands.train(self._session.saved_name(), options)

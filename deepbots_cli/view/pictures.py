@@ -1,10 +1,7 @@
 """Pictures and clips: PNG, MP4 and GIF drawn by the engine, and offline pages drawn by viser in the reader's
-browser; the moving parts of an episode and their paths, for pictures and reports.
+browser; the moving parts of an episode and their paths, for reports.
 
-The parts are chosen by the task: the bodies that the goal or a success reads, those that the reward reads,
-those that a failure or the observation reads, and then the other robots. A free robot moves as its root link.
-A robot with a fixed base moves as the links that the goal or a success reads, or else as the first link that
-the task reads and that moves, or else as the link that goes farthest.
+A free robot moves as its root link, a robot with a fixed base as the link that goes farthest.
 """
 
 from __future__ import annotations
@@ -15,12 +12,11 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
@@ -28,12 +24,11 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import ZERO_VECTOR, View
+from deepbots_cli.port import View
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides, robot_bounds
-from deepbots_cli.robots.meshes import Bounds
+from deepbots_cli.program.world import WorldModel
+from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import COLORS, FrameLayout, LinkName, WorldFrame
@@ -52,12 +47,6 @@ _GIF_SHADE = 8  # of 256; shades that are closer are one color
 _SUPERSAMPLING = 2  # the factor by which pictures are drawn larger before they are reduced
 _FOLLOWED_ROOM = 1.2  # the factor on the reach of a robot from its origin, on each side
 _LABEL_SPACING_PX = 18  # the distance of two labels
-_MIN_HALF_SIDE_M = 0.02  # half the side of the smallest view from above
-_MARGIN_ABOVE = 1.15  # the room around a path that is seen from above, as a factor
-_MIN_CLIMB = 0.5  # share of the longer side; a path that climbs more is shown from the side
-_MAX_OBJECT_SHARE = 3.0  # share of all other parts; a larger object is ground, which is shown in part
-_WHITE = (255, 255, 255, 255)
-_GOAL = (40, 40, 40, 255)
 
 Point = tuple[float, float]
 
@@ -134,7 +123,6 @@ def render_picture(
     *,
     labels: bool = False,
     rays: bool = False,
-    path: Sequence[WorldFrame] = (),
 ) -> Picture:
     """Draw a picture of the present world.
 
@@ -142,18 +130,10 @@ def render_picture(
         labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the
             view is on the robots.
         rays: Whether to draw the rays of sensors, colored by their readings.
-        path: Frames of an episode. The paths of its moving parts are painted (`trajectories`). Without `eye`,
-            the view is from above, or from the side of a path that climbs.
     """
     from PIL import Image, ImageDraw
 
-    painted_path = PaintedPath.of(player, path) if path else None
-    if painted_path:
-        usual = painted_path.view(player.env.world, shot)
-    elif labels:
-        usual = _on_robots(player, shot)
-    else:
-        usual = overview(player.program, shot.width, shot.height)
+    usual = _on_robots(player, shot) if labels else overview(player.program, shot.width, shot.height)
     view = replace(
         shot.now(player, usual),
         width=_SUPERSAMPLING * shot.width,
@@ -169,20 +149,10 @@ def render_picture(
                 pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
                 if len(pixels) == 2:
                     draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
-    if painted_path:
-        _paint_path(draw, project, painted_path)
     image = image.resize((shot.width, shot.height), Image.Resampling.LANCZOS)
     draw = ImageDraw.Draw(image, "RGBA")
     if labels:
         _paint_labels(draw, projection(replace(view, width=shot.width, height=shot.height)), player, shot)
-    if painted_path:
-        _write_legend(draw, painted_path)
-        frame = path[-1]
-        agent = next(iter(frame.agents.values()))
-        caption = f"{frame.ending or 'not ended'}, {frame.time:.1f} s"
-        if not player.program.has_rivals and not player.reader.layout.of_robot:
-            caption += f", return {agent.episode_return:.2f}"
-        _write(draw, (8, shot.height - 22), caption)
     return image
 
 
@@ -221,157 +191,6 @@ def _on_robots(player: Player, shot: Viewpoint) -> View:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class PaintedPath:
-    """The painted part of an episode: the positions of the parts that move, shape (n, 3), and the goals, by
-    the names of the legend."""
-
-    moving: Mapping[str, NDArray[np.float64]]
-    goals: Mapping[str, NDArray[np.float64]]
-    last: WorldFrame
-
-    @staticmethod
-    def of(player: Player, path: Sequence[WorldFrame]) -> PaintedPath:
-        world = player.env.world
-        positions = read_positions(player.reader.layout, path)
-        moving = find_moving(player.program, world, [positions])
-        agents = [agent for body, agent in moving.targets if not body]
-        goals = {f"goal of {agent}" if len(agents) > 1 else "goal": positions["", agent] for agent in agents}
-        names = [describe(world, part) for part in moving.parts]
-        names = [
-            name if names.count(name) == 1 else body
-            for name, (body, _) in zip(names, moving.parts, strict=True)
-        ]
-        return PaintedPath(
-            {name: positions[part] for name, part in zip(names, moving.parts, strict=True)}, goals, path[-1]
-        )
-
-    def view(self, world: WorldModel, shot: Viewpoint) -> View:
-        """Return a view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from
-        the side of a path that climbs."""
-        ways = np.concatenate(
-            [points[~np.isnan(points[:, 0])] for points in (*self.moving.values(), *self.goals.values())]
-        )
-        boxes = [_bounds(ways), *(box for robot in world.robots for box in _boxes_of_robot(robot, self.last))]
-        boxes += [_bounds([(x, y, 0.0) for x, y in line.points]) for line in world.lines]
-        if world.arena is not None:
-            x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
-            boxes.append(((-x, -y, 0.0), (x, y, 0.0)))
-        reach = _MAX_OBJECT_SHARE * max(box_sides(box_around(boxes)))
-        objects = [
-            _box_of_object(body, self.last)
-            for body in world.objects
-            if (body.name, body.name) in self.last.links
-        ]
-        boxes += [box for box in objects if max(box_sides(box)) < reach]
-        wide, deep, climb = np.max(
-            [np.nanmax(points, axis=0) - np.nanmin(points, axis=0) for points in self.moving.values()], axis=0
-        )
-        if climb > _MIN_CLIMB * max(wide, deep):
-            return view_around(boxes, shot.width, shot.height)
-        low, high = np.array(boxes).transpose(1, 0, 2)
-        (x, y, _), (x_end, y_end, _) = box_around(boxes)
-        middle = ((x + x_end) / 2, (y + y_end) / 2, 0.0)
-        tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
-        away = np.maximum(np.maximum(high - middle, np.subtract(middle, low)), _MIN_HALF_SIDE_M)
-        # x is upwards in the picture, so the height of the picture limits the extent along x.
-        height = float(
-            (np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max()
-        )
-        return View((middle[0], middle[1], height), middle, shot.width, shot.height)
-
-
-def _bounds(points: ArrayLike) -> Bounds:
-    (x, y, z), (x_end, y_end, z_end) = np.min(points, axis=0), np.max(points, axis=0)
-    return (x, y, z), (x_end, y_end, z_end)
-
-
-def _boxes_of_robot(robot: RobotBody, frame: WorldFrame) -> Iterator[Bounds]:
-    for link in robot.model.links:
-        pose = frame.links[robot.name, link.name]
-        for part in link.visuals or link.collisions:
-            yield bounds_of_shape(part.shape, frames.compose(pose, frames.frame(part.origin)))
-
-
-def _box_of_object(body: ObjectBody, frame: WorldFrame) -> Bounds:
-    variant_name = frame.variants.get(body.name)
-    shape = next((variant.shape for variant in body.variants if variant.name == variant_name), body.shape)
-    return bounds_of_shape(shape, frame.links[body.name, body.name])
-
-
-def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
-    text = COLORS[number % len(COLORS)]
-    return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16), opacity
-
-
-def _paint_path(
-    draw: ImageDraw, project: Callable[[Triple], Point | None], painted_path: PaintedPath
-) -> None:
-    """Paint each path, paler where it is older, with a ring at the start and a disc at the end; goals as
-    crosses, with their paths in dots."""
-    radius = 5 * _SUPERSAMPLING
-    for points in painted_path.goals.values():
-        pixels = _pixels(project, points)
-        if has_moved(points):
-            for x, y in _spaced(pixels, 3 * radius):
-                draw.ellipse((x - radius / 3, y - radius / 3, x + radius / 3, y + radius / 3), fill=_GOAL)
-        for x, y in pixels[-1:]:
-            for width, color in ((6, _WHITE), (3, _GOAL)):
-                for side in (-1, 1):
-                    reach = 1.4 * radius
-                    draw.line(
-                        (x - reach, y - side * reach, x + reach, y + side * reach),
-                        fill=color,
-                        width=width * _SUPERSAMPLING,
-                    )
-    for number, points in enumerate(painted_path.moving.values()):
-        pixels = _pixels(project, points)
-        if not pixels:
-            continue
-        full = np.array(_rgba(number))
-        draw.line(pixels, fill=(255, 255, 255, 150), width=6 * _SUPERSAMPLING)  # visible on any ground
-        for step, ends in enumerate(pairwise(pixels)):
-            share = 0.4 + 0.6 * step / len(pixels)
-            draw.line(
-                ends,
-                fill=tuple(map(int, share * full + (1 - share) * np.array(_WHITE))),
-                width=3 * _SUPERSAMPLING,
-            )
-        for (x, y), fill in ((pixels[0], _WHITE), (pixels[-1], _rgba(number))):
-            draw.ellipse(
-                (x - radius, y - radius, x + radius, y + radius),
-                fill=fill,
-                outline=_rgba(number),
-                width=2 * _SUPERSAMPLING,
-            )
-
-
-def _pixels(project: Callable[[Triple], Point | None], points: NDArray[np.float64]) -> list[Point]:
-    pixels = [project((x, y, z)) for x, y, z in points.tolist() if not math.isnan(x)]
-    return [pixel for pixel in pixels if pixel is not None]
-
-
-def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
-    """Yield pixels that are at least so far from the one before."""
-    last = None
-    for pixel in pixels:
-        if last is None or math.dist(last, pixel) >= distance:
-            last = pixel
-            yield pixel
-
-
-def _write_legend(draw: ImageDraw, painted_path: PaintedPath) -> None:
-    """Write the names of the moving parts and of the goals, each beside its color; nothing if a single part
-    moves."""
-    entries = [(name, _rgba(number)) for number, name in enumerate(painted_path.moving)] + [
-        (name, _GOAL) for name in painted_path.goals
-    ]
-    for row, (name, color) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
-        y = 8 + 18 * row
-        _write(draw, (26, y), name)
-        draw.ellipse((9, y + 2, 19, y + 12), fill=color, outline=_WHITE)
-
-
 def _paint_labels(
     draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint
 ) -> None:
@@ -394,7 +213,7 @@ def _paint_labels(
             width = draw.textlength(text, font=_font())
             x = shot.width - 6 - width if side else 6.0
             draw.line(((x - 4 if side else x + width + 4, y + 7), pixel), fill=(40, 60, 90, 150), width=1)
-            draw.ellipse((pixel[0] - 2, pixel[1] - 2, pixel[0] + 2, pixel[1] + 2), fill=_rgba(3))
+            draw.ellipse((pixel[0] - 2, pixel[1] - 2, pixel[0] + 2, pixel[1] + 2), fill=COLORS[3])
             _write(draw, (x, y), text)
 
 
@@ -418,25 +237,13 @@ Positions = Mapping[LinkName, NDArray[np.float64]]
 MAX_TRAJECTORIES = 8
 _MIN_EXTENT_M = 1e-3  # m; a part that moves less stands still
 _MIN_SHARE = 0.02  # share of the longest trajectory; a shorter one is a dot
-_MIN_SHARE_OF_ROBOT = 0.1  # share of the path of the link that goes farthest
 
 
 class Moving(NamedTuple):
-    """The drawn parts of an episode: the parts that move, the one of the task first, and their goals."""
+    """The drawn parts of an episode: the parts that move, robots first, and their goals."""
 
     parts: tuple[LinkName, ...]
     targets: tuple[LinkName, ...]
-
-
-class _Subject(NamedTuple):
-    """A body, and one of its links or joints (empty for the body as a whole), that the task reads.
-
-    `rank` is 0 for a part that the goal or a success reads, 1 for the reward, 2 for anything else.
-    """
-
-    body: str
-    part: str
-    rank: int
 
 
 def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positions:
@@ -462,40 +269,41 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     extents = {
         part: max(_extent(positions[part]) for positions in episodes if part in positions) for part in parts
     }
-    analysis = Analysis(program).ideal
-    subjects = _subjects(program, analysis)
-    candidates: list[LinkName] = []
-    named = {subject.body: None for subject in subjects} | {
-        robot.name: None for robot in program.world.robots
-    }
-    for body in named:
-        mine = [subject for subject in subjects if subject.body == body]
-        for robot in world.robots:
-            if robot.name.partition("#")[0] == body:
-                candidates += _parts_of_robot(robot, mine, extents)
-        candidates += [
-            (object_body.name, object_body.name)
-            for object_body in world.objects
-            if object_body.name.partition("#")[0] == body and not object_body.fixed
-        ]
-    candidates = [part for part in dict.fromkeys(candidates) if part in extents]
+    robots = [
+        (
+            robot.name,
+            max((link.name for link in robot.model.links), key=lambda link: extents[robot.name, link]),
+        )
+        if robot.fixed_base
+        else (robot.name, robot.model.root)
+        for robot in world.robots
+    ]
+    objects = [(body.name, body.name) for body in world.objects]
+    fixed = {(body.name, body.name) for body in world.objects if body.fixed}
+    candidates = [part for part in (*robots, *objects) if part in extents.keys() - fixed]
     least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in candidates), default=0.0))
     moving = [part for part in candidates if extents[part] >= least] or candidates[:1]
-    objects = {object_body.name.partition("#")[0] for object_body in world.objects}
-    rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    # Failures often read walls that must not be touched.
-    failures = [value for value in program.endings if value.name in program.failures]
-    avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
-    reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
-    standing = [
-        (object_body.name, object_body.name)
-        for object_body in world.objects
-        if object_body.name.partition("#")[0] in reached
-    ]
-    targets = [part for part in extents if not part[0]] + [
-        part for part in standing if part in extents and part not in moving
-    ]
+    goals = [part for part in parts if not part[0]]
+    aims = _aims(program)
+    standing = [part for part in objects if part in extents and part[0].partition("#")[0] in aims]
+    targets = [*goals, *(part for part in standing if part not in moving)]
     return Moving(tuple(moving[:MAX_TRAJECTORIES]), tuple(targets))
+
+
+def _aims(program: Program) -> set[str]:
+    """Return the bodies that the goal or a success reads; without one, those that the reward reads and no
+    failure, which often reads walls that must not be touched."""
+    analysis, agent = Analysis(program).ideal, program.agent
+
+    def read(values: Iterable[Expression]) -> set[str]:
+        return {body for value in values for body in _read_by(analysis, value)}
+
+    aims = read(ending for ending in program.endings if ending.name in agent.success)
+    aims |= read([agent.goal.achieved]) if agent.goal else set()
+    objects = {body.name.partition("#")[0] for body in program.world.objects}
+    if aims & objects:
+        return aims
+    return read(agent.reward) - read(value for value in program.endings if value.name in program.failures)
 
 
 def describe(world: WorldModel, part: LinkName) -> str:
@@ -517,33 +325,13 @@ def _extent(points: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 0.0
 
 
-def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
-    """Return the parts that the task reads, each once, in the order of the module's docstring."""
-    agent = program.agent
-    endings = [(0 if ending.name in agent.success else 2, ending) for ending in program.endings]
-    goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
-    values = [
-        *goals,
-        *endings,
-        *((1, term) for term in agent.reward),
-        *((2, entry.value) for entry in agent.observation),
-    ]
-    subjects: dict[tuple[str, str], _Subject] = {}
-    for rank, value in sorted(values, key=lambda ranked: ranked[0]):
-        for both in _read_by(analysis, value):
-            subjects.setdefault(both, _Subject(*both, rank))
-    return list(subjects.values())
-
-
-def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
-    """Yield the bodies that an expression reads, each with its link or joint (empty for the body as a
-    whole)."""
+def _read_by(analysis: Analysis, value: Expression) -> Iterator[str]:
+    """Yield the bodies that an expression reads."""
     if not value.foreign:
         for tree in analysis.scalars(value):
             for node in analysis.walk_definitions(tree):
                 for full_name in _full_names(analysis, node):
-                    body, _, part = full_name.partition(".")
-                    yield body.partition("#")[0], part
+                    yield full_name.partition(".")[0].partition("#")[0]
 
 
 def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
@@ -552,30 +340,6 @@ def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
             yield from subjects
         case Name() if sensor := analysis.sensor(node):
             yield from (f"{sensor[0]}.{subject}" for subject in sensor[1].subjects)
-
-
-def _parts_of_robot(
-    robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]
-) -> list[LinkName]:
-    """Return the links whose positions represent the path of a robot."""
-    links = [link.name for link in robot.model.links]
-    if not robot.fixed_base:
-        return [(robot.name, robot.model.root)]
-    farthest = max(links, key=lambda link: extents[robot.name, link])
-    least = _MIN_SHARE_OF_ROBOT * extents[robot.name, farthest]
-    moving: dict[str, int] = {}
-    for subject in subjects:
-        driven = [joint.child for joint in robot.model.joints if joint.name == subject.part]
-        below = (
-            [subject.part]
-            if subject.part in links
-            else [link for child in driven for link in robot.model.links_below(child)]
-        )
-        link = max(below, key=lambda link: extents[robot.name, link], default=None)
-        if link is not None and extents[robot.name, link] >= max(least, _MIN_EXTENT_M):
-            moving.setdefault(link, subject.rank)
-    deciding = [link for link, rank in moving.items() if rank == 0]
-    return [(robot.name, link) for link in deciding or [*moving, farthest][:1]]
 
 
 # Clips

@@ -5,7 +5,7 @@
         when it is opened
     /episode                      its number and its seed
     /tf                           foxglove.FrameTransforms: the pose of every link
-    /scan/ROBOT.SENSOR            foxglove.LaserScan, or foxglove.PointCloud where the rays are not a fan
+    /scan/ROBOT.SENSOR            foxglove.PointCloud: where rays end
     /image/ROBOT.SENSOR           foxglove.CompressedImage
     /message/ROBOT/DIRECTION the message that its receiver uses
     /agent/NAME                   observation, action, reward, reward terms
@@ -33,10 +33,9 @@ import msgspec
 import numpy as np
 
 import deepbots_cli
-from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.frames import Frame, Quaternion, Triple
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.runs.records import versions as installed_versions
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import FORMAT, Payloads
@@ -48,7 +47,6 @@ from deepbots_cli.view.frames import (
     LinkName,
     PlottedField,
     ReceivedMessage,
-    SensorRays,
     WorldFrame,
 )
 from deepbots_cli.words import counted
@@ -62,6 +60,8 @@ _MESSAGE_OVERHEAD_BYTES = 100  # bytes in memory, as for a recording that is rea
 _MAX_SIDE = 1024
 _MAX_NUMBER = 1e9  # for positions in m and times in s; larger ones cannot be drawn
 _decode = msgspec.json.decode
+_POINT_FIELDS = [{"name": axis, "offset": 4 * index, "type": 7} for index, axis in enumerate("xyz")]
+"""The fields of a point of foxglove.PointCloud; the type 7 is FLOAT32."""
 RecordedStep = tuple[int, Payloads]
 """The time of a step in ns, and its topics."""
 
@@ -71,10 +71,6 @@ RecordedStep = tuple[int, Payloads]
 
 def _named(names: Iterable[str], values: Iterable[float | None]) -> dict[str, float | None]:
     return {name: None if value is None else float(value) for name, value in zip(names, values, strict=True)}
-
-
-def _pose(pose: Frame) -> dict[str, Any]:
-    return {"position": _named("xyz", pose[0]), "orientation": _named("xyzw", pose[1])}
 
 
 def _stamp(time: int) -> dict[str, int]:
@@ -117,7 +113,6 @@ class TopicEncoder:
         bodies = [*moving, *(body.name for body in env.world.objects)]
         self._velocities = [env.engine.velocity(body) for body in bodies]
         self._joints = [env.engine.joint_states(robot, joints) for robot, joints in moving.items() if joints]
-        self._scans = {key: _fan(beams) for key, beams in player.reader.layout.sensor_rays.items()}
 
     def encode(self, time: int, number: int, seed: int) -> dict[str, bytes]:
         """Return the topics of the newest frame, encoded; `time` in ns."""
@@ -152,9 +147,15 @@ class TopicEncoder:
             **({"succeeded": list(frame.succeeded)} if frame.succeeded else {}),
         }
         for key, beams in layout.sensor_rays.items():
-            topics[f"/scan/{key}"] = _scan(
-                beams, self._scans[key], frame.rays[key], frame.links[beams.part][1], stamp
-            )
+            ends = beams.lines(frame, key)[:, 1, :3].astype("<f4")
+            topics[f"/scan/{key}"] = {
+                "timestamp": stamp,
+                "frame_id": "world",
+                "pose": {"position": _named("xyz", (0, 0, 0)), "orientation": _named("xyzw", (0, 0, 0, 1))},
+                "point_stride": 12,
+                "fields": _POINT_FIELDS,
+                "data": ends.tobytes(),
+            }
         for name, agent in frame.agents.items():
             topics[f"/agent/{name}"] = {
                 "observation": _named(_names(layout.observation), agent.observation),
@@ -166,14 +167,14 @@ class TopicEncoder:
             }
         # NaN becomes null, which `_floats` reads back; bytes become base64.
         encoded = {topic: msgspec.json.encode(content) for topic, content in topics.items()}
-        encoded["/step"] = msgspec.json.encode(self._step(encoded))
+        encoded["/step"] = msgspec.json.encode(self._step())
         for key, image in frame.cameras.items():
             encoded[f"/image/{key}"] = msgspec.json.encode(
                 {"timestamp": stamp, "frame_id": key.replace(".", "/"), "format": "png", "data": _png(image)}
             )
         return encoded
 
-    def _step(self, encoded: Payloads) -> dict[str, Any]:
+    def _step(self) -> dict[str, Any]:
         player = self._player
         parts = player.action if isinstance(player.action, dict) else {"action": player.action}
         velocities = [float(x) for read in self._velocities for triple in read() for x in triple]
@@ -189,7 +190,6 @@ class TopicEncoder:
             "step": player.frame.step,
             "action": action,
             **hidden,
-            "hash": _hash(*encoded.values(), *map(str.encode, hidden.values())),
         }
 
 
@@ -205,61 +205,6 @@ def _numbered(groups: Mapping[str, Sequence[float]]) -> dict[str, dict[str, floa
     return {key: _named(map(str, range(len(values))), values) for key, values in groups.items()}
 
 
-def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
-    """Return the frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad)
-    between two; None for others."""
-    starts, ways = beams.starts, beams.directions
-    # foxglove.LaserScan has one origin and equal angles; other rays become a PointCloud.
-    if len(ways) < 3 or not np.allclose(starts, starts[0]):
-        return None
-    step = float(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0)))
-    normal = np.cross(ways[0], ways[1])
-    if step < 1e-6 or np.linalg.norm(normal) < 1e-9:
-        return None
-    normal = normal / np.linalg.norm(normal)
-    angles = step * np.arange(len(ways))[:, None]
-    if not np.allclose(
-        ways, np.cos(angles) * ways[0] + np.sin(angles) * np.cross(normal, ways[0]), atol=1e-6
-    ):
-        return None
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(np.stack([ways[0], np.cross(normal, ways[0]), normal], axis=1)).as_quat()
-    return (tuple(starts[0]), tuple(turn)), step
-
-
-def _scan(
-    beams: SensorRays,
-    fan: tuple[Frame, float] | None,
-    free: Sequence[float],
-    turned: Quaternion,
-    stamp: Any,
-) -> dict[str, Any]:
-    """Return a scan in the frame of its link, which is `turned` in the world."""
-    head = {"timestamp": stamp, "frame_id": "/".join(beams.part)}
-    if fan is not None:
-        pose, step = fan
-        return {
-            **head,
-            "pose": _pose(pose),
-            "start_angle": 0.0,
-            "end_angle": step * (len(free) - 1),
-            "ranges": list(free),
-            "intensities": [0.0] * len(free),
-        }
-    level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.yaw_only(turned)))
-    points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
-    # The type 7 is FLOAT32.
-    fields = [{"name": axis, "offset": 4 * index, "type": 7} for index, axis in enumerate("xyz")]
-    return {
-        **head,
-        "pose": _pose(level if beams.upright else frames.IDENTITY_FRAME),
-        "point_stride": 12,
-        "fields": fields,
-        "data": points.tobytes(),
-    }
-
-
 def _png(image: Image) -> bytes:
     import PIL.Image
 
@@ -272,7 +217,7 @@ def _type_of(topic: str, content: Mapping[str, Any]) -> str:
     kind = topic.split("/")[1]
     types = {
         "tf": "FrameTransforms",
-        "scan": "LaserScan" if "ranges" in content else "PointCloud",
+        "scan": "PointCloud",
         "image": "CompressedImage",
     }
     return f"foxglove.{types[kind]}" if kind in types else f"deepbots.{kind.capitalize()}"

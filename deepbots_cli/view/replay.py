@@ -160,8 +160,10 @@ class ReplayPlayer(Player):
 
 # What is verified
 
-_EXACT_PARTS = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
+_EXACT_PARTS = {"/step": ("velocities", "observation", "images", "random"), "/world": ("forces",)}
 """Parts of topics that are compared to the bit or not at all."""
+_DERIVED_PARTS = {"/step": ("hash",)}
+"""Parts that follow from others, and that recordings no longer have."""
 
 
 class Divergence(NamedTuple):
@@ -194,8 +196,7 @@ def verify(
     Args:
         on_episode: Called after each episode with the number of episodes that are done.
         tolerance: Numbers may differ by this, and by this share of them where they are larger than 1. 0
-            compares to the bit. Otherwise hashes, images, contact forces, which jump, and the points of
-            scans, which follow from the rays, are left out.
+            compares to the bit. Otherwise hashes, and contact forces, which jump, are left out.
 
     Raises:
         RecordingError: A step cannot be read.
@@ -241,16 +242,15 @@ def _first_difference(
     """Return the first difference between the topics of a recorded step and those of now: its path, and both
     values; None if there is none."""
     for topic in sorted({**old, **new}, key=_topic_rank):
-        is_left_out = topic.startswith("/image/") or (tolerance and topic.startswith("/scan/"))
-        if is_left_out or new.get(topic) == old.get(topic):
+        # The points of scans follow from the rays.
+        if topic.startswith(("/image/", "/scan/")) or new.get(topic) == old.get(topic):
             continue
         # Other programs write the same numbers in another way.
         before, after = (msgspec.json.decode(topics.get(topic, b"{}")) for topics in (old, new))
-        if tolerance:
-            before, after = (
-                {key: value for key, value in side.items() if key not in _EXACT_PARTS.get(topic, ())}
-                for side in (before, after)
-            )
+        left_out = (*_DERIVED_PARTS.get(topic, ()), *(_EXACT_PARTS.get(topic, ()) if tolerance else ()))
+        before, after = (
+            {key: value for key, value in side.items() if key not in left_out} for side in (before, after)
+        )
         if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
             return difference
     return None

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
 _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
 MAX_CELLS = 120  # the largest number of cells of a terrain along a side
-_MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
 _SETTLING_S = 2.0  # the time for which a changed world is seen from the place before
 _EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
@@ -301,10 +300,9 @@ class WorldScene:
         self._labels: list[Any] = []
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
-        visible_names, hidden_names = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
+        visible_names, hidden_names = ("rays", "contacts", "goal", "shortest path"), ("names", "axes")
         self.visible_parts = dict.fromkeys(visible_names, True) | dict.fromkeys(hidden_names, False)
-        """The parts that a person can show and hide. `shortest path` is that of `path_distance`, `path` that
-        of the robot or its end link."""
+        """The parts that a person can show and hide. `shortest path` is that of `path_distance`."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -320,15 +318,11 @@ class WorldScene:
             head_length=0.03 * size,
             visible=False,
         )
-        self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
-        self._followed = self._traced = (first.name, first.model.root) if first else None
-        if first and first.fixed_base:
-            self._traced = (first.name, first.model.end_link)
+        self._followed = (first.name, first.model.root) if first else None
         self._start = ZERO_VECTOR
-        self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
         self._now = self._before = self._sent = np.full((len(self._parts), 7), np.nan)
         self._rays_now = self._rays_before = self._rays_sent = np.zeros((0, 2, 6), np.float32)
@@ -476,8 +470,9 @@ class WorldScene:
             )
         if after_reset or self._frame is None:
             self._before = rows
-            self._trail = []
             self._rays_before = self._rays_now
+            if self._followed is not None:
+                self._start = frame.links[self._followed][0]
         else:
             # A body that appears does not fly in from its last place.
             self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
@@ -488,10 +483,6 @@ class WorldScene:
         self._frame = frame
         for (body, form), node in self._variants.items():
             node.visible = (body, body) in frame.links and frame.variants.get(body, form) == form
-        if self._followed is not None and self._traced is not None:
-            self._start = self._start if self._trail else frame.links[self._followed][0]
-            self._trail.append(frame.links[self._traced][0])
-            del self._trail[1:-_MAX_PATH]
         self._mark(frame)
 
     def draw(self, share: float) -> None:
@@ -521,16 +512,13 @@ class WorldScene:
         """Show shortest paths (points in m) on the ground."""
         height = 0.004 * self._size
         pieces = [((*start, height), (*end, height)) for way in paths for start, end in pairwise(way)]
-        self._show_lines(self._ways, pieces if self.visible_parts["shortest path"] else [], (0, 158, 115))
-
-    def _show_lines(self, lines: Any, pieces: Sequence[Any], color: tuple[int, int, int]) -> None:
+        self._ways.visible = bool(pieces) and self.visible_parts["shortest path"]
         if pieces:
-            lines.points = np.array(pieces, np.float32)
-            lines.colors = np.full((len(pieces), 2, 3), color, np.uint8)
-        lines.visible = bool(pieces)
+            self._ways.points = np.array(pieces, np.float32)
+            self._ways.colors = np.full((len(pieces), 2, 3), (0, 158, 115), np.uint8)
 
     def _mark(self, frame: WorldFrame) -> None:
-        """Mark contacts, pushes and the path."""
+        """Mark contacts, goals and pushes."""
         self._mark_contacts(frame)
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
@@ -542,9 +530,6 @@ class WorldScene:
                 [[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32
             )
         self._arrows.visible = force is not None
-        self._show_lines(
-            self._path, list(pairwise(self._trail)) if self.visible_parts["path"] else [], (70, 90, 200)
-        )
 
     def _mark_goal(self, frame: WorldFrame) -> None:
         """Mark a point to be reached, and the achieved one."""

@@ -65,7 +65,7 @@ from tests.few import every
 from tests.worlds import SCENARIOS
 
 DOCS = Path(__file__).parents[2] / "docs"
-TUTORIALS = ("start", "what-is-rl", "first", "rewards-that-cheat", "own-robot", "teach")
+TUTORIALS = ("start", "what-is-rl", "first", "rewards-that-cheat", "own-robot")
 BLOCK = re.compile(r"^```(\w+)[ ]?([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 QUICK = {"new", "lint", "inspect", "explain"}
 """Commands that run no simulation; what they print is the same on every machine."""
@@ -630,7 +630,11 @@ def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario)
 
 
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "course").glob("*/text.md")),
+]
 
 BUILT = ("reference/", "../reference/", "benchmark.md")
 """Pages that only the site has, whose test follows links to them. The first page links to none of them."""
@@ -682,8 +686,9 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block, tmp_path: Pa
     if mark == "wrong":
         findings = findings_of(UPON_CARTPOLE + block.text)
         assert {finding.code for finding in findings} == {code}
-    elif mark == "part":  # of a file, which the tests of the tutorials lint
-        assert block.page.removeprefix("docs/").removesuffix(".md") in TUTORIALS
+    elif mark == "part":  # of a file, which the tests of the tutorials or of the course lint
+        name = block.page.removeprefix("docs/").removesuffix(".md")
+        assert name in TUTORIALS or name.startswith("course/")
     elif mark == "fragment":
         for file in _blocks(ROOT / block.page):
             if file.language == "xml" and file.mark:  # a robot file of the same page

@@ -71,9 +71,6 @@ local function ask()
   vim.lsp.buf.format()
   seen.formatted = text():match("world:[^,]*")
 
-  vim.lsp.buf.document_symbol({ on_list = function(list) seen.outline = vim.tbl_map(function(item) return item.text end, list.items) end })
-  wait("the outline", function() return seen.outline end)
-
   go_to("delta(metric)", 6)
   local keys = vim.api.nvim_replace_termcodes("ct)me<C-x><C-o>", true, false, true)
   vim.api.nvim_create_autocmd("CompleteChanged", {

@@ -204,10 +204,6 @@ def test_the_definition_of_a_joint_is_in_its_robot_file(answers: Message) -> Non
     assert '<joint name="pitch"' in answers["definition"]
 
 
-def test_the_outline_has_sections_and_the_names_in_them(answers: Message) -> None:
-    assert {"[Namespace] signals", "[Variable] reach"} <= set(answers["outline"])
-
-
 def test_formatting_makes_what_fmt_makes(answers: Message) -> None:
     assert answers["formatted"] == "world: {timestep: 32 ms"
 

@@ -157,16 +157,6 @@ class Client:
         places = self.ask("definition", uri, around) or []
         return [(Path(place["uri"]).name, *place["range"]["start"].values()) for place in places]
 
-    def references(self, uri: str, around: str) -> list[tuple[str, int, int]]:
-        """The names of the files, with lines and columns, where a name is used."""
-        params = {
-            "textDocument": {"uri": uri},
-            "position": self.at(uri, around),
-            "context": {"includeDeclaration": False},
-        }
-        places = self.request("textDocument/references", params) or []
-        return [(Path(place["uri"]).name, *place["range"]["start"].values()) for place in places]
-
     def actions(self, uri: str, start: str, end: str | None = None, **context: Any) -> list[Message]:
         where = {"start": self.at(uri, start), "end": self.at(uri, end or start)}
         params = {"textDocument": {"uri": uri}, "range": where, "context": {"diagnostics": [], **context}}

@@ -20,22 +20,16 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from lsprotocol.types import Position, Range
 
 from deepbots_cli.installation import install_hint
-from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.hover import definitions, hover
-from deepbots_cli.lsp.server import Checker, CodeActions, Server, diagnostics, formatting
+from deepbots_cli.lsp.server import Checker, Server
 from deepbots_cli.lsp.workspace import (
     Document,
     DocumentAnalysis,
     Workspace,
     analyze,
-    document_symbols,
     path_of,
-    uri_of,
 )
-from tests.few import LIGHT, few
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import ROOT, Client
 from tools.benchmarks.lsp_cost import heavy_imports
@@ -198,45 +192,7 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
     assert looked == ["untitled:c", "untitled:a", "untitled:b"]
 
 
-SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))
-STEP = 37
 ASKED_OF_A_PLACE = ("completion", "hover", "definition")
-
-
-def answer_all(workspace: Workspace, document: Document, position: Position) -> None:
-    """Every request at one place; nothing may be raised."""
-    view = workspace.view(document.uri, position)
-    if view is None:  # a slip in the key `deepbots`: what is left is not a scenario
-        assert not document.is_scenario
-        return
-    for item in completion(view).items:
-        assert (
-            item.text_edit.range.start.line
-            == item.text_edit.range.end.line
-            == view.document.lines.position(view.offset).line
-        )
-    hover(view)
-    definitions(view, workspace.open_uris)
-    CodeActions(workspace, document, versioned=True).at(Range(position, position))
-
-
-@pytest.mark.parametrize("path", few(SCENARIOS, LIGHT[:2], lambda path: path.stem))
-def test_a_scenario_cut_off_anywhere_is_answered_for(path):
-    text = path.read_text(encoding="utf-8")
-    uri = uri_of(path)
-    workspace = Workspace()
-    whole = Document(uri, 1, text, path)
-    workspace.put(whole)
-    workspace.record(analyze(whole, workspace.drafts))
-    for version, end in enumerate(range(0, len(text), STEP), 2):
-        document = Document(uri, version, text[:end], path)
-        workspace.put(document)
-        if version % 10 == 0:
-            diagnostics(analysis := analyze(document, workspace.drafts), workspace.open_uris)
-            workspace.record(analysis)
-            formatting(document)
-            document_symbols(document)
-        answer_all(workspace, document, document.lines.position(end))
 
 
 HOSTILE = {
@@ -264,7 +220,6 @@ def test_a_hostile_document_is_answered_for(client, project, name):
                 f"textDocument/{method}",
                 {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}},
             )
-    client.request("textDocument/documentSymbol", {"textDocument": {"uri": uri}})
     client.request(
         "textDocument/formatting",
         {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},

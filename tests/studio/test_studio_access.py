@@ -19,7 +19,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -43,7 +42,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
-from deepbots_cli.studio.files import Drafts, OpenFile, TextEdit, difference, edited, merged
+from deepbots_cli.studio.files import OpenFile, TextEdit, difference, edited
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
@@ -528,57 +527,6 @@ def test_an_edit_turns_one_text_into_another(before, after):
     assert edited(before, [difference(before, after)]) == after
 
 
-@given(TEXTS, TEXTS, TEXTS, TEXTS, TEXTS)
-def test_changes_of_different_lines_are_both_kept(head, middle, tail, one, other):
-    def text(first, last):
-        return f"{head}\n1{first}\n2{middle}\n3{last}\n{tail}"
-
-    base = text("", "")
-    merge = merged(base, text(one, ""), text("", other))
-    assert merge == text(one, other)
-
-
-@given(TEXTS, TEXTS, TEXTS)
-def test_a_change_of_one_side_is_taken_as_it_is(base, one, other):
-    assert (merged(base, one, base), merged(base, base, other), merged(base, one, one)) == (one, other, one)
-
-
-@given(TEXTS, TEXTS, TEXTS)
-def test_every_typed_character_survives_a_merge(base, typed, other):
-    merge = merged(base, typed, other)
-    inserted = Counter(typed) - Counter(base)
-    assert not inserted - Counter(merge) - Counter("".join(difference(base, other)[2:]))
-
-
-def test_the_typed_word_counts_where_both_changed_it():
-    base = "a: 1\nspeed: 5 rad/s  # slow\nb: 2\n"
-    typed = "a: 1\nspeed: 7 rad/s  # slow\nb: 2\n"
-    on_disk = "a: 0\nspeed: 6 rad/s  # quick\nb: 3\n"
-    assert merged(base, typed, on_disk) == "a: 0\nspeed: 7 rad/s  # quick\nb: 3\n"
-
-
-def test_two_insertions_at_one_place_are_both_kept():
-    assert merged("a\nb\n", "a\nmine\nb\n", "a\ntheirs\nb\n") == "a\nmine\ntheirs\nb\n"
-    assert merged("a\n", "a\nmine", "a\nmine more") == "a\nmine more"  # sent twice
-
-
-def test_a_browser_that_was_away_merges_with_what_it_has_missed(tmp_path):
-    file = OpenFile(tmp_path / "mine.yaml", CART)
-    first = file.revision
-    for letter in "a long note by another browser, of more than fifty letters in one line":
-        file.change(file.revision, file.text + letter)
-    assert not file.change(first, CART.replace("name: Mine", "name: Yours"))
-    assert "name: Yours  # the title\n" in file.text
-    assert file.text.endswith("in one line")
-
-
-def test_a_text_can_be_sent_with_the_text_that_it_is_based_on(tmp_path):
-    file = OpenFile(tmp_path / "mine.yaml", "a: 1\nb: 1\nc: 1\n")
-    file.change(1, "a: 2\nb: 1\nc: 2\n")
-    assert not file.change("a: 1\nb: 1\nc: 1\n", "a: 1\nb: 3\nc: 1\n")
-    assert file.text == "a: 2\nb: 3\nc: 2\n"
-
-
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
 @pytest.mark.parametrize("newline", [b"\n", b"\r\n"])
 def test_line_ends_and_the_byte_order_mark_are_kept(tmp_path, mark, newline):
@@ -597,6 +545,13 @@ def test_line_ends_and_the_byte_order_mark_are_kept(tmp_path, mark, newline):
 def file(tmp_path):
     (tmp_path / "mine.yaml").write_text("a: 1\n", encoding="utf-8")
     return OpenFile.open(tmp_path / "mine.yaml")
+
+
+def test_a_text_is_taken_only_if_it_is_based_on_the_present_one(file):
+    assert file.change(file.revision, "a: 2\n")
+    assert not file.change(file.revision - 1, "a: 3\n")
+    assert file.change(file.revision - 1, "a: 2\n")
+    assert file.text == "a: 2\n"
 
 
 def test_a_save_does_not_overwrite_what_another_program_wrote(file):
@@ -635,44 +590,6 @@ def test_a_file_that_was_removed_can_be_saved_again(file):
     assert not file.is_modified
 
 
-def test_a_draft_survives_until_it_is_saved(tmp_path, file):
-    file.change(file.revision, "a: 2 # \N{GRINNING FACE}\n")
-    Drafts(tmp_path / "drafts").keep(file)
-
-    again = OpenFile.open(file.path)
-    drafts = Drafts(tmp_path / "drafts")
-    drafts.restore(again)
-    assert (again.text, again.saved) == (file.text, "a: 1\n")
-    assert again.is_restored is True
-    assert again.outside is None
-    again.save()
-    drafts.keep(again)
-    assert not list((tmp_path / "drafts").iterdir())
-
-
-def test_a_draft_of_a_file_that_was_changed_since_offers_both(tmp_path, file):
-    file.change(file.revision, "a: 2\n")
-    Drafts(tmp_path / "drafts").keep(file)
-    file.path.write_text("a: 1\nb: 1\n", encoding="utf-8")
-
-    again = OpenFile.open(file.path)
-    Drafts(tmp_path / "drafts").restore(again)
-    assert (again.text, again.outside) == ("a: 2\n", "a: 1\nb: 1\n")
-    with pytest.raises(UsageError, match="another program"):
-        again.save()
-
-
-@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"[" * 100_000, b'{"text": 1, "saved": 2}', b"\xff"])
-def test_a_damaged_draft_is_ignored(tmp_path, file, content):
-    file.change(file.revision, "a: 2\n")
-    Drafts(tmp_path / "drafts").keep(file)
-    (draft,) = (tmp_path / "drafts").iterdir()
-    draft.write_bytes(content)
-    again = OpenFile.open(file.path)
-    Drafts(tmp_path / "drafts").restore(again)
-    assert again.text == "a: 1\n"
-
-
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
@@ -695,23 +612,17 @@ def test_a_text_that_grows_too_large_is_refused(tmp_path):
     assert file.text == "a: 1\n"
 
 
-def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path, file):
+def test_a_full_disk_is_one_sentence_and_leaves_the_file(file):
     file.change(file.revision, "a: 1\n" * 100)
-    drafts = Drafts(tmp_path / "drafts")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
     try:
         with pytest.raises(UsageError, match=r"mine\.yaml cannot be written: file too large"):
             file.save()
-        with pytest.raises(OSError, match="File too large"):
-            drafts.keep(file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert file.path.read_text("utf-8") == "a: 1\n"
     assert file.is_modified is True
-    drafts.keep(file)
-    (draft,) = (tmp_path / "drafts").glob("*.json")
-    assert json.loads(draft.read_text("utf-8"))["text"] == file.text
     file.save()
     assert file.path.read_text("utf-8") == "a: 1\n" * 100
 

@@ -125,9 +125,22 @@ def test_both_tabs_show_what_one_of_them_writes(studio: Served, new_tab):
     second.type("  # a note")
     first.wait("document.querySelector('.cm-content').innerText.includes('# a note')")
     assert "name: Minecraft" in first.text
+    # Both change one place before either hears of the other.
+    editor = "getElement(Number(document.querySelector('.studio-editor').id.slice(1)))"
+    for page, text in ((first, "One"), (second, "Two")):
+        page.tab.run(f"{editor}.waiting = true")  # it sends nothing
+        page.click_line("name: Minecraft")
+        page.type(text)
+    first.tab.run(f"{editor}.waiting = false; {editor}.schedule()")
+    first.wait(f"{editor}.base.includes('One')")
+    second.tab.run(f"{editor}.waiting = false; {editor}.schedule()")
+    second.wait("document.querySelector('.studio-editor .studio-banner').innerText.includes('also changed')")
+    assert "name: MinecraftTwo" in second.text
+    second.click("Keep what I typed")
+    first.wait("document.querySelector('.cm-content').innerText.includes('name: MinecraftTwo')")
 
 
-def test_a_file_changed_outside_is_taken_or_compared(studio: Served, folder, new_tab):
+def test_a_file_changed_outside_is_taken_or_kept(studio: Served, folder, new_tab):
     page = StudioTab(new_tab(), studio.address)
     (folder / "mine.yaml").write_text(SCENARIO.replace("name: Mine", "name: Theirs"), encoding="utf-8")
     page.wait("document.querySelector('.cm-content').innerText.includes('name: Theirs')")
@@ -135,9 +148,6 @@ def test_a_file_changed_outside_is_taken_or_compared(studio: Served, folder, new
     page.type(" and mine")
     page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save *')")
     (folder / "mine.yaml").write_text(SCENARIO.replace("name: Mine", "name: Others"), encoding="utf-8")
-    page.click("Compare ...")
-    page.wait("document.body.innerText.includes('+name: Theirs and mine')")
-    page.click("Close")
     page.click("Keep this text")
     assert "name: Theirs and mine" in page.text
 

@@ -3,7 +3,7 @@
     python -m tools.benchmarks.lsp_cost [--json] [--requests 100]
 
 The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition,
-code actions, outline and formatting is asked for at so many places of a scenario, drawn with seed 0, a
+code actions and formatting is asked for at so many places of a scenario, drawn with seed 0, a
 quarter of them right behind a change of the text, whose analysis may go on beside. The time of an answer is
 the CPU time of the thread that answers, once everything has been asked for before; that of findings is the
 CPU time of the whole process, its analysis included. Memory is what the server held at most when all this was
@@ -24,7 +24,7 @@ from tools.benchmarks.lint_cost import HEAVY
 from tools.benchmarks.report import Row, options, show
 
 SCENARIOS = ("pit_escape", "find_ball_random")
-METHODS = ("completion", "hover", "definition", "codeAction", "documentSymbol", "formatting")
+METHODS = ("completion", "hover", "definition", "codeAction", "formatting")
 BAR = 50.0
 MOST_MEMORY = 300.0
 

@@ -7,6 +7,7 @@ compare.py      diff, runs       lint.py      fmt          train.py      resume,
 view.py         play, studio,    try_.py      test         transfer.py   robustness, diagnose
                 replay           new.py       scenarios    compile.py    lsp
 render.py       report, plot     export.py    serve        bench.py      doctor
+course.py       grade
 
 The module is imported when the command is called. The rest of its help is in `../help/NAME.txt`.
 """
@@ -47,6 +48,10 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "diagnose": "Explain why a training does not learn, or why an episode ended.",
         "plot": "Plot the learning curves of runs.",
         "replay": "List the episodes of a recording, or run them again and compare.",
+    },
+    "Learn": {
+        "course": "Learn in lessons that mark themselves.",
+        "grade": "Mark what students handed in.",
     },
     "Share": {
         "render": "Make a picture, a video or GIF, an offline page or a recording.",
@@ -142,7 +147,7 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
         "--watch": "--fix --diff; reads files and changes none",
     },
     "new": {
-        "--template --from --urdf --webots": "--template --from --urdf --webots",
+        "--template --from --urdf --webots --lesson": "--template --from --urdf --webots --lesson",
         "--project": "--schema; writes a schema for all its scenarios",
     },
     "render": {"--follow": "--from --at; moves the camera"},
@@ -164,6 +169,7 @@ BESIDE: Mapping[str, str] = {
     "diff": "compare",
     "doctor": "bench",
     "fmt": "lint",
+    "grade": "course",
     "lsp": "compile",
     "play": "view",
     "plot": "render",

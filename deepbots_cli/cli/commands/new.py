@@ -116,6 +116,12 @@ def command(
             "A copy of Webots, or a folder with PROTO files, from which the world may read; may be repeated.",
         ),
     ] = None,
+    lesson: Annotated[
+        bool,
+        option(
+            "--lesson", "Write a lesson that marks itself, in the folder NAME: a copy of lesson 3, to change."
+        ),
+    ] = False,
     schema: Annotated[
         bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)
     ] = False,
@@ -133,10 +139,13 @@ def command(
 ) -> None:
     """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
+    if lesson:
+        _write_lesson(folder / name, as_json=as_json, force=force)
+        return
     if not (template or shipped_name or urdf or webots):
         raise UsageError(
             f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
-            " or --webots WORLD.wbt"
+            " --webots WORLD.wbt, or --lesson"
         )
     if project is not None:
         if folder != Path("."):
@@ -169,6 +178,26 @@ def command(
     commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
     _show(paths, unchanged, commands, permissions, first, as_json=as_json, todos=todos)
+
+
+def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
+    """Write a lesson that `deepbots course verify` proves as it is."""
+    from deepbots_cli.course.lessons import lesson_named
+
+    model = lesson_named("reward").folder
+    contents = {
+        PurePosixPath(path.relative_to(model)): path.read_bytes()
+        for path in sorted(model.rglob("*"))
+        if path.is_file()
+    }
+    write_new(contents, folder, force=force)
+    commands = [
+        f"deepbots course verify {quote(str(folder))}",
+        f"deepbots course start {quote(str(folder))} as_a_student",
+    ]
+    terminal.show(
+        {"lesson": str(folder)}, f"{folder}: a lesson to change", as_json=as_json, next_commands=commands
+    )
 
 
 def _next_commands(

@@ -64,7 +64,6 @@ _DRAWN = (PICTURE, *VIDEOS)
 _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
     "--labels": (PICTURE,),
     "--rays": (PICTURE,),
-    "--path": (PICTURE,),
     "--steps": (PICTURE, RECORDING_SUFFIX),
     "--seconds": (*VIDEOS, PAGE),
     "--speed": (*VIDEOS, PAGE),
@@ -161,9 +160,6 @@ def command(
         bool, option("--labels", "Name the links and joints of the first robot.", _PICTURE_ONLY)
     ] = False,
     rays: Annotated[bool, option("--rays", "Draw the rays of sensors.", _PICTURE_ONLY)] = False,
-    path: Annotated[
-        bool, option("--path", "Run the episode, and draw the paths of what moves in it.", _PICTURE_ONLY)
-    ] = False,
     seconds: Annotated[
         float | None,
         option(
@@ -222,7 +218,6 @@ def command(
     values = {
         "--labels": labels,
         "--rays": rays,
-        "--path": path,
         "--steps": steps,
         "--seconds": seconds,
         "--speed": speed,
@@ -273,7 +268,7 @@ def command(
         model=selection.model,
         deterministic=selection.deterministic,
     )
-    drawing = _Drawing(shot, steps, labels, rays, path, seconds, speed or 1.0)
+    drawing = _Drawing(shot, steps, labels, rays, seconds, speed or 1.0)
     with closing_player(source, driver) as world:
         ends = _draw_episodes(world, kind, files, selection, drawing)
         have_rivals = world.program.has_rivals
@@ -377,7 +372,6 @@ class _Drawing:
         steps: A picture is taken after this number of steps, and a recording has at most as many.
         labels: A picture has the names of links and joints.
         rays: A picture has the rays of sensors.
-        path: A picture has the paths of what moves.
         seconds: Simulated seconds of a video; None for the whole episode.
         speed: Simulated seconds per second of a video.
     """
@@ -386,7 +380,6 @@ class _Drawing:
     steps: int | None
     labels: bool
     rays: bool
-    path: bool
     seconds: float | None
     speed: float
 
@@ -401,15 +394,11 @@ def _draw_episodes(
     if kind == RECORDING_SUFFIX:
         return _record(world, files[0], selection, steps)
     if kind == PICTURE:
-        last = None if drawing.path and not steps else steps or 0
-        trace = list(world.episode(selection.seed, selection.numbers[0], last))
-        path = trace if drawing.path else ()
-        image = pictures.render_picture(
-            world, drawing.viewpoint, labels=drawing.labels, rays=drawing.rays, path=path
-        )
+        *_, last = world.episode(selection.seed, selection.numbers[0], steps or 0)
+        image = pictures.render_picture(world, drawing.viewpoint, labels=drawing.labels, rays=drawing.rays)
         with atomic_write(files[0]) as draft:
             image.save(draft, "PNG")
-        return [trace[-1]]
+        return [last]
     with terminal.transient_line("running the episode ...") as show:
         play = partial(
             pictures.write_clip,

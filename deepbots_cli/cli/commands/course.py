@@ -1,0 +1,290 @@
+"""`deepbots course` and `deepbots grade`: lessons that mark themselves, and the marks of a class."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.arguments import available_cores
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Force, Json, Workers, integer, option
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write, check_folder, check_output
+from deepbots_cli.words import counted
+
+if TYPE_CHECKING:
+    from deepbots_cli.course.grading import Marks
+    from deepbots_cli.course.lessons import Lesson
+    from deepbots_cli.course.progress import Started
+
+
+class Action(StrEnum):
+    """What `deepbots course` does."""
+
+    LIST = "list"
+    START = "start"
+    CHECK = "check"
+    HINT = "hint"
+    NEXT = "next"
+    VERIFY = "verify"
+
+
+def command(
+    action: Annotated[
+        Action, typer.Argument(metavar="[list|start|check|hint|next|verify]", help="What to do.")
+    ] = Action.LIST,
+    what: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="LESSON|DIR",
+            help="The lesson to start: its number, name or folder; else the folder of a started lesson, by default"
+            " this one; for verify, the folder of a lesson.",
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="DIR", help="For start and next: the new folder.")
+    ] = None,
+    step: Annotated[
+        str | None, option("--step NAME", "For hint: the step, by default the first that lacks points.")
+    ] = None,
+    quick: Annotated[
+        bool, option("--no-train", "For verify: leave out the checks that train a policy.", ADVANCED)
+    ] = False,
+    workers: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """Learn in ten lessons that mark themselves."""
+    match action:
+        case Action.LIST:
+            _list(Path(what or "."), as_json=as_json)
+        case Action.START:
+            if what is None:
+                raise UsageError("name a lesson, such as `deepbots course start 1`")
+            _start(what, folder)
+        case Action.CHECK:
+            _check(Path(what or "."), workers or 1, as_json=as_json)
+        case Action.HINT:
+            _hint(Path(what or "."), step)
+        case Action.NEXT:
+            _next(Path(what or "."), folder)
+        case Action.VERIFY:
+            _verify(what or ".", workers or available_cores(), train=not quick, as_json=as_json)
+
+
+def _list(folder: Path, *, as_json: bool) -> None:
+    from deepbots_cli.course.lessons import shipped_lessons
+    from deepbots_cli.course.progress import started_in
+
+    folders = (folder, *sorted(path for path in folder.glob("*/") if path.is_dir()))
+    started = {one.reference: one for place in folders if (one := started_in(place)) is not None}
+    rows: list[Row] = []
+    for lesson in shipped_lessons():
+        own = started.get(lesson.name)
+        rows.append(
+            {
+                "lesson": lesson.number,
+                "title": lesson.title,
+                "about": lesson.content.summary,
+                "minutes": lesson.content.minutes,
+                "points": "" if own is None else f"{own.points} of {lesson.points}",
+                "folder": "" if own is None else str(own.folder),
+            }
+        )
+    current = next((row for row in rows if row["points"] and not _is_full(row)), None)
+    following = next((row["lesson"] for row in rows if not row["points"]), 1)
+    command = f"check {current['folder']}" if current else f"start {following}"
+    terminal.show(
+        rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
+    )
+
+
+def _is_full(row: Row) -> bool:
+    points, _, of = str(row["points"]).partition(" of ")
+    return points == of
+
+
+def _start(name: str, folder: Path | None) -> None:
+    from deepbots_cli.course.lessons import lesson_named
+    from deepbots_cli.course.progress import start
+
+    lesson = lesson_named(name)
+    folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
+    start(lesson, folder)
+    rows = [
+        {"step": step_name, "points": step.points, "goal": step.goal}
+        for step_name, step in lesson.steps.items()
+    ]
+    terminal.print_result(
+        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n\n"
+        f"{table(rows, is_prose=True)}\n\nread {folder / 'README.md'} first"
+    )
+    terminal.note(f"\nnext:\n  cd {quote(str(folder))}\n  deepbots course check")
+
+
+def _opened(folder: Path) -> Started:
+    """Return the lesson that was started in a folder."""
+    from deepbots_cli.course.progress import PROGRESS_NAME, started_in
+
+    started = started_in(folder)
+    if started is None:
+        raise UsageError(
+            f"no lesson was started in {folder if str(folder) != '.' else 'this folder'}: it has no"
+            f" {PROGRESS_NAME}; start one with `deepbots course start 1`"
+        )
+    return started
+
+
+def _check(folder: Path, workers: int, *, as_json: bool) -> None:
+    started = _opened(folder)
+    with terminal.transient_line("checking ..."):
+        marks = started.check(workers)
+    open_step = next((step for step in marks.steps if step.points < step.of), None)
+    following = "next" if open_step is None else f"hint --step {open_step.step}"
+    lines = _lines(started.lesson(), marks)
+    terminal.show(marks.data(), *lines, as_json=as_json, next_commands=[f"deepbots course {following}"])
+    if open_step is not None:
+        raise typer.Exit(FAILED)
+
+
+def _lines(lesson: Lesson, marks: Marks) -> list[str]:
+    """Return the marks of a student as text: each check with its points, and the reason for missing ones."""
+    lines = [f"lesson {lesson.label}: {marks.points} of {counted(marks.of, 'point')}"]
+    for step in marks.steps:
+        lines += ["", f"  {step.step}  {step.points} of {step.of}"]
+        reasons = {check.reason for check in step.checks if check.reason}
+        shared = reasons.pop() if len(reasons) == 1 and all(check.reason for check in step.checks) else ""
+        for check in step.checks:
+            lines.append(
+                f"    {'+' if check.points == check.of else '-'} {check.points}/{check.of}  {check.says}"
+            )
+            if check.reason and not shared:
+                lines.append(f"           {check.reason}")
+        if shared:
+            lines.append(f"           {shared}")
+    lines += ["", *(f"  note: {remark}" for remark in marks.all_remarks)] if marks.all_remarks else []
+    return lines
+
+
+def _hint(folder: Path, name: str | None) -> None:
+    started = _opened(folder)
+    if name is None:
+        with terminal.transient_line("checking ..."):
+            marks = started.check()
+        name = next((step.step for step in marks.steps if step.points < step.of), None)
+        if name is None:
+            terminal.print_result("all points are reached; go on with `deepbots course next`")
+            return
+    number, hint = started.next_hint(name)
+    count = len(started.lesson().steps[name].hints)
+    more = "" if number == count else "; the next call leads further"
+    terminal.print_result(f"{name}, hint {number} of {count}{more}\n\n  {hint}")
+
+
+def _next(folder: Path, into: Path | None) -> None:
+    from deepbots_cli.course.lessons import shipped_lessons
+
+    lesson = _opened(folder).lesson()
+    following = next((other for other in shipped_lessons() if other.number == lesson.number + 1), None)
+    if following is None or not lesson.number:
+        terminal.print_result("this was the last lesson; `deepbots course` lists all")
+        return
+    name = f"lesson-{following.number}-{following.name}"
+    _start(str(following.number), into or folder.resolve().parent / name)
+
+
+def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
+    from deepbots_cli.course.lessons import lesson_named, read_lesson
+    from deepbots_cli.course.proof import prove
+
+    lesson = read_lesson(Path(name)) if Path(name).is_dir() else lesson_named(name)
+    with terminal.transient_line("marking the starter, the solutions and the cheats ..."):
+        proven = list(prove(lesson, train=train, workers=workers))
+    rows = [
+        {
+            "hand-in": one.tried,
+            "points": f"{one.points} of {one.of}",
+            "expected": one.expected,
+            "result": "right" if one.is_right else "WRONG",
+            "why": one.reason if not one.is_right else "",
+        }
+        for one in proven
+    ]
+    wrong = sum(not one.is_right for one in proven)
+    verdict = "the lesson is proven" if not wrong else f"{counted(wrong, 'hand-in')} earned the wrong points"
+    terminal.show([vars(one) for one in proven], table(rows, is_prose=True), "", verdict, as_json=as_json)
+    if wrong:
+        raise typer.Exit(FAILED)
+
+
+def command_grade(
+    lesson_name: Annotated[
+        str, typer.Argument(metavar="LESSON", help="The number, name or folder of a lesson.")
+    ],
+    hand_ins: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="HANDED_IN...",
+            help="What students handed in, named after them: folders, zips, or a folder with all of them.",
+        ),
+    ],
+    seed: Annotated[
+        int, integer("--seed N", "Root seed of evaluations; take one that students do not know.", 0, MAX_SEED)
+    ] = 0,
+    train: Annotated[
+        bool,
+        option("--train", "Train a policy for each hand-in, in place of the one that was handed in."),
+    ] = False,
+    csv: Annotated[
+        Path | None, option("--csv FILE", "Write a table with a line for each student.", OUTPUT)
+    ] = None,
+    html: Annotated[
+        Path | None, option("--html DIR", "Write a page for each student into a new folder.", OUTPUT)
+    ] = None,
+    force: Force = False,
+    workers: Workers = None,
+    as_json: Json = False,
+    permissions: Permissions = Permissions(),
+) -> None:
+    """Mark what students handed in."""
+    from deepbots_cli.course.grading import as_csv, as_page, grade, hand_ins_of, row_of
+    from deepbots_cli.course.lessons import lesson_named
+
+    lesson = lesson_named(lesson_name)
+    check_output(*filter(None, (csv,)), force=force)
+    if html is not None:
+        check_folder(html)
+        if html.exists() and any(html.iterdir()) and not force:
+            raise UsageError(f"{html} is not empty; name another folder, or add --force")
+    students = hand_ins_of(lesson, hand_ins)
+    with terminal.progress("hand-ins", always=False) as show:
+        marks = grade(
+            lesson,
+            students,
+            seed=seed,
+            train=train,
+            workers=workers or available_cores(),
+            on_marks=lambda _, done: show(done, len(students)),
+        )
+    if len(marks) == 1 and not as_json:
+        lines = _lines(lesson, marks[0])
+    else:
+        lines = [
+            f"lesson {lesson.label}, {counted(lesson.points, 'point')}",
+            table([row_of(one) for one in marks], is_prose=True),
+        ]
+    terminal.show([one.data() for one in marks], *lines, as_json=as_json)
+    if csv is not None:
+        with atomic_write(csv) as draft:
+            draft.write_text(as_csv(marks), encoding="utf-8")
+    if html is not None:
+        html.mkdir(parents=True, exist_ok=True)
+        for number, one in enumerate(marks, 1):
+            name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in one.student)[:60]
+            (html / f"{number:02} {name}.html").write_text(as_page(lesson, one), encoding="utf-8")

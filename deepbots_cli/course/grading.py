@@ -1,0 +1,319 @@
+"""The marks of many hand-ins: each step in a process of its own, with limits on CPU time, memory, the clock,
+and the size of its folder. A hand-in that hangs, crashes or fills the disk loses that step only.
+
+Tests and replays give the same marks in every run on machines of one kind. A training is judged by its
+evaluation on starts that nobody knew, whose 95 % interval the marks name.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.course.hand_ins import HandInError, collect
+from deepbots_cli.course.lessons import Lesson
+from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, without_policy
+from deepbots_cli.processes import Process, ending
+from deepbots_cli.words import sentence_list
+
+_SUFFIXES = (".zip", ".yaml", ".yml")
+"""The suffixes that are not part of the name of a student."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the process that marks a step. A step takes 2 to 10 s; a training up to 3 minutes.
+
+    Attributes:
+        cpu: s of CPU time.
+        clock: s by the clock, on a machine that may be busy.
+        memory: MiB of address space, most of which PyTorch reserves.
+        disk: MiB of files that the process writes.
+    """
+
+    cpu: int = 60
+    clock: float = 180.0
+    memory: int = 8192
+    disk: int = 500
+
+
+TRAINING_LIMITS = Limits(cpu=900, clock=1800.0)
+
+
+@dataclass(frozen=True)
+class Marks:
+    """The marks of a student. `refused` is the reason why nothing was marked."""
+
+    student: str
+    lesson: str
+    steps: tuple[StepMark, ...]
+    remarks: tuple[str, ...] = ()
+    refused: str = ""
+
+    @property
+    def points(self) -> int:
+        return sum(step.points for step in self.steps)
+
+    @property
+    def of(self) -> int:
+        return sum(step.of for step in self.steps)
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """The remarks about the hand-in and about its steps, each once."""
+        own = [remark for step in self.steps for remark in step.remarks]
+        return tuple(dict.fromkeys((*((self.refused,) if self.refused else ()), *self.remarks, *own)))
+
+    def data(self) -> dict[str, Any]:
+        """Return the marks as JSON."""
+        steps = [
+            {key: value for key, value in as_data(step).items() if key != "weights"} for step in self.steps
+        ]
+        return {
+            "student": self.student,
+            "lesson": self.lesson,
+            "points": self.points,
+            "of": self.of,
+            "steps": steps,
+            "remarks": list(self.all_remarks),
+        }
+
+
+def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]:
+    """Return hand-ins with the names of their students: those of files and folders, numbered where two are
+    the same. A folder with several entries, and no file of the lesson, stands for all that is in it."""
+    single: list[Path] = []
+    for path in paths:
+        inside = [] if path.is_symlink() or not path.is_dir() else sorted(path.iterdir())
+        visible = [entry for entry in inside if not entry.name.startswith(".")]
+        is_class = len(visible) > 1 and not any((path / name).exists() for name in lesson.step_files)
+        single += visible if is_class else [path]
+    counts: dict[str, int] = {}
+    named: list[tuple[str, Path]] = []
+    for path in single:
+        name = path.stem if path.suffix in _SUFFIXES else path.resolve().name
+        counts[name] = counts.get(name, 0) + 1
+        named.append((name if counts[name] == 1 else f"{name} ({counts[name]})", path))
+    return named
+
+
+def grade(
+    lesson: Lesson,
+    hand_ins: Sequence[tuple[str, Path]],
+    *,
+    seed: int = 0,
+    train: bool = False,
+    workers: int = 1,
+    limits: Limits | None = None,
+    on_marks: Callable[[Marks, int], object] = lambda marks, done: None,
+) -> list[Marks]:
+    """Return the marks of hand-ins, in their order.
+
+    Args:
+        lesson: The lesson.
+        hand_ins: Names of students, and what they handed in.
+        seed: The root seed of evaluations.
+        train: Whether to train policies in place of those that were handed in.
+        workers: The number of hand-ins to mark at a time.
+        limits: The limits of each step.
+        on_marks: Called with the marks of a student once they are known, and the number of students so far.
+    """
+    bounds = limits or (TRAINING_LIMITS if train else Limits())
+    lock = threading.Lock()
+    done = 0
+
+    def marked(entry: tuple[str, Path]) -> Marks:
+        nonlocal done
+        marks = _mark_one(lesson, *entry, seed=seed, train=train, limits=bounds)
+        with lock:
+            done += 1
+            on_marks(marks, done)
+        return marks
+
+    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
+        marks = list(pool.map(marked, hand_ins))
+    return _without_copies(lesson, marks)
+
+
+def _mark_one(lesson: Lesson, student: str, path: Path, *, seed: int, train: bool, limits: Limits) -> Marks:
+    with tempfile.TemporaryDirectory(prefix="deepbots-marks-", ignore_cleanup_errors=True) as name:
+        folder, work = Path(name, "handed_in"), Path(name, "work")
+        folder.mkdir()
+        work.mkdir()
+        try:
+            hand_in = collect(path, student, folder, lesson)
+        except HandInError as error:
+            steps = (nothing(step, content, str(error)) for step, content in lesson.steps.items())
+            return Marks(student, lesson.name, tuple(steps), (), f"not marked: {error}")
+        request = {"lesson": str(lesson.folder.resolve()), "folder": str(hand_in.folder), "work": str(work)}
+        marks = [
+            _mark_step(lesson, step, {**request, "step": step, "seed": seed, "train": train}, limits)
+            for step in lesson.steps
+        ]
+    return Marks(student, lesson.name, tuple(marks), hand_in.remarks)
+
+
+def _mark_step(lesson: Lesson, step: str, request: Mapping[str, Any], limits: Limits) -> StepMark:
+    """Return the marks of a step, which a process of its own finds."""
+    answers: list[bytes] = []
+    codes: list[int] = []
+    is_over = threading.Event()
+
+    def over(code: int) -> None:
+        codes.append(code)
+        is_over.set()
+
+    work = Path(request["work"])
+    process = Process(
+        "deepbots_cli.course.marking_process",
+        *map(str, (limits.cpu, limits.memory, limits.disk)),
+        hear=answers.append,
+        on_end=over,
+        environment={"TMPDIR": str(work), "OMP_NUM_THREADS": "1", "HOME": str(work)},
+        quiet=True,
+    )
+    process.send(json.dumps(request).encode() + b"\n")
+    waited = 0.0
+    reason = ""
+    while not is_over.wait(1.0):
+        waited += 1.0
+        if waited > limits.clock:
+            reason = f"it was not finished after {limits.clock:.0f} s"
+        elif _size(work) > limits.disk * 2**20:
+            reason = f"it wrote more than {limits.disk} MiB"
+        if reason:
+            process.end()
+            is_over.wait()
+            break
+    if not reason and answers:
+        try:
+            return from_data(json.loads(b"".join(answers)))
+        except (ValueError, KeyError, TypeError):
+            pass
+    word = ending(codes[0]) if codes else "no answer"
+    reasons = {
+        "SIGXCPU": f"it took more than {limits.cpu} s of CPU time",
+        "SIGKILL": "it took too much time or memory",
+    }
+    return nothing(
+        step, lesson.steps[step], reason or reasons.get(word, f"the program that marks it ended ({word})")
+    )
+
+
+def _size(folder: Path) -> int:
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.lstat().st_size
+        except OSError:  # a file that the process removed meanwhile
+            continue
+    return total
+
+
+def _without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
+    """Return marks in which a policy that several students handed in earns nothing."""
+    holders: dict[tuple[str, str], list[str]] = {}
+    for given in marks:
+        for step in given.steps:
+            if step.weights:
+                holders.setdefault((step.step, step.weights), []).append(given.student)
+    result = []
+    for given in marks:
+        steps, remarks = [], [*given.remarks]
+        for step in given.steps:
+            others = [name for name in holders.get((step.step, step.weights), ()) if name != given.student]
+            if others and step.weights:
+                reason = f"the same policy as that of {sentence_list(others)}: ask who trained it"
+                steps.append(without_policy(step, lesson.steps[step.step], reason))
+                remarks.append(f"{step.step}: {reason}")
+            else:
+                steps.append(step)
+        result.append(replace(given, steps=tuple(steps), remarks=tuple(remarks)))
+    return result
+
+
+# Tables
+
+
+def row_of(marks: Marks) -> dict[str, object]:
+    """Return the row of a student in the table of a class."""
+    return {
+        "student": marks.student,
+        "points": f"{marks.points} of {marks.of}",
+        **{step.step: f"{step.points}/{step.of}" for step in marks.steps},
+        "remarks": "; ".join(marks.all_remarks),
+    }
+
+
+def as_csv(marks: Iterable[Marks]) -> str:
+    """Return a table whose cells no spreadsheet takes for formulas."""
+    out = io.StringIO()
+    rows = [
+        {
+            "student": given.student,
+            "points": given.points,
+            "of": given.of,
+            **{step.step: step.points for step in given.steps},
+            "remarks": "; ".join(given.all_remarks),
+        }
+        for given in marks
+    ]
+    writer = csv.DictWriter(out, list(rows[0]) if rows else ["student"])
+    writer.writeheader()
+    writer.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
+    return out.getvalue()
+
+
+def _cell(value: object) -> object:
+    text = str(value)
+    return (
+        f"'{text}" if isinstance(value, str) and text.lstrip()[:1] in "=+-@\t\r" and text.strip() else value
+    )
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 46rem; margin: 2rem auto; padding: 0 1rem;
+       color-scheme: light dark; }}
+h1 {{ font-size: 1.4rem; }} h2 {{ font-size: 1.1rem; margin-top: 2rem; }}
+table {{ border-collapse: collapse; width: 100%; }}
+td {{ border-top: 1px solid #8884; padding: .4rem .6rem .4rem 0; vertical-align: top; }}
+td:first-child {{ white-space: nowrap; font-weight: 600; width: 4rem; }}
+small {{ opacity: .75; overflow-wrap: anywhere; }}
+</style>
+<h1>{title}</h1><p><b>{points} of {of} points</b></p>
+{body}
+</html>
+"""
+
+
+def as_page(lesson: Lesson, marks: Marks) -> str:
+    """Return one page of HTML with the marks of a student, without scripts and links."""
+    parts = []
+    for step in marks.steps:
+        rows = "".join(
+            f"<tr><td>{check.points} of {check.of}</td><td>{html.escape(check.says)}"
+            + (f"<br><small>{html.escape(check.reason)}</small>" if check.reason else "")
+            + "</td></tr>"
+            for check in step.checks
+        )
+        goal = html.escape(lesson.steps[step.step].goal)
+        parts.append(
+            f"<h2>{html.escape(step.step)}: {step.points} of {step.of}</h2><p>{goal}</p><table>{rows}</table>"
+        )
+    if marks.all_remarks:
+        items = "".join(f"<li>{html.escape(remark)}</li>" for remark in marks.all_remarks)
+        parts.append(f"<h2>Remarks</h2><ul>{items}</ul>")
+    title = html.escape(f"{lesson.label}: {marks.student}")
+    return _PAGE.format(title=title, points=marks.points, of=marks.of, body="\n".join(parts))

@@ -1,0 +1,319 @@
+"""What a student hands in: a folder, a zip, or the file of a step; and the parts that a lesson takes from it.
+
+Nothing of it is trusted. It is copied into a folder of the grader without links and within limits; the files
+are parsed as YAML and never as scenarios; and the teacher's task includes the named parts, not the other way
+round.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from deepbots_cli.course.lessons import (
+    ANSWERS_NAME,
+    HANDED_IN,
+    START,
+    Lesson,
+    Step,
+    read_mapping,
+    settings_of,
+)
+from deepbots_cli.document import MappingNode, Node, ScalarNode, to_data, walk
+from deepbots_cli.document.nodes import node_at
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import read_at_most
+
+MAX_FILES = 2_000
+MAX_BYTES = 200 * 2**20
+_STRUCTURE = ("include", "extends", "remove", "deepbots")
+"""Keys that would read other files, or take away what the task has."""
+_CODE = (".py", ".so", ".dll", ".exe", ".sh", ".pkl", ".pickle", ".ipynb", ".js")
+_CHUNK = 2**20
+_MAX_FILE_BYTES = 2**20
+_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs", "world.png")
+"""What a student has beside the files of the exercise."""
+
+
+class HandInError(UsageError):
+    """A hand-in that cannot be marked; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class HandIn:
+    """A copy of what a student handed in, with remarks about what was left out."""
+
+    student: str
+    folder: Path
+    remarks: tuple[str, ...] = ()
+
+
+def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
+    """Copy a hand-in into an empty folder.
+
+    Raises:
+        HandInError: It is missing, too large, damaged, or of another kind.
+    """
+    remarks: list[str] = []
+    try:
+        if path.is_symlink():
+            raise HandInError("it is a symbolic link, which may lead to the work of another student")
+        if path.is_dir():
+            _copy_folder(path, into, remarks)
+        elif zipfile.is_zipfile(path):
+            _extract(path, into, remarks)
+        elif path.suffix in (".yaml", ".yml"):
+            _copy(path, into / path.name, 0)
+        elif path.exists():
+            raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
+        else:
+            raise HandInError("it does not exist")
+    except OSError as error:
+        raise HandInError(f"it cannot be read: {(error.strerror or type(error).__name__).lower()}") from None
+    folder = _inner_folder(into, lesson)
+    return HandIn(student, folder, (*remarks, *_foreign_files(folder, lesson)))
+
+
+def _inner_folder(folder: Path, lesson: Lesson) -> Path:
+    """Return the folder with the files of the steps: a zip often has one folder around them."""
+    for candidate in (folder, *sorted(path for path in folder.glob("*/") if path.is_dir())):
+        if any((candidate / name).is_file() for name in lesson.step_files):
+            return candidate
+    if not any(folder.iterdir()):
+        raise HandInError("it is empty")
+    raise HandInError(f"it has none of the files of this lesson: {', '.join(lesson.step_files)}")
+
+
+def _foreign_files(folder: Path, lesson: Lesson) -> Iterator[str]:
+    """Yield remarks about files that have no effect: those that the exercise does not have, and those of its
+    world that were changed."""
+    start = lesson.folder / START
+    steps = set(lesson.step_files)
+    taken = {name for step in lesson.steps.values() for name in step.files}
+    expected = {path.name for path in start.iterdir()} | steps | taken | set(_OWN)
+    foreign = sorted(path.name for path in folder.iterdir() if path.name not in expected)
+    if foreign:
+        yield f"{', '.join(foreign[:5])}: not a part of the exercise, and without effect on the marks"
+    for path in sorted(start.iterdir()):
+        copy = folder / path.name
+        is_world = path.is_file() and path.name not in steps | taken
+        if is_world and copy.is_file() and copy.read_bytes() != path.read_bytes():
+            yield f"{path.name} was changed, which has no effect on the marks"
+
+
+def _copy_folder(folder: Path, into: Path, remarks: list[str]) -> None:
+    count = total = 0
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not (name.startswith(".") or name == "__pycache__"))
+        for name in [*folders]:
+            if (Path(place) / name).is_symlink():
+                folders.remove(name)
+                remarks.append(f"{name} is a symbolic link, which is not followed")
+        for name in sorted(names):
+            source = Path(place) / name
+            if source.is_symlink():
+                remarks.append(f"{name} is a symbolic link, which is not followed")
+            elif stat.S_ISREG(source.lstat().st_mode):
+                count += 1
+                if count > MAX_FILES:
+                    raise HandInError(f"it has more than {MAX_FILES:,} files")
+                target = into / source.relative_to(folder)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                total = _copy(source, target, total)
+    _remark_code((path.name for path in into.rglob("*")), remarks)
+
+
+def _copy(source: Path, target: Path, total: int) -> int:
+    total += source.stat().st_size
+    if total > MAX_BYTES:
+        raise HandInError(f"it is larger than {MAX_BYTES >> 20} MiB")
+    shutil.copyfile(source, target, follow_symlinks=False)
+    return total
+
+
+def _extract(path: Path, into: Path, remarks: list[str]) -> None:
+    total = 0
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > MAX_FILES:
+                raise HandInError(f"it has more than {MAX_FILES:,} files")
+            for member in members:
+                name = PurePosixPath(member.filename.replace("\\", "/"))
+                if member.is_dir() or any(
+                    part.startswith((".", "__")) and part != ".." for part in name.parts
+                ):
+                    continue
+                if name.is_absolute() or ".." in name.parts or ":" in member.filename:
+                    raise HandInError(f"the zip has a file outside of it: {member.filename[:80]}")
+                if stat.S_ISLNK(member.external_attr >> 16):
+                    remarks.append(f"{name.name} is a symbolic link, which is not followed")
+                    continue
+                target = into / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with archive.open(member) as source, target.open("wb") as out:
+                    while chunk := source.read(_CHUNK):
+                        total += len(chunk)
+                        if total > MAX_BYTES:
+                            raise HandInError(f"it is larger than {MAX_BYTES >> 20} MiB when unpacked")
+                        out.write(chunk)
+    except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError, ValueError):
+        raise HandInError("the zip is damaged or encrypted") from None
+    _remark_code((path.name for path in into.rglob("*")), remarks)
+
+
+def _remark_code(names: Iterator[str], remarks: list[str]) -> None:
+    code = sorted(name for name in names if name.lower().endswith(_CODE))
+    if code:
+        remarks.append(f"{', '.join(code[:3])}: programs are not run, so they have no effect")
+
+
+# The parts of a step
+
+
+@dataclass(frozen=True)
+class StepFile:
+    """The file of a step: its parts by their dotted paths, and remarks about the rest of it."""
+
+    parts: dict[str, Node]
+    remarks: tuple[str, ...] = ()
+    is_changed: bool = True
+
+
+def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
+    """Return the parts of a step.
+
+    Args:
+        folder: The folder of the hand-in.
+        name: The name of the step.
+        step: The step.
+        start: The folder of the files that the student started from.
+
+    Raises:
+        HandInError: The file is missing or broken, or a part has what no part may have.
+    """
+    file = f"{name}.yaml"
+    root = _root(folder / file, file)
+    parts = {path: part for path in step.parts if (part := node_at(root, *path.split("."))) is not None}
+    started = _root(start / file, file) if (start / file).is_file() else None
+    before = {path: node_at(started, *path.split(".")) for path in step.parts}
+    is_changed = any(_data(parts.get(path)) != _data(node) for path, node in before.items())
+    is_changed = is_changed or any(_content(folder / name) != _content(start / name) for name in step.files)
+    for path, part in parts.items() if is_changed else ():
+        _check_part(file, path, part, step)
+    return StepFile(parts, tuple(_without_effect(file, root, started, step)), is_changed)
+
+
+def _content(path: Path) -> bytes | None:
+    """Return the content of a file that the task takes; None if there is none.
+
+    Raises:
+        HandInError: It is too large.
+    """
+    if path.is_symlink() or not path.is_file():
+        return None
+    content = read_at_most(path, _MAX_FILE_BYTES + 1)
+    if len(content) > _MAX_FILE_BYTES:
+        raise HandInError(f"{path.name} is larger than {_MAX_FILE_BYTES >> 20} MiB")
+    return content
+
+
+def _data(node: Node | None) -> object:
+    return None if node is None else to_data(node)
+
+
+def _root(path: Path, file: str) -> MappingNode:
+    if path.is_symlink() or not path.is_file():
+        raise HandInError(f"there is no {file}")
+    node, findings = read_mapping(path, file)
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if node is None or errors:
+        first = next(iter(errors or findings), None)
+        reason = "it is not a mapping" if first is None else f"{first.span.location}: {first.headline}"
+        raise HandInError(f"{file} cannot be read: {reason}")
+    return node
+
+
+def _check_part(file: str, path: str, part: Node, step: Step) -> None:
+    where = _place(file, part)
+    if isinstance(part, ScalarNode) and part.value is None:
+        return
+    if not isinstance(part, MappingNode):
+        raise HandInError(f"`{path}` is not a mapping ({where})")
+    for inner, node in walk(part):
+        place = _place(file, node)
+        key = next((key for key in inner if key in _STRUCTURE), None)
+        if key is not None:
+            raise HandInError(f"`{key}` may not stand in `{path}` ({place})")
+        if isinstance(node, ScalarNode):
+            for word in step.forbidden:
+                if _mentions(node.text, word) or any(_mentions(str(key), word) for key in inner):
+                    raise HandInError(
+                        f"`{word}` may not be used in `{path}` ({place}): the robot cannot know it"
+                    )
+        if step.sensors is not None and inner and inner[-1] == "type" and path.endswith("sensors"):
+            kind = node.text if isinstance(node, ScalarNode) else ""
+            if len(inner) == 2 and kind not in step.sensors:
+                allowed = ", ".join(step.sensors)
+                raise HandInError(
+                    f"a sensor of type `{kind}` is not allowed here ({place}); allowed: {allowed}"
+                )
+
+
+def _mentions(text: str, word: str) -> bool:
+    """Return whether an expression or a key uses a name, which may have dots."""
+    return re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text) is not None
+
+
+def _place(file: str, node: Node) -> str:
+    position = node.span.start_position
+    return f"{file}:{position.line}:{position.column}"
+
+
+def _without_effect(file: str, root: MappingNode, started: MappingNode | None, step: Step) -> Iterator[str]:
+    """Yield a remark for each section that the student changed though the task has its own."""
+    if started is None:
+        return
+    own, before = settings_of(to_data(root)), settings_of(to_data(started))
+    paths = sorted(path for path in own.keys() | before.keys() if own.get(path) != before.get(path))
+    foreign = [path for path in paths if not _is_in_parts(path, step.parts)]
+    names = sorted({path.split(".")[0] for path in foreign})
+    if names:
+        listed = ", ".join(f"`{name}`" for name in names[:5])
+        yield f"changes of {listed} in {file} have no effect on the marks"
+
+
+def _is_in_parts(path: str, parts: tuple[str, ...]) -> bool:
+    return any(path == part or path.startswith(f"{part}.") or part.startswith(f"{path}.") for part in parts)
+
+
+def write_parts(step_file: StepFile, step: Step, own: Path, folder: Path) -> None:
+    """Write the parts beside the teacher's task, each in a file of its own, and the files of the student in
+    the folder `own` that the task takes.
+
+    A part keeps its lines and columns: what stands before it in the file of the student becomes spaces, so
+    that a finding names the place in that file.
+    """
+    (folder / HANDED_IN).mkdir(parents=True, exist_ok=True)
+    for path in step.parts:
+        part = step_file.parts.get(path)
+        text = "{}"
+        if isinstance(part, MappingNode) and part.entries:
+            source = part.span.source.text
+            above = "".join(
+                character if character == "\n" else " " for character in source[: part.span.start]
+            )
+            text = above + source[part.span.start : part.span.end]
+        (folder / HANDED_IN / f"{path}.yaml").write_text(text + "\n", encoding="utf-8")
+    for name in step.files:
+        content = _content(own / name)
+        if content is None:
+            raise HandInError(f"there is no {name}")
+        (folder / HANDED_IN / name).write_bytes(content)

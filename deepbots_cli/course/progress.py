@@ -1,0 +1,99 @@
+"""A lesson that a student has started: its folder, the points so far, and the hints that were shown."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from deepbots_cli.course.grading import Marks, grade
+from deepbots_cli.course.lessons import START, Lesson, course_folder, lesson_named
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write, check_folder, read_at_most
+
+PROGRESS_NAME = "course.json"
+_MAX_BYTES = 65_536
+
+
+@dataclass(frozen=True)
+class Started:
+    """A started lesson. `hints` counts the hints that were shown, by step.
+
+    The file in the folder is the student's own, so its points are for the list of lessons only.
+    """
+
+    folder: Path
+    reference: str
+    points: int = 0
+    hints: Mapping[str, int] = field(default_factory=dict)
+
+    def lesson(self) -> Lesson:
+        """Return the lesson.
+
+        Raises:
+            UsageError: It is not here: a teacher keeps the checks of an own lesson.
+        """
+        return lesson_named(self.reference)
+
+    def write(self) -> None:
+        data = {"lesson": self.reference, "points": self.points, "hints": dict(self.hints)}
+        with atomic_write(self.folder / PROGRESS_NAME) as draft:
+            draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+    def check(self, workers: int = 1) -> Marks:
+        """Mark the folder, and keep the points."""
+        (marks,) = grade(self.lesson(), [(self.folder.resolve().name, self.folder)], workers=workers)
+        replace(self, points=marks.points).write()
+        return marks
+
+    def next_hint(self, step: str) -> tuple[int, str]:
+        """Return the number of the next hint of a step and the hint, and count it; the last one stays.
+
+        Raises:
+            UsageError: The lesson has no such step, or the step no hints.
+        """
+        lesson = self.lesson()
+        if step not in lesson.steps:
+            raise UsageError(f"there is no step '{step}'; the steps are {', '.join(lesson.steps)}")
+        hints = lesson.steps[step].hints
+        if not hints:
+            raise UsageError(f"{step} has no hints; README.md explains what it needs")
+        number = min(self.hints.get(step, 0) + 1, len(hints))
+        replace(self, hints={**self.hints, step: number}).write()
+        return number, hints[number - 1]
+
+
+def started_in(folder: Path) -> Started | None:
+    """Return the lesson that was started in a folder; None without one."""
+    path = folder / PROGRESS_NAME
+    if not path.is_file():
+        return None
+    try:
+        data = json.loads(read_at_most(path, _MAX_BYTES))
+        hints = {step: count for step, count in data.get("hints", {}).items() if isinstance(count, int)}
+        points = data.get("points", 0)
+        return Started(folder, str(data["lesson"]), points if isinstance(points, int) else 0, hints)
+    except (ValueError, RecursionError, KeyError, AttributeError, TypeError):
+        return None
+
+
+def start(lesson: Lesson, folder: Path) -> None:
+    """Write the files of a lesson for a student into a new folder.
+
+    Raises:
+        UsageError: The folder is not empty, or cannot be written.
+    """
+    check_folder(folder)
+    if folder.exists() and any(folder.iterdir()):
+        raise UsageError(
+            f"{folder} is not empty; name another folder, or go on there with `deepbots course check`"
+        )
+    shutil.copytree(lesson.folder / START, folder, dirs_exist_ok=True)
+    if text := lesson.text("text.md"):
+        (folder / "README.md").write_text(text, encoding="utf-8")
+    for picture in sorted(lesson.folder.glob("*.png")):
+        shutil.copy(picture, folder)
+    is_shipped = lesson.folder.parent == course_folder()
+    Started(folder, lesson.name if is_shipped else str(lesson.folder.resolve())).write()

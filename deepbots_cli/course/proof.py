@@ -1,0 +1,202 @@
+"""The proof of a lesson: its starter earns nothing, its solution everything, each half solution some points in
+the order of their names, and cheats earn nothing more than what they were added to.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli.course.grading import Marks, grade
+from deepbots_cli.course.lessons import HALF, SOLUTION, START, Lesson
+from deepbots_cli.course.marking import UNCHANGED
+from deepbots_cli.words import counted
+
+Cheat = Callable[[Path], None]
+
+
+@dataclass(frozen=True)
+class Proven:
+    """One thing that was tried: its points, whether they are as they must be, and what was expected."""
+
+    tried: str
+    points: int
+    of: int
+    is_right: bool
+    expected: str
+    reason: str = ""
+
+
+def _appended(text: str) -> Cheat:
+    """Return a cheat that adds lines to the end of each step."""
+
+    def cheat(folder: Path) -> None:
+        for path in _steps(folder):
+            path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
+
+    return cheat
+
+
+def _replaced(old: str, new: str) -> Cheat:
+    def cheat(folder: Path) -> None:
+        for path in _steps(folder):
+            path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+
+    return cheat
+
+
+def _whole(text: str) -> Cheat:
+    def cheat(folder: Path) -> None:
+        for path in _steps(folder):
+            path.write_text(text, encoding="utf-8")
+
+    return cheat
+
+
+def _world(text: str) -> Cheat:
+    """Return a cheat that adds lines to the files that the steps extend."""
+
+    def cheat(folder: Path) -> None:
+        for path in folder.glob("*.yaml"):
+            if "extends:" not in path.read_text(encoding="utf-8"):
+                path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
+
+    return cheat
+
+
+def _linked(folder: Path) -> None:
+    for path in _steps(folder):
+        path.unlink()
+        path.symlink_to("/etc/hostname")
+
+
+def _program(folder: Path) -> None:
+    (folder / "sitecustomize.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+    (folder / "deepbots_cli").mkdir()
+    (folder / "deepbots_cli" / "__init__.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+
+
+def _marks(folder: Path) -> None:
+    for name in ("marks.json", "course.json", "lesson.yaml"):
+        (folder / name).write_text('{"points": 100, "of": 100}\n', encoding="utf-8")
+    for name in ("checks", "handed_in", "solution"):
+        (folder / name).mkdir(exist_ok=True)
+
+
+def _run(folder: Path) -> None:
+    for path in _steps(folder):
+        run = folder / "runs" / f"{path.stem}-99-1"
+        run.mkdir(parents=True)
+        (run / "run.json").write_text(
+            '{"format": 1, "solved": true, "success_rate": 1.0}\n', encoding="utf-8"
+        )
+
+
+def _steps(folder: Path) -> list[Path]:
+    return [path for path in sorted(folder.glob("*.yaml")) if "extends:" in path.read_text(encoding="utf-8")]
+
+
+CHEATS: Mapping[str, Cheat] = {
+    "endings of its own": _appended("termination: {success: {now: true}}"),
+    "`solved` of its own": _appended("solved: success_rate >= 0 % over 1 episodes"),
+    "a limit of one step": _appended("truncation: {max_steps: 1}"),
+    "tests of its own": _appended("tests: {easy: {driver: zero, expect: {mean_return: -1e9 .. 1e9}}}"),
+    "starts of its own": _appended("reset: {require: 1 > 0}"),
+    "other parameters": _appended("parameters: {near: 5 m, fall_angle: 90 deg}"),
+    "removed tests": _appended("remove: [tests, termination]"),
+    "a training of its own": _appended("train: {algorithm: PPO, total_timesteps: 1}"),
+    "signals of the same names": _appended("augment: {apart: 0 m, angle: 0 deg}"),
+    "another name": _replaced("name: ", "name: Solution"),
+    "another scenario extended": _replaced("extends: world.yaml", "extends: cartpole"),
+    "the solution extended": _replaced("extends: world.yaml", f"extends: ../{SOLUTION}/world.yaml"),
+    "an easier world": _world("truncation: {max_steps: 1}"),
+    "a large file": _appended("# " + "x" * (2 << 20)),
+    "deep nesting": _appended("deep: " + "[" * 2000),
+    "aliases that grow": _appended(
+        "a: &a [1, 1, 1]\nb: &b [*a, *a, *a]\nc: &c [*b, *b, *b]\nd: [*c, *c, *c]"
+    ),
+    "a link in place of the file": _linked,
+    "programs beside the files": _program,
+    "marks and checks of its own": _marks,
+    "a run whose record is written by hand": _run,
+}
+"""Twenty cheats that need no knowledge of a lesson."""
+
+
+def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[Proven]:
+    """Yield what each starter, solution, half solution and cheat earns.
+
+    Args:
+        lesson: The lesson.
+        train: Whether to train a policy where the solution and the half solutions need one; without it, these
+            checks earn nothing, and are not expected to.
+        workers: The number of hand-ins to mark at a time.
+    """
+    policy = 0 if train else _policy_points(lesson)
+    full = lesson.points - policy
+    halves = sorted(path for path in (lesson.folder / HALF).glob("*") if path.is_dir())
+    folders = [(START, lesson.folder / START), (SOLUTION, lesson.folder / SOLUTION)]
+    folders += [(f"{HALF}/{path.name}", path) for path in halves]
+    marks = dict(
+        zip((name for name, _ in folders), grade(lesson, folders, train=train, workers=workers), strict=True)
+    )
+    yield _proven(START, marks[START], marks[START].points == 0, "nothing")
+    yield _proven(SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}")
+    before = 0
+    for name, _ in folders[2:]:
+        points = marks[name].points
+        # Without trainings, two may differ in their policies only.
+        least, most = before + train, full - train
+        yield _proven(name, marks[name], least <= points <= most, f"{least} to {most}")
+        before = max(before, points)
+    base = halves[-1] if halves else lesson.folder / START
+    yield from _cheats(lesson, base, workers)
+
+
+def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
+    """Yield what each cheat that changes anything earns on top of a half solution without a policy."""
+    with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
+        folders = [("", base)]
+        for title, cheat in CHEATS.items():
+            folder = Path(name, str(len(folders)))
+            shutil.copytree(lesson.folder / START, folder)
+            shutil.copytree(base, folder, dirs_exist_ok=True)
+            before = _contents(folder)
+            cheat(folder)
+            if _contents(folder) != before:
+                folders.append((title, folder))
+        honest, *cheats = grade(lesson, folders, workers=workers)
+        for marks in cheats:
+            # A run is read only for a step that was changed.
+            is_named = bool(marks.all_remarks) or _reasons(marks) != _reasons(honest)
+            is_named = is_named or CHEATS[marks.student] is _run
+            expected = f"at most {honest.points}, and a remark"
+            yield _proven(
+                f"cheat: {marks.student}", marks, is_named and marks.points <= honest.points, expected
+            )
+
+
+def _contents(folder: Path) -> dict[Path, bytes | None]:
+    return {path: path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def _reasons(marks: Marks) -> list[str]:
+    return [check.reason for step in marks.steps for check in step.checks]
+
+
+def _policy_points(lesson: Lesson) -> int:
+    checks = (check for step in lesson.steps.values() for check in step.checks)
+    return sum(check.points for check in checks if check.kind == "policy")
+
+
+def _proven(tried: str, marks: Marks, is_right: bool, expected: str) -> Proven:
+    reasons = (
+        f"{step.step}: {check.reason}"
+        for step in marks.steps
+        for check in step.checks
+        if check.points < check.of and check.reason != UNCHANGED
+    )
+    return Proven(tried, marks.points, marks.of, is_right, expected, next(reasons, ""))

@@ -1,0 +1,114 @@
+"""The tab of a lesson that was started in the folder: its text, its checks, and the points so far."""
+
+from __future__ import annotations
+
+import asyncio
+
+from nicegui import run, ui
+
+from deepbots_cli.course.grading import Marks
+from deepbots_cli.course.progress import started_in
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.studio.layout import ICONS
+from deepbots_cli.studio.session import Session
+from deepbots_cli.words import counted
+
+_TYPED_S = 0.6
+"""The time in s after which the text that was typed last has arrived from the browser."""
+
+
+class LessonTab:
+    """The text of the lesson beside its checks. A check saves the open files first."""
+
+    def __init__(self, session: Session) -> None:
+        """Create the tab, which is empty for a folder without a lesson."""
+        self._session = session
+        started = started_in(session.folder)
+        if started is None:
+            return
+        try:
+            lesson = started.lesson()
+        except DeepbotsError as error:
+            ui.label(str(error)).classes("studio-empty")
+            return
+        with ui.element("div").classes("studio-bar"):
+            ui.label(lesson.label).classes("studio-lesson-title")
+            self._points = ui.label(f"{started.points} of {lesson.points} points").classes("studio-status")
+            self._points.props('role="status"')
+            self._check = ui.button("Check", icon=ICONS["check"], on_click=self._mark)
+            self._check.props("dense unelevated no-caps")
+        with ui.element("div").classes("studio-lesson"):
+            text = lesson.text("text.md").replace("](world.png)", f"]({self._picture()})")
+            ui.markdown(text).classes("studio-answer studio-lesson-text")
+            self._steps = ui.element("div").classes("studio-lesson-steps")
+        with self._steps:
+            for name, step in lesson.steps.items():
+                self._heading(name, f"{step.points} points")
+                ui.label(step.goal)
+
+    def _picture(self) -> str:
+        """Return the address of the picture of the world, which the page of the studio may read."""
+        from nicegui import app
+
+        return str(app.add_media_file(local_file=self._session.folder / "world.png"))
+
+    async def _mark(self) -> None:
+        """Save, mark the folder, and show the points."""
+        started = started_in(self._session.folder)
+        if started is None:
+            return
+        self._check.disable()
+        self._points.set_text("checking ...")
+        await asyncio.sleep(_TYPED_S)
+        try:
+            for file in [*self._session.files.values()]:
+                if file.is_modified and not file.read_only:
+                    self._session.save(file)
+            marks = await run.io_bound(started.check)
+        except DeepbotsError as error:
+            self._session.shown.say(str(error), is_warning=True)
+            self._points.set_text("")
+            return
+        finally:
+            self._check.enable()
+        if marks is not None:
+            self._show(marks)
+
+    def _show(self, marks: Marks) -> None:
+        self._points.set_text(f"{marks.points} of {counted(marks.of, 'point')}")
+        self._steps.clear()
+        with self._steps:
+            for step in marks.steps:
+                self._heading(step.step, f"{step.points} of {step.of}")
+                reasons = {check.reason for check in step.checks}
+                for check in step.checks:
+                    is_full = check.points == check.of
+                    with ui.element("div").classes(
+                        "studio-lesson-check" + (" studio-solved" if is_full else "")
+                    ):
+                        ui.label(f"{check.points}/{check.of}")
+                        ui.label(check.says)
+                    if check.reason and len(reasons) > 1:
+                        ui.label(check.reason).classes("studio-lesson-reason")
+                if len(reasons) == 1 and (shared := reasons.pop()):
+                    ui.label(shared).classes("studio-lesson-reason")
+                if step.points < step.of:
+                    ui.button("Hint", on_click=lambda _, name=step.step: self._hint(name)).props(
+                        "dense flat no-caps"
+                    )
+            for remark in marks.all_remarks:
+                ui.label(remark).classes("studio-lesson-reason")
+
+    def _hint(self, step: str) -> None:
+        started = started_in(self._session.folder)
+        if started is not None:
+            try:
+                number, hint = started.next_hint(step)
+                self._session.shown.say(f"{step}, hint {number}: {hint}")
+            except DeepbotsError as error:
+                self._session.shown.say(str(error), is_warning=True)
+
+    def _heading(self, name: str, points: str) -> None:
+        with ui.element("div").classes("studio-lesson-heading"):
+            ui.label(name).props('role="heading" aria-level="3"')
+            ui.label(points)
