@@ -15,7 +15,6 @@ import zipfile
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -77,8 +76,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
         return Decision(generator.uniform(-1, 1, (1, 2)).astype(np.float32))
 
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    with closing(SingleWorlds([api.build(program)], [7], agent_terms=terms)) as worlds:
+    with closing(SingleWorlds([api.build(program)], [7])) as worlds:
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 50)
     assert fragment is not None
@@ -261,13 +259,9 @@ carts = scenario_fixture(LEARNING)
 
 def _worlds(file: Path, kind: str, count: int) -> Worlds:
     program = api.compile(file, overrides=["world.engine=mujoco"]).program
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    options: dict[str, Any] = {"agent_terms": terms, "agents_alone": NAMES}
     if kind == "batch":
-        return BatchWorlds(
-            lambda stage: api.build_batch(program, count, engine="mujoco"), range(count), **options
-        )
-    return SingleWorlds([api.build(program) for _ in range(count)], range(count), **options)
+        return BatchWorlds(lambda stage: api.build_batch(program, count, engine="mujoco"), range(count))
+    return SingleWorlds([api.build(program) for _ in range(count)], range(count))
 
 
 def _ahead(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
@@ -449,17 +443,15 @@ sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> None:
     file = write_scenario(tmp_path, text)
     program = api.compile(file).program
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    alone = [name for name, member in program.members.items() if member.alone]
+    alone = any(member.alone for member in program.members.values())
 
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
         actions = np.tile(np.float32([1.0, 0.1]), (2, 1))
-        return Decision(actions, {f"{name}/values": actions[:, place] for place, name in enumerate(terms)})
+        return Decision(
+            actions, {f"{name}/values": actions[:, place] for place, name in enumerate(program.members)}
+        )
 
-    worlds = SingleWorlds(
-        [api.build(program) for _ in range(2)], [7, 8], agent_terms=terms, agents_alone=alone
-    )
-    with closing(worlds):
+    with closing(SingleWorlds([api.build(program) for _ in range(2)], [7, 8])) as worlds:
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 80)
         assert fragment is not None
@@ -477,7 +469,7 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
         assert both.columns["values"][:, rows].tolist() == part.columns["values"].tolist()
         own = [(number, end.row - 2 * side) for number, end in both.endings if end.row // 2 == side]
         assert own == [(number, end.row) for number, end in part.endings]
-        assert (part.taking_part is not None) == bool(alone)
+        assert (part.taking_part is not None) == alone
         if part.taking_part is not None:
             assert both.taking_part is not None
             assert both.taking_part[:, rows].tolist() == part.taking_part.tolist()

@@ -12,6 +12,7 @@ import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -324,11 +325,10 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
         return Decision(generator.uniform(-1, 1, (4, 2)).astype(np.float32))
 
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
     seats = [SeatLayout(member, program.agent) for member in program.members.values()]
     sides = Sides.divided(4, 0.5)
     assert (sides.first.tolist(), sides.second.tolist()) == ([0, 1, 2], [0, 1, 3])
-    with closing(SingleWorlds([api.build(program) for _ in range(4)], range(4), agent_terms=terms)) as worlds:
+    with closing(SingleWorlds([api.build(program) for _ in range(4)], range(4))) as worlds:
         of_all = LocalCollector(worlds)
         fragment = of_all.collect(act, 40)
         collector = SidesCollector(of_all, seats, sides)
@@ -384,13 +384,11 @@ def test_past_policies_act_with_the_weights_of_their_time(
     pools: list[list[int]] = []
     act = SelfPlayLearner._let_opponents_act
 
-    def watched(
-        learner: SelfPlayLearner, worlds: np.ndarray, seen: np.ndarray, masks: None, actions: np.ndarray
-    ) -> None:
+    def watched(learner: SelfPlayLearner, *arguments: Any) -> None:
         pools.append([past.rating.steps for past in learner.pool])
         for past in learner.pool:
             assert past.policy.digest() == digests.setdefault(past.rating.steps, past.policy.digest())
-        act(learner, worlds, seen, masks, actions)
+        act(learner, *arguments)
 
     digests: dict[int, str] = {}
     monkeypatch.setattr(SelfPlayLearner, "_let_opponents_act", watched)
