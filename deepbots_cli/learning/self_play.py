@@ -93,24 +93,29 @@ class PastPolicy:
 
 
 class RatingState(CheckpointPart):
-    """A rating in a checkpoint; that of a member of the pool with recent games."""
+    """A rating in a checkpoint."""
 
     steps: NonNegativeInt
     mean: float
     deviation: Annotated[float, Field(gt=0)]
-    wins: Annotated[float, Field(ge=0)] = 0.0
-    losses: Annotated[float, Field(ge=0)] = 0.0
 
     @property
     def rating(self) -> Rating:
         return Rating(self.steps, self.mean, self.deviation)
 
 
+class PastState(RatingState):
+    """A member of the pool in a checkpoint."""
+
+    wins: Annotated[float, Field(ge=0)] = 0.0
+    losses: Annotated[float, Field(ge=0)] = 0.0
+
+
 class SelfPlayState(MultiAgentState):
     """The JSON part of a checkpoint; `pool` has the ratings of the members of the pool, and `ratings` those
     of the policy so far, the present one last."""
 
-    pool: Annotated[list[RatingState], Field(max_length=100)]
+    pool: Annotated[list[PastState], Field(max_length=100)]
     ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
 
 

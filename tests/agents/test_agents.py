@@ -122,21 +122,6 @@ def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
                 break
 
 
-def test_an_ending_is_a_success_for_one_agent_and_a_failure_for_the_other(several: Path) -> None:
-    with closing(api.make(several)) as world:
-        seats = seats_of(world)
-        world.reset(seed=3)
-        info: dict[str, Any] = {}
-        ended = False
-        while not ended:
-            actions = {"left": np.ones(1, np.float32), "right": np.zeros(1, np.float32)}
-            _, _, ended, cut, info = world.step(combined_action(world, seats, actions))
-            assert not cut
-    assert info["ended_by"] == "left_fell"
-    assert not seats["left"].info(info)["is_success"]
-    assert seats["right"].info(info)["is_success"]
-
-
 def test_the_environment_of_a_role_is_the_world_with_the_others_driven(several: Path) -> None:
     compiled = api.compile(several, overrides=["role.agent=left", "role.others.right=zero"])
     with closing(api.make(compiled)) as environment, closing(api.make(several)) as world:
@@ -408,6 +393,7 @@ def test_an_agent_that_ends_before_others_trains_in_single_worlds(carts: Path) -
         api.build_batch(program, 8, engine="mujoco")
 
 
+ONE_CARTPOLE = "deepbots: 1\nextends: cartpole\nname: One\n"
 LIMITED = CARTS.replace("{max_steps: 60}", "{max_steps: {limit: 3, success: right}}")
 
 
@@ -435,22 +421,9 @@ def test_a_limit_is_a_success_of_the_agents_that_it_names(limited_carts: Path) -
     assert successes == {"left": True, "right": True}
 
 
-@pytest.mark.parametrize("engine", ["bullet", "batch"])
-def test_one_agent_succeeds_at_a_limit(tmp_path: Path, engine: str) -> None:
-    file = tmp_path / "still.yaml"
-    file.write_text(
-        "deepbots: 1\nextends: cartpole\nname: Still\ntruncation: {max_steps: {limit: 2, success: all}}\n"
-    )
-    if engine == "batch":
-        pytest.importorskip("mujoco")
-        with closing(api.make_vec(file, 2)) as batch:
-            batch.reset(seed=[0, 1])
-            for _ in range(2):
-                *_, truncated, infos = batch.step(np.array([0, 1]))
-            assert truncated.all()
-            assert infos["final_info"]["is_success"].all()
-        return
-    with closing(api.make(file)) as world:
+def test_one_agent_succeeds_at_a_limit(tmp_path: Path) -> None:
+    limit = "truncation={max_steps: {limit: 2, success: all}}"
+    with closing(api.make(write_scenario(tmp_path, ONE_CARTPOLE), overrides=[limit])) as world:
         world.reset(seed=0)
         for _ in range(2):
             *_, info = world.step(0)
@@ -658,7 +631,6 @@ def test_tests_of_a_file_with_a_role_are_about_all_agents(tested_carts: Path) ->
     assert main(["test", str(tested_carts)]) == 0
 
 
-ONE_CARTPOLE = "deepbots: 1\nextends: cartpole\nname: One\n"
 MISTAKEN = {
     "several": SEVERAL,
     "ends": ALONE,

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import zipfile
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +23,7 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate
@@ -232,24 +231,6 @@ def test_an_agent_adds_keys_to_the_training_of_all(tmp_path: Path) -> None:
     assert api.compile(in_python).digest == api.compile(tmp_path / "several.yaml").digest
 
 
-def test_a_damaged_model_of_an_agent_is_refused_by_its_name(trained: Path, tmp_path: Path) -> None:
-    copied = shutil.copytree(trained, tmp_path / "run")
-    model = copied / "models" / "agent" / "best.zip"
-    with zipfile.ZipFile(trained / "models" / "agent" / "best.zip") as whole:
-        parts = {name: whole.read(name) for name in whole.namelist()}
-    with zipfile.ZipFile(model, "w") as archive:
-        archive.writestr("data", parts["data"])
-        archive.writestr("left.zip", parts["left.zip"])
-        archive.writestr("right.zip", parts["right.zip"][:200])
-    with pytest.raises(RunError, match="right"):
-        load_model(Run.open(copied), "best")
-    with (
-        pytest.raises(RunError, match="no model of the agent 'left'"),
-        own_model(copied / "run.json", "left"),
-    ):
-        pass
-
-
 LEARNING = ALONE + PPO.replace("768", "1024") + "\n"
 NAMES = ["left", "right"]
 
@@ -416,25 +397,6 @@ SHARED_ALONE = _changed(
     ("success: right, failure: left}", "ends: left, failure: left}"),
     ("success: left, failure: right}", "ends: right, failure: right}"),
 )
-TEAM = _changed(
-    SHARED_POLICY,
-    ("success: right, failure: left", "failure: all"),
-    ("success: left, failure: right", "failure: all"),
-    ("policy: left}\n", "policy: left}\n  third: {like: left, robots: [third], policy: left}\n"),
-    (
-        "signals:",
-        """\
-  third:
-    urdf: cartpole
-    pose: {y: -1 m}
-    sensors: {angle: {type: joint_position, joint: pole_hinge}}
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: drive * 5 rad/s}
-signals:""",
-    ),
-)
-"""Three equal robots, each of which has an agent."""
-
 
 sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 
@@ -491,17 +453,6 @@ def test_an_algorithm_without_support_is_refused(sharing_carts: Path, tmp_path: 
     sharing_carts.write_text(SHARED_POLICY + "train: {algorithm: SAC, total_timesteps: 256}\n")
     with pytest.raises(UsageError, match="SAC does not support a policy that several agents share"):
         deepbots_cli.train(sharing_carts, run=tmp_path / "run", seed=1)
-
-
-@pytest.mark.slow
-def test_a_team_of_equal_robots_learns_one_policy(tmp_path: Path) -> None:
-    scenario = write_scenario(tmp_path, TEAM + PPO_512)
-    deepbots_cli.train(scenario, run=tmp_path / "run", seed=1, total_timesteps=64)
-    learners = load_model(Run.open(tmp_path / "run"), "best").learners  # type: ignore[attr-defined]  # of several
-    assert [*learners] == ["left", "right", "third"]
-    weights = [learner.weights() for learner in learners.values()]
-    for name, tensor in weights[0].items():
-        assert all(np.array_equal(tensor, other[name]) for other in weights[1:])
 
 
 WORLDS = 9
@@ -599,11 +550,6 @@ def scenario_with_rival(trained_alike: Path, *overrides: str) -> api.Compiled:
         overrides=[role, "world.engine=mujoco", *overrides],
         permissions=Permissions(folders=(trained_alike,)),
     )
-
-
-@pytest.mark.slow
-def test_a_policy_beside_the_agent_acts_the_same_in_a_batch(trained_alike: Path) -> None:
-    assert compare(scenario_with_rival(trained_alike).program) > 0
 
 
 @pytest.mark.slow
