@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.compiler.multi_agent import DividedTests, report_unknown
+from deepbots_cli.compiler.multi_agent import DividedTests, report_unknown, text_in_place_of
 from deepbots_cli.compiler.training import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
@@ -298,7 +298,9 @@ class _Mirrors:
         self, name: str, section: MappingNode, model_name: str, model: MappingNode
     ) -> list[tuple[str, str]]:
         """Return the names that change places: of the agents, and of their robots in order."""
-        first, second = _texts(model.get("robots")), _texts(section.get("robots"))
+        first, second = (
+            [node.text for node in _named(of_agent.get("robots"))] for of_agent in (model, section)
+        )
         return [(model_name, name), *zip(first, second, strict=False)]
 
 
@@ -345,14 +347,6 @@ class Swap:
         offsets += map(offset_of, range(end, len(node.text) + 1))
         text = self.text(node.text)
         return node._replace(text=text, value=text, offsets=offsets)
-
-
-def _texts(node: Node | None) -> list[str]:
-    return (
-        [item.text for item in node.items if isinstance(item, ScalarNode)]
-        if isinstance(node, SequenceNode)
-        else []
-    )
 
 
 # Robots and endings
@@ -418,7 +412,7 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         for outcome in of_agent[:1]:
             outcomes[outcome][name] = Entry(entry.key, when)
     entries = {
-        outcome: Entry(ScalarNode(section.span, outcome, outcome), replace(section, entries=conditions))
+        outcome: Entry(text_in_place_of(section, outcome), replace(section, entries=conditions))
         for outcome, conditions in outcomes.items()
         if conditions
     }
@@ -427,7 +421,7 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
 
 def _agents_of(node: Node | None, members: list[str], agents: list[str], findings: Findings) -> list[str]:
     """Return the agents that are named, where `all` names every agent of `members`; report unknown names."""
-    name_nodes = _named_agents(node)
+    name_nodes = _named(node)
     for name_node in name_nodes:
         if name_node.text not in (*agents, ALL_AGENTS):
             report_unknown(findings, name_node, "agent", [*agents, ALL_AGENTS])
@@ -462,7 +456,7 @@ def _report_outcome(
         )
 
 
-def _named_agents(node: Node | None) -> list[ScalarNode]:
+def _named(node: Node | None) -> list[ScalarNode]:
     match node:
         case ScalarNode():
             return [node]
@@ -490,7 +484,7 @@ def _root_of(
     if (own_signals := section.entries.get(_SIGNALS)) is not None:
         entries[_SIGNALS] = _with_entries(entries.get(_SIGNALS), own_signals)
     if (termination := _outcomes(document, agent, agents)) is not None:
-        key = ScalarNode(root.entries[ENDINGS].key.span, "termination", "termination")
+        key = text_in_place_of(root.entries[ENDINGS].key, "termination")
         entries["termination"] = Entry(key, termination)
     if (stack := section.entries.get("frame_stack")) is not None:
         settings = Entry(stack.key, replace(section, entries={"frame_stack": stack}))
@@ -533,15 +527,11 @@ def _limits_of(limits: MappingNode, agent: str, agents: list[str], findings: Fin
         if limit is None or not isinstance(entry.value, MappingNode):
             entries[name] = entry
             continue
-        of_all = ScalarNode(entry.key.span, ALL_AGENTS, ALL_AGENTS)
-        limit_entries = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
+        success = Entry(text_in_place_of(entry.key, "success"), text_in_place_of(entry.key, ALL_AGENTS))
+        limit_entries = {**entry.value.entries, "success": success}
         is_success = agent in _agents_of(entry.value.get("success"), agents, agents, findings)
         entries[name] = Entry(entry.key, replace(entry.value, entries=limit_entries) if is_success else limit)
     return replace(limits, entries=entries)
-
-
-def _key(name: str, node: ScalarNode) -> ScalarNode:
-    return ScalarNode(node.span, name, name)
 
 
 def _with_entries(shared: Entry | None, part: Entry) -> Entry:

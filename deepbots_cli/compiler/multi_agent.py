@@ -385,7 +385,7 @@ class DividedTests:
             first = next((item for item in actions if item is not None), None)
             key = entries.pop(_ACTIONS).key
             if first is None:
-                entries[_DRIVER] = Entry(_scalar(key, _DRIVER), _scalar(key, ZERO))
+                entries[_DRIVER] = Entry(text_in_place_of(key, _DRIVER), text_in_place_of(key, ZERO))
             else:
                 # Fills a step in which the agent has no action; `_combined_actions` replaces it by the
                 # resting action.
@@ -394,7 +394,7 @@ class DividedTests:
         if agent != self.owner(test) and _EXPECT in entries:
             expected = {
                 _PLACEHOLDER_EXPECTATION: Entry(
-                    _scalar(name, _PLACEHOLDER_EXPECTATION), name._replace(text="0", value=0)
+                    text_in_place_of(name, _PLACEHOLDER_EXPECTATION), name._replace(text="0", value=0)
                 )
             }
             entries[_EXPECT] = Entry(entries[_EXPECT].key, MappingNode(name.span, expected))
@@ -410,7 +410,7 @@ class DividedTests:
             return of_agent
         if isinstance(node, ScalarNode) and node.text in (*scripts, RANDOM, ZERO):
             return node
-        return _scalar(test_node.entries[_DRIVER].key, next(iter(scripts), RANDOM))
+        return text_in_place_of(test_node.entries[_DRIVER].key, next(iter(scripts), RANDOM))
 
     def _check(self, entry: Entry) -> None:
         if not isinstance(entry.value, MappingNode):
@@ -497,17 +497,13 @@ def _combined_actions(
 
 def _resting(action: Sequence[ActionPart]) -> FixedAction:
     """Return the first option of each choice, and the middle of each range."""
-    choices: list[int] = []
-    ranges: list[float] = []
-    words: list[str] = []
-    for part in action:
-        if isinstance(part, ActionRange):
-            ranges += [0.0] * len(part.names)
-            words += ["0"] * len(part.names)
-        else:
-            choices.append(0)
-            words.append(part.options[0].name)
-    return FixedAction(tuple(choices), tuple(ranges), ":".join(words))
+    choices = tuple(0 for part in action if isinstance(part, Choices))
+    ranges = tuple(0.0 for part in action if isinstance(part, ActionRange) for _ in part.names)
+    words = [
+        part.options[0].name if isinstance(part, Choices) else ":".join("0" for _ in part.names)
+        for part in action
+    ]
+    return FixedAction(choices, ranges, ":".join(words))
 
 
 def _steps(test: Node) -> tuple[Node, ...]:
@@ -521,6 +517,6 @@ def report_unknown(findings: Findings, node: ScalarNode, noun: str, names: Seque
     findings.add("DB201", node.span, f"there is no {noun} `{node.text}`", choices_help(node.text, [*names]))
 
 
-def _scalar(key: ScalarNode, text: str) -> ScalarNode:
-    """Return a text at the place of a key."""
-    return ScalarNode(key.span, text, text)
+def text_in_place_of(node: Node, text: str) -> ScalarNode:
+    """Return a text at the place of a node."""
+    return ScalarNode(node.span, text, text)

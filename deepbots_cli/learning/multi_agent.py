@@ -79,10 +79,10 @@ class MultiAgentLearner(Learner):
         self._check_ends(setup)
         program = setup.program
         critic_program = setup.program.with_critic
-        trainings = dict(setup.training.agents)
-        self._policies = agents_by_policy(program, trainings)
+        self._trainings = dict(setup.training.agents)
+        self._policies = agents_by_policy(program, self._trainings)
         for names in self._policies.values():
-            check_shared(trainings, names)
+            check_shared(self._trainings, names)
         self._policy_seats = {
             name: SeatLayout(member, program.agent) for name, member in program.members.items()
         }
@@ -99,14 +99,15 @@ class MultiAgentLearner(Learner):
 
     def _create_learners(self) -> dict[str, Learner]:
         collector = self.setup.collector
-        trainings = dict(self.setup.training.agents)
         if collector is None:
-            return {name: self._create(name, training, None) for name, training in trainings.items()}
+            return {name: self._create(name, training, None) for name, training in self._trainings.items()}
         created: dict[str, Learner] = {}
         for first, names in self._policies.items():
             self._collectors[first] = self._seat_collector(names)
-            created |= dict.fromkeys(names, self._create(first, trainings[first], self._collectors[first]))
-        return {name: created[name] for name in trainings}
+            created |= dict.fromkeys(
+                names, self._create(first, self._trainings[first], self._collectors[first])
+            )
+        return {name: created[name] for name in self._trainings}
 
     def _seat_collector(self, agents: Sequence[str]) -> SeatCollector:
         """Return the collector of the agents with one policy."""
