@@ -274,12 +274,10 @@ def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> 
     components = dict(supervisor.variables)
     ended = supervisor.ended_of(agent)
     if printer.on_floats:
+        printer.line(f"if {ended}:")
         for name, value in resting.items():
             many = len(components[name])
-            resting[name] = f"({value},) * {many}" if many else value
-    if printer.on_floats:
-        settings = [f"    {supervisor.local(name)} = {value}" for name, value in resting.items()]
-        printer.lines += [f"if {ended}:", *settings]
+            printer.line(f"    {supervisor.local(name)} = {f'({value},) * {many}' if many else value}")
         return
     for name, value in resting.items():
         local = supervisor.local(name)

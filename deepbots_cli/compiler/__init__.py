@@ -33,7 +33,6 @@ from deepbots_cli.compiler.agents import (
     findings_of_other_agents,
     has_several_agents,
     joined_findings,
-    joined_program,
     models_of_others,
     played_agent,
     program_among_others,
@@ -59,6 +58,7 @@ from deepbots_cli.compiler.episodes import (
 from deepbots_cli.compiler.evaluation import compile_variants, scenario_tests, training
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.learner import choose, compile_search, with_learner
+from deepbots_cli.compiler.multi_agent import combined_program
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
@@ -214,7 +214,9 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     report_own_names(document, programs, divided.sections)
     report_foreign_values(document, programs, divided.drivers)
     is_sound = not document.findings.errors and len(programs) == len(agents)
-    program = joined_program(divided, programs) if is_sound else None
+    program = (
+        combined_program(programs, divided.sections, divided.drivers, divided.mirrors) if is_sound else None
+    )
     tests: tuple[ScenarioTest, ...] = ()
     if program is not None:
         of_agents = {

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.compiler.multi_agent import DividedTests, combined_program
+from deepbots_cli.compiler.multi_agent import DividedTests, report_unknown, text_in_place_of
 from deepbots_cli.compiler.training import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
@@ -21,7 +21,7 @@ from deepbots_cli.document.load import TESTS, settings_in
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import RANDOM, SEPARATOR, ZERO, Others, Program
-from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.scenario import with_whole_training
 from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate
 
@@ -70,16 +70,14 @@ class AgentDocuments:
 
 def divide(document: Document) -> AgentDocuments | None:
     """Return the scenarios of the agents; None after a finding that leaves none."""
-    root = document.root
-    assert root is not None
+    assert document.root is not None
     _report_unsupported(document)
     _report_joined_names(document)
     if document.findings.errors:
         return None
+    root = with_whole_training(document.root)
+    document = replace(document, root=root)
     agents = _Mirrors(document.findings, entries_at(root, AGENTS)).resolved()
-    agents = {
-        name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
-    }
     if document.findings.errors:
         return None
     sections = _sections(document, agents)  # first: a key that lacks may be there with a typo
@@ -87,27 +85,21 @@ def divide(document: Document) -> AgentDocuments | None:
         return None
     drivers = _drivers(document, agents, sections)
     _report_shared_names(document)
-    _check_policies(document, sections)
-    _check_limits(document, [*sections])
+    mirrors = dict(_mirrors(document))
+    _check_policies(document, sections, mirrors)
     tests = DividedTests(
         root, {name: [*section.scripts] for name, section in sections.items()}, document.findings
     )
     documents = {
         name: replace(
             document,
-            root=_root_of(
-                root, name, agents[name], drivers, _outcomes(document, name, list(sections)), tests
-            ),
+            root=_root_of(document, root, name, agents[name], drivers, tests),
             findings=Findings(document.findings.limit),
             agent=name,
         )
         for name in sections
     }
-    return (
-        None
-        if document.findings.errors
-        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)), tests)
-    )
+    return None if document.findings.errors else AgentDocuments(documents, drivers, sections, mirrors, tests)
 
 
 def _report_unsupported(document: Document) -> None:
@@ -138,16 +130,17 @@ def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
                 yield name, node.text
 
 
-def _check_policies(document: Document, sections: Mapping[str, AgentOfSeveral]) -> None:
+def _check_policies(
+    document: Document, sections: Mapping[str, AgentOfSeveral], mirrors: Mapping[str, str]
+) -> None:
     """Report agents that share a policy with one that they do not mirror exactly."""
-    mirrors = dict(_mirrors(document))
     for name in sections:
         node = node_at(document.root, AGENTS, name, _POLICY)
         if not isinstance(node, ScalarNode):
             continue
         other_agents = [agent for agent in sections if agent != name]
         if node.text not in other_agents:
-            _report_unknown(document.findings, node, node.text, "other agent", other_agents)
+            report_unknown(document.findings, node, "other agent", other_agents)
         elif mirrors.get(name) != node.text or _POLICY in entries_at(document.root, AGENTS, node.text):
             document.findings.add(
                 "DB407",
@@ -161,10 +154,6 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     """Return the validated sections of the agents."""
     root = document.root
     assert root is not None
-    first = next(iter(agents.values()), None)
-    agent_entries = (
-        {} if first is None else {key: entry for key, entry in first.entries.items() if key in _KEYS_OF_AGENT}
-    )
     for key in (_KEYS_OF_AGENT - {TRAIN}) & root.entries.keys():
         document.findings.add(
             "DB101",
@@ -176,35 +165,16 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
         name: Entry(root_entry.key, agents.get(name, root_entry.value))
         for name, root_entry in entries_at(root, AGENTS).items()
     }
-    section = node_at(root, AGENTS)
-    new_root = replace(
-        root,
-        entries={
-            **root.entries,
-            **agent_entries,
-            **(
-                {AGENTS: Entry(root.entries[AGENTS].key, replace(section, entries=resolved))}
-                if isinstance(section, MappingNode)
-                else {}
-            ),
-        },
-    )
+    section = root.entries[AGENTS]
+    if isinstance(section.value, MappingNode):
+        section = Entry(section.key, replace(section.value, entries=resolved))
+    new_root = replace(root, entries={**root.entries, AGENTS: section})
     validated = Findings(document.findings.limit)
     spec = validate(new_root, validated)
     joined_findings(document.findings, ([finding] for finding in validated))
     if spec is None or spec.agents is None or document.findings.errors:
         return None
     return dict(spec.agents)
-
-
-def _with_shared_training(section: MappingNode, shared: Entry | None) -> MappingNode:
-    """Return the section of an agent with the keys of `train` at the top level that it does not set
-    itself."""
-    if shared is None:
-        return section
-    agent_entry = section.entries.get(TRAIN)
-    entry = shared if agent_entry is None else _with_entries(shared, agent_entry)
-    return replace(section, entries={**section.entries, TRAIN: entry})
 
 
 def _key_of(document: Document, agent: str) -> ScalarNode:
@@ -313,7 +283,7 @@ class _Mirrors:
             )
             return None
         if node.text not in self._written:
-            _report_unknown(self._findings, node, node.text, "agent", [*self._written])
+            report_unknown(self._findings, node, "agent", [*self._written])
             return None
         model = self._resolve(node.text, (*above, name))
         if model is None:
@@ -328,7 +298,9 @@ class _Mirrors:
         self, name: str, section: MappingNode, model_name: str, model: MappingNode
     ) -> list[tuple[str, str]]:
         """Return the names that change places: of the agents, and of their robots in order."""
-        first, second = _texts(model.get("robots")), _texts(section.get("robots"))
+        first, second = (
+            [node.text for node in _named(of_agent.get("robots"))] for of_agent in (model, section)
+        )
         return [(model_name, name), *zip(first, second, strict=False)]
 
 
@@ -377,14 +349,6 @@ class Swap:
         return node._replace(text=text, value=text, offsets=offsets)
 
 
-def _texts(node: Node | None) -> list[str]:
-    return (
-        [item.text for item in node.items if isinstance(item, ScalarNode)]
-        if isinstance(node, SequenceNode)
-        else []
-    )
-
-
 # Robots and endings
 
 
@@ -404,7 +368,7 @@ def _drivers(
             span = item.span
             if robot not in robots:
                 if isinstance(item, ScalarNode):
-                    _report_unknown(document.findings, item, robot, "robot", robots)
+                    report_unknown(document.findings, item, "robot", robots)
             elif robot in drivers:
                 document.findings.add(
                     "DB202",
@@ -448,7 +412,7 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         for outcome in of_agent[:1]:
             outcomes[outcome][name] = Entry(entry.key, when)
     entries = {
-        outcome: Entry(ScalarNode(section.span, outcome, outcome), replace(section, entries=conditions))
+        outcome: Entry(text_in_place_of(section, outcome), replace(section, entries=conditions))
         for outcome, conditions in outcomes.items()
         if conditions
     }
@@ -457,10 +421,10 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
 
 def _agents_of(node: Node | None, members: list[str], agents: list[str], findings: Findings) -> list[str]:
     """Return the agents that are named, where `all` names every agent of `members`; report unknown names."""
-    name_nodes = _named_agents(node)
+    name_nodes = _named(node)
     for name_node in name_nodes:
         if name_node.text not in (*agents, ALL_AGENTS):
-            _report_unknown(findings, name_node, name_node.text, "agent", [*agents, ALL_AGENTS])
+            report_unknown(findings, name_node, "agent", [*agents, ALL_AGENTS])
     texts = [name_node.text for name_node in name_nodes]
     return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in members)]
 
@@ -492,7 +456,7 @@ def _report_outcome(
         )
 
 
-def _named_agents(node: Node | None) -> list[ScalarNode]:
+def _named(node: Node | None) -> list[ScalarNode]:
     match node:
         case ScalarNode():
             return [node]
@@ -502,33 +466,31 @@ def _named_agents(node: Node | None) -> list[ScalarNode]:
             return []
 
 
-def _report_unknown(findings: Findings, node: ScalarNode, name: str, noun: str, names: list[str]) -> None:
-    findings.add("DB201", node.span, f"there is no {noun} `{name}`", choices_help(name, names))
-
-
 # The scenario of one agent
 
 
 def _root_of(
+    document: Document,
     root: MappingNode,
     agent: str,
     section: MappingNode,
     drivers: Mapping[str, str],
-    termination: MappingNode | None,
     tests: DividedTests,
 ) -> MappingNode:
+    """Return the scenario of an agent, given that of all and the section of the agent."""
+    agents = [*entries_at(root, AGENTS)]
     entries = {key: entry for key, entry in root.entries.items() if key not in _OF_ALL}
     entries |= {key: entry for key, entry in section.entries.items() if key in _KEYS_OF_AGENT}
     if (own_signals := section.entries.get(_SIGNALS)) is not None:
         entries[_SIGNALS] = _with_entries(entries.get(_SIGNALS), own_signals)
-    if termination is not None:
-        key = ScalarNode(root.entries[ENDINGS].key.span, "termination", "termination")
+    if (termination := _outcomes(document, agent, agents)) is not None:
+        key = text_in_place_of(root.entries[ENDINGS].key, "termination")
         entries["termination"] = Entry(key, termination)
     if (stack := section.entries.get("frame_stack")) is not None:
         settings = Entry(stack.key, replace(section, entries={"frame_stack": stack}))
         entries["agent"] = _with_entries(entries.get("agent"), settings)
     if (limits := entries.get(TRUNCATION)) is not None and isinstance(limits.value, MappingNode):
-        entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent))
+        entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent, agents, document.findings))
     if (section_of_tests := entries.get(TESTS)) is not None:
         entries[TESTS] = tests.section_of(agent, section_of_tests)
     robots = entries.get("robots")
@@ -556,7 +518,7 @@ def _is_absent(divided: MappingNode, root: MappingNode, path: str) -> bool:
     return is_robot and unresolved.split(".")[0] in entries_at(root, *steps)
 
 
-def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
+def _limits_of(limits: MappingNode, agent: str, agents: list[str], findings: Findings) -> MappingNode:
     """Return `truncation` as it is for an agent: a limit that is not a success of the agent is a plain
     limit."""
     entries = {}
@@ -565,24 +527,11 @@ def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
         if limit is None or not isinstance(entry.value, MappingNode):
             entries[name] = entry
             continue
-        agents = [node.text for node in _named_agents(entry.value.get("success"))]
-        of_all = ScalarNode(entry.key.span, ALL_AGENTS, ALL_AGENTS)
-        limit_entries = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
-        is_success = not {agent, ALL_AGENTS}.isdisjoint(agents)
+        success = Entry(text_in_place_of(entry.key, "success"), text_in_place_of(entry.key, ALL_AGENTS))
+        limit_entries = {**entry.value.entries, "success": success}
+        is_success = agent in _agents_of(entry.value.get("success"), agents, agents, findings)
         entries[name] = Entry(entry.key, replace(entry.value, entries=limit_entries) if is_success else limit)
     return replace(limits, entries=entries)
-
-
-def _key(name: str, node: ScalarNode) -> ScalarNode:
-    return ScalarNode(node.span, name, name)
-
-
-def _check_limits(document: Document, agents: list[str]) -> None:
-    """Report names of agents under `truncation` that do not exist."""
-    for entry in entries_at(document.root, TRUNCATION).values():
-        for node in _named_agents(node_at(entry.value, "success")):
-            if node.text not in (*agents, ALL_AGENTS):
-                _report_unknown(document.findings, node, node.text, "agent", [*agents, ALL_AGENTS])
 
 
 def _with_entries(shared: Entry | None, part: Entry) -> Entry:
@@ -687,11 +636,6 @@ def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) 
         reported |= {(finding.code, finding.span) for finding in of_agent}
 
 
-def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
-    """Return the program of all agents."""
-    return combined_program(programs, divided.sections, divided.drivers, divided.mirrors)
-
-
 def with_sections(document: Document, documents: Mapping[str, Document]) -> Document:
     """Return the document with the `train` that deepbots has chosen for agents in their sections."""
     root = document.root
@@ -765,7 +709,7 @@ def program_among_others(
     agent_node = node_at(document.root, ROLE, "agent")
     if agent not in world.members:
         assert isinstance(agent_node, ScalarNode)
-        _report_unknown(findings, agent_node, agent, "agent", names)
+        report_unknown(findings, agent_node, "agent", names)
         return None
     drivers = {
         name: next((script.name for script in member.program.agent.scripts), RANDOM)
@@ -774,7 +718,7 @@ def program_among_others(
     }
     for name, entry in entries_at(document.root, ROLE, "others").items():
         if name not in drivers:
-            _report_unknown(findings, entry.key, name, "other agent", list(drivers))
+            report_unknown(findings, entry.key, "other agent", list(drivers))
         elif isinstance(entry.value, ScalarNode):
             scripts = [script.name for script in world.members[name].program.agent.scripts]
             if is_model(entry.value.text):
@@ -782,9 +726,7 @@ def program_among_others(
                     drivers[name] = f"model {hashlib.sha256(models[name].read_bytes()).hexdigest()}"
                 continue
             if entry.value.text not in (*scripts, RANDOM, ZERO):
-                _report_unknown(
-                    findings, entry.value, entry.value.text, f"driver of `{name}`", [*scripts, RANDOM, ZERO]
-                )
+                report_unknown(findings, entry.value, f"driver of `{name}`", [*scripts, RANDOM, ZERO])
             drivers[name] = entry.value.text
     return None if findings.errors else _with_others(world, agent, drivers, models)
 

@@ -18,7 +18,7 @@ from typing import TypeVar
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Entry, MappingNode, Node, ScalarNode, SequenceNode
 from deepbots_cli.document.load import TESTS
-from deepbots_cli.document.nodes import entries_at
+from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import Const, Scalar, renamed
 from deepbots_cli.program import (
     RANDOM,
@@ -363,7 +363,7 @@ class DividedTests:
 
     def owner(self, test: str) -> str:
         """Return the agent that a test is about."""
-        node = _get(self._written[test].value, _AGENT)
+        node = node_at(self._written[test].value, _AGENT)
         return node.text if isinstance(node, ScalarNode) else self._agents[0]
 
     def section_of(self, agent: str, section: Entry) -> Entry:
@@ -381,11 +381,11 @@ class DividedTests:
         if _DRIVER in entries:
             entries[_DRIVER] = Entry(entries[_DRIVER].key, self._driver(agent, test_node))
         elif _ACTIONS in entries:
-            actions = [_get(step, agent) for step in _steps(test_node)]
+            actions = [node_at(step, agent) for step in _steps(test_node)]
             first = next((item for item in actions if item is not None), None)
             key = entries.pop(_ACTIONS).key
             if first is None:
-                entries[_DRIVER] = Entry(_scalar(key, _DRIVER), _scalar(key, ZERO))
+                entries[_DRIVER] = Entry(text_in_place_of(key, _DRIVER), text_in_place_of(key, ZERO))
             else:
                 # Fills a step in which the agent has no action; `_combined_actions` replaces it by the
                 # resting action.
@@ -394,7 +394,7 @@ class DividedTests:
         if agent != self.owner(test) and _EXPECT in entries:
             expected = {
                 _PLACEHOLDER_EXPECTATION: Entry(
-                    _scalar(name, _PLACEHOLDER_EXPECTATION), name._replace(text="0", value=0)
+                    text_in_place_of(name, _PLACEHOLDER_EXPECTATION), name._replace(text="0", value=0)
                 )
             }
             entries[_EXPECT] = Entry(entries[_EXPECT].key, MappingNode(name.span, expected))
@@ -405,12 +405,12 @@ class DividedTests:
         else `random`."""
         node = test_node.get(_DRIVER)
         scripts = self._scripts[agent]
-        of_agent = _get(node, agent)
+        of_agent = node_at(node, agent)
         if isinstance(of_agent, ScalarNode):
             return of_agent
         if isinstance(node, ScalarNode) and node.text in (*scripts, RANDOM, ZERO):
             return node
-        return _scalar(test_node.entries[_DRIVER].key, next(iter(scripts), RANDOM))
+        return text_in_place_of(test_node.entries[_DRIVER].key, next(iter(scripts), RANDOM))
 
     def _check(self, entry: Entry) -> None:
         if not isinstance(entry.value, MappingNode):
@@ -437,8 +437,7 @@ class DividedTests:
     def _report_unknown(self, nodes: Iterable[ScalarNode], noun: str, names: Sequence[str]) -> None:
         for node in nodes:
             if node.text not in names:
-                headline = f"there is no {noun} `{node.text}`"
-                self._findings.add("DB201", node.span, headline, choices_help(node.text, names))
+                report_unknown(self._findings, node, noun, names)
 
     def tests_of(self, agent: str, tests: Iterable[ScenarioTest]) -> tuple[ScenarioTest, ...]:
         """Return the tests that are about an agent."""
@@ -457,7 +456,7 @@ class DividedTests:
                 continue
             drivers = {agent: part.driver for agent, part in parts.items() if isinstance(part.driver, str)}
             combined = _with_combined_names(parts[owner], program.members[owner])
-            if steps := _steps_of(self._written[name]):
+            if steps := _steps(self._written[name].value):
                 actions = tuple(_combined_actions(program.members, parts, steps))
                 yield replace(combined, driver=actions, steps=min(combined.steps, len(actions)))
             else:
@@ -486,7 +485,9 @@ def _combined_actions(
     drivers = {name: part.driver for name, part in parts.items() if not isinstance(part.driver, str)}
     resting = {name: _resting(member.program.agent.action) for name, member in members.items()}
     for number, step in enumerate(steps):
-        actions = [resting[name] if _get(step, name) is None else drivers[name][number] for name in members]
+        actions = [
+            resting[name] if node_at(step, name) is None else drivers[name][number] for name in members
+        ]
         yield FixedAction(
             tuple(chain.from_iterable(action.choices for action in actions)),
             tuple(chain.from_iterable(action.ranges for action in actions)),
@@ -496,33 +497,26 @@ def _combined_actions(
 
 def _resting(action: Sequence[ActionPart]) -> FixedAction:
     """Return the first option of each choice, and the middle of each range."""
-    choices: list[int] = []
-    ranges: list[float] = []
-    words: list[str] = []
-    for part in action:
-        if isinstance(part, ActionRange):
-            ranges += [0.0] * len(part.names)
-            words += ["0"] * len(part.names)
-        else:
-            choices.append(0)
-            words.append(part.options[0].name)
-    return FixedAction(tuple(choices), tuple(ranges), ":".join(words))
+    choices = tuple(0 for part in action if isinstance(part, Choices))
+    ranges = tuple(0.0 for part in action if isinstance(part, ActionRange) for _ in part.names)
+    words = [
+        part.options[0].name if isinstance(part, Choices) else ":".join("0" for _ in part.names)
+        for part in action
+    ]
+    return FixedAction(choices, ranges, ":".join(words))
 
 
-def _steps_of(test: Entry) -> tuple[Node, ...]:
-    return _steps(test.value) if isinstance(test.value, MappingNode) else ()
-
-
-def _steps(test: MappingNode) -> tuple[Node, ...]:
+def _steps(test: Node) -> tuple[Node, ...]:
     """Return the actions of a test, one for each step."""
-    actions = test.get(_ACTIONS)
+    actions = node_at(test, _ACTIONS)
     return actions.items if isinstance(actions, SequenceNode) else ()
 
 
-def _get(node: Node | None, key: str) -> Node | None:
-    return node.get(key) if isinstance(node, MappingNode) else None
+def report_unknown(findings: Findings, node: ScalarNode, noun: str, names: Sequence[str]) -> None:
+    """Report that the text of a node is none of the `names`."""
+    findings.add("DB201", node.span, f"there is no {noun} `{node.text}`", choices_help(node.text, [*names]))
 
 
-def _scalar(key: ScalarNode, text: str) -> ScalarNode:
-    """Return a text at the place of a key."""
-    return ScalarNode(key.span, text, text)
+def text_in_place_of(node: Node, text: str) -> ScalarNode:
+    """Return a text at the place of a node."""
+    return ScalarNode(node.span, text, text)

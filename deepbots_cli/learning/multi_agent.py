@@ -79,8 +79,10 @@ class MultiAgentLearner(Learner):
         self._check_ends(setup)
         program = setup.program
         critic_program = setup.program.with_critic
-        self._policies = agents_by_policy(program)
-        _check_shared(setup.training, self._policies)
+        self._trainings = dict(setup.training.agents)
+        self._policies = agents_by_policy(program, self._trainings)
+        for names in self._policies.values():
+            check_shared(self._trainings, names)
         self._policy_seats = {
             name: SeatLayout(member, program.agent) for name, member in program.members.items()
         }
@@ -97,14 +99,19 @@ class MultiAgentLearner(Learner):
 
     def _create_learners(self) -> dict[str, Learner]:
         collector = self.setup.collector
-        trainings = dict(self.setup.training.agents)
         if collector is None:
-            return {name: self._create(name, training, None) for name, training in trainings.items()}
+            return {name: self._create(name, training, None) for name, training in self._trainings.items()}
         created: dict[str, Learner] = {}
         for first, names in self._policies.items():
-            self._collectors[first] = SeatCollector([self._critic_seats[name] for name in names], collector)
-            created |= dict.fromkeys(names, self._create(first, trainings[first], self._collectors[first]))
-        return {name: created[name] for name in trainings}
+            self._collectors[first] = self._seat_collector(names)
+            created |= dict.fromkeys(
+                names, self._create(first, self._trainings[first], self._collectors[first])
+            )
+        return {name: created[name] for name in self._trainings}
+
+    def _seat_collector(self, agents: Sequence[str]) -> SeatCollector:
+        """Return the collector of the agents with one policy."""
+        return SeatCollector([self._critic_seats[name] for name in agents], self.setup.collector)
 
     def _create(self, agent: str, training: Training, collector: SeatCollector | None) -> Learner:
         """Return a learner for an agent."""
@@ -405,28 +412,31 @@ def own_model(path: Path, agent: str) -> Iterator[Path]:
             raise renamed from error
 
 
-def agents_by_policy(program: Program) -> dict[str, list[str]]:
+def agents_by_policy(program: Program, trainings: Mapping[str, Training]) -> dict[str, list[str]]:
     """Return the agents that have each policy, by the first of them."""
+    first, training = next(iter(trainings.items()))
     agents: dict[str, list[str]] = {}
     for name, member in program.members.items():
-        agents.setdefault(member.policy or name, []).append(name)
+        policy = member.policy or name if training.self_play is None else first
+        agents.setdefault(policy, []).append(name)
     return agents
 
 
-def _check_shared(training: Training, policies: Mapping[str, Sequence[str]]) -> None:
-    """Check that agents with one policy learn it in the same way, by an algorithm that supports it."""
-    trainings = dict(training.agents)
-    for first, names in policies.items():
-        model = ALGORITHMS[trainings[first].algorithm]
-        if len(names) > 1 and (not model.on_policy or model.is_recurrent):
-            raise UsageError(
-                f"{trainings[first].algorithm} does not support a policy that several agents share; use PPO"
-            )
-        if any(replace(trainings[name], agents=()) != trainings[first] for name in names):
-            raise UsageError(
-                f"agents that share a policy must have the same `train`; write it at the top level, or for"
-                f" `{first}`"
-            )
+def check_shared(
+    trainings: Mapping[str, Training],
+    agents: Sequence[str],
+    sharing: str = "a policy that several agents share",
+) -> None:
+    """Check that agents with one policy learn it in the same way, by an algorithm that supports `sharing`."""
+    first = trainings[agents[0]]
+    model = ALGORITHMS[first.algorithm]
+    if len(agents) > 1 and (not model.on_policy or model.is_recurrent):
+        raise UsageError(f"{first.algorithm} does not support {sharing}; use PPO")
+    if any(replace(trainings[name], agents=()) != first for name in agents):
+        raise UsageError(
+            f"agents that share a policy must have the same `train`; write it at the top level, or for"
+            f" `{agents[0]}`"
+        )
 
 
 def _common_steps(learners: Mapping[str, Learner]) -> int:

@@ -19,15 +19,14 @@ from pydantic import Field, NonNegativeInt
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
+from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState, check_shared
 from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
-from deepbots_cli.rollout.seats import SeatCollector, joined_actions
+from deepbots_cli.rollout.seats import MultiAgentActor, SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
-from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
     from deepbots_cli.rollout.collector import LocalCollector
@@ -100,6 +99,10 @@ class RatingState(CheckpointPart):
     mean: float
     deviation: Annotated[float, Field(gt=0)]
 
+    @property
+    def rating(self) -> Rating:
+        return Rating(self.steps, self.mean, self.deviation)
+
 
 class PastState(RatingState):
     """A member of the pool in a checkpoint."""
@@ -136,15 +139,9 @@ class SelfPlayLearner(MultiAgentLearner):
 
     @classmethod
     def check(cls, training: Training) -> None:
-        (_, first), *other_trainings = training.agents
-        if any(replace(agent_training, agents=()) != first for _, agent_training in other_trainings):
-            raise UsageError(
-                "agents that share a policy must have the same `train`; write it, with `self_play`, at the"
-                " top level"
-            )
-        model = ALGORITHMS[first.algorithm]
-        if not model.on_policy or model.is_recurrent:
-            raise UsageError(f"{first.algorithm} does not support `self_play`; use PPO")
+        agents = dict(training.agents)
+        first, *_ = agents.values()
+        check_shared(agents, [*agents], "`self_play`")
         if first.shards > 1:
             raise UsageError("`self_play` does not support `shards`; leave one of them out")
         super().check(training)
@@ -164,10 +161,8 @@ class SelfPlayLearner(MultiAgentLearner):
         assert training.self_play is not None
         return training.self_play
 
-    def _create_learners(self) -> dict[str, Learner]:
-        setup = self.setup
-        if setup.collector is None:
-            return super()._create_learners()
+    def _seat_collector(self, agents: Sequence[str]) -> SeatCollector:
+        setup, settings = self.setup, self._settings
         assert setup.program is not None
         if not setup.program.is_symmetric:
             raise UsageError(
@@ -176,14 +171,12 @@ class SelfPlayLearner(MultiAgentLearner):
                 " own"
             )
         self._rater = _Rater()
-        (name, training), _ = setup.training.agents
-        seats = [self._critic_seats[agent] for agent, _ in setup.training.agents]
+        seats = [self._critic_seats[agent] for agent in agents]
         self._scripts = {
             agent: [qualified_name(agent, script.name) for script in seat.member.program.agent.scripts]
             for agent, seat in self._critic_seats.items()
         }
-        settings = self._settings
-        self._sides = Sides.divided(training.environments, settings.newest, settings.scripts)
+        self._sides = Sides.divided(setup.training.environments, settings.newest, settings.scripts)
         if settings.newest + settings.scripts > 1:
             raise UsageError("`newest` and `scripts` of `self_play` are shares, so together at most 100 %")
         if settings.scripts and not all(self._scripts.values()):
@@ -191,16 +184,7 @@ class SelfPlayLearner(MultiAgentLearner):
                 "`scripts` of `self_play` needs agents with `scripts`; write one, or leave it out"
             )
         self._collector = SidesCollector(setup.collector, seats, self._sides)
-        self._collectors[name] = self._collector
-        learner = self._create(name, training, self._collector)
-        return {agent: learner for agent, _ in setup.training.agents}
-
-    @property
-    def _distinct_learners(self) -> Mapping[str, Learner]:
-        if self.setup.collector is None:
-            return self.learners
-        name, learner = next(iter(self.learners.items()))
-        return {name: learner}
+        return self._collector
 
     @property
     def _learner(self) -> Learner:
@@ -211,7 +195,7 @@ class SelfPlayLearner(MultiAgentLearner):
         return [PoolGames(past.rating.steps, past.wins, past.losses) for past in self.pool]
 
     def actor(self) -> PolicyActor:
-        return _SidesActor(self)
+        return _SidesActor(self, self._critic_seats, self._learner.actor())
 
     def decide(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         """Return the actions of both agents in all worlds, to learn from."""
@@ -231,10 +215,7 @@ class SelfPlayLearner(MultiAgentLearner):
         actions[1][sides.second] = decision.actions[len(sides.first) :]
         # In the first of the worlds with another opponent, the policy is the first agent.
         for side, worlds in ((1, sides.others[::2]), (0, sides.others[1::2])):
-            self._let_opponents_act(
-                worlds, seats[side].observation(observations), own_masks[side], actions[side]
-            )
-            self._let_scripts_act(worlds, seats[side], actions[side])
+            self._let_opponents_act(worlds, seats[side], observations, own_masks[side], actions[side])
         columns = {**decision.columns, _OPPONENTS: self._opponents.copy()}
         return Decision(joined_actions(actions), columns)
 
@@ -251,26 +232,23 @@ class SelfPlayLearner(MultiAgentLearner):
                 self._opponents[world] = np.random.randint(len(self.pool)) if self.pool else _PRESENT
 
     def _let_opponents_act(
-        self, worlds: Array, observations: Any, masks: Array | None, actions: Array
+        self, worlds: Array, seat: SeatLayout, observations: Any, masks: Array | None, actions: Array
     ) -> None:
-        """Write the actions of past policies in some worlds; each samples from its distribution."""
-        policies = worlds[self._opponents[worlds] >= _PRESENT]
-        for opponent in np.unique(self._opponents[policies]):
+        """Write the actions of an agent in some worlds: those of scripts, and of past policies, each of which
+        samples from its distribution."""
+        own = seat.observation(observations)
+        for opponent in np.unique(self._opponents[worlds]):
             rows = worlds[self._opponents[worlds] == opponent]
+            if opponent <= _FIRST_SCRIPT:
+                name = self._scripts[seat.member.name][_FIRST_SCRIPT - opponent]
+                worlds_of_all = cast("LocalCollector", self.setup.collector).worlds
+                actions[rows] = seat.actions(worlds_of_all.scripted(name)[rows])
+                continue
             policy = self._learner if opponent == _PRESENT else self.pool[opponent].policy
             actions[rows], _ = policy.predict(
-                apply_to_parts(lambda part, rows=rows: part[rows], observations),
+                apply_to_parts(lambda part, rows=rows: part[rows], own),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
-
-    def _let_scripts_act(self, worlds: Array, seat: SeatLayout, actions: Array) -> None:
-        """Write the actions of the scripts of an agent in some worlds."""
-        scripted = worlds[self._opponents[worlds] <= _FIRST_SCRIPT]
-        worlds_of_all = cast("LocalCollector", self.setup.collector).worlds
-        for opponent in np.unique(self._opponents[scripted]):
-            rows = scripted[self._opponents[scripted] == opponent]
-            name = self._scripts[seat.member.name][_FIRST_SCRIPT - opponent]
-            actions[rows] = seat.actions(worlds_of_all.scripted(name)[rows])
 
     def collect(self) -> bool:
         if not super().collect():
@@ -379,9 +357,9 @@ class SelfPlayLearner(MultiAgentLearner):
         self.pool = []
         for number, past in enumerate(saved_state.pool):
             weights = {name: arrays[_pool_name(number, name)] for name in names}
-            member = self._past(Rating(past.steps, past.mean, past.deviation), weights)
+            member = self._past(past.rating, weights)
             self.pool.append(replace(member, wins=past.wins, losses=past.losses))
-        self.ratings = [Rating(**rating.model_dump()) for rating in saved_state.ratings]
+        self.ratings = [state.rating for state in saved_state.ratings]
         opponents = arrays[_OPPONENTS]
         scripts = min(len(names) for names in self._scripts.values())
         if opponents.min() <= _FIRST_SCRIPT - scripts or opponents.max() >= len(self.pool):
@@ -389,23 +367,15 @@ class SelfPlayLearner(MultiAgentLearner):
         self._opponents[:] = opponents
 
 
-class _SidesActor(PolicyActor):
+class _SidesActor(MultiAgentActor):
     """The actor of a learner that plays against itself."""
 
-    def __init__(self, learner: SelfPlayLearner) -> None:
-        self._learner = learner
-
-    def begin(self) -> None:
-        self._learner._learner.actor().begin()
+    def __init__(self, learner: SelfPlayLearner, seats: Mapping[str, SeatLayout], actor: PolicyActor) -> None:
+        super().__init__(seats, dict.fromkeys(seats, actor))
+        self._decide = learner.decide
 
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
-        return self._learner.decide(observations, starts, masks)
-
-    def parameters(self) -> Mapping[str, Any]:
-        return self._learner.weights()
-
-    def load(self, parameters: Mapping[str, Any]) -> None:
-        raise UsageError("`self_play` does not support `shards`; leave one of them out")
+        return self._decide(observations, starts, masks)
 
 
 class _Rater:

@@ -34,7 +34,6 @@ from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
-from deepbots_cli.program import Program
 from deepbots_cli.program.task import LIMITS, SUCCESS, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import (
@@ -130,8 +129,7 @@ def make_worlds(
         seed = next_seed(world)
         return None if seed is None else (guarded(stages[world]), seed)
 
-    calls: WorldsOptions = {"on_step": on_step, "on_episode": end, "options": options}
-    shared: WorldsOptions = {**calls, **_agent_options(run.program)}
+    shared: WorldsOptions = {"on_step": on_step, "on_episode": end, "options": options}
     env: Worlds
     if not reasons_against_batch(run.program, len(seeds), engine, plan.build):
         recorder = BatchFailureRecorder(run, guarded, next_episode, curriculum, note)
@@ -150,15 +148,6 @@ def make_worlds(
         env = SingleWorlds(worlds, seeds, next_world=next_world, **shared)
     stack.callback(env.close)
     return env
-
-
-def _agent_options(program: Program) -> WorldsOptions:
-    """Return the arguments of worlds about several agents."""
-    members = program.members.items()
-    return {
-        "agent_terms": {name: [*member.terms.values()] for name, member in members},
-        "agents_alone": [name for name, member in members if member.alone],
-    }
 
 
 def _level_draw(plan: WorldPlan, worlds: Worlds, world: int) -> int:

@@ -122,10 +122,7 @@ class Program:
         left_out = {"agent", "ros", "stored_signals", "supplied_by", "tests"}
         # A later field counts only where a scenario uses it, so that older runs keep their digests.
         left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
-        left_out |= {"levels"} if self.levels is None else set()
-        left_out |= set() if self.members else {"members"}
-        left_out |= {"others"} if self.others is None else set()
-        left_out |= set() if self.links else {"links"}
+        left_out |= {name for name in ("levels", "links", "members", "others") if not getattr(self, name)}
         counted = {
             name: value
             for name, value in vars(self).items()

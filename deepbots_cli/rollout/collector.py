@@ -119,6 +119,19 @@ class Fragment:
     agent_phases: Mapping[str, Array] = field(default_factory=dict)
     taking_part: Array | None = None
 
+    def steps(self) -> Iterator[WorldsStep]:
+        """Yield the steps in their order, without infos."""
+        endings: dict[int, list[Ending]] = {}
+        for number, ending in self.endings:
+            endings.setdefault(number, []).append(ending)
+        for number, rewards in enumerate(self.rewards):
+            is_last = number + 1 == len(self.rewards)
+            following = (
+                self.following if is_last else apply_to_parts(itemgetter(number + 1), self.observations)
+            )
+            ended = self.following_starts if is_last else self.starts[number + 1]
+            yield WorldsStep(following, rewards, ended, [{}] * len(rewards), endings.get(number, []))
+
 
 class ShardState(NamedTuple):
     """The running episode of each world, and the digest of the present observations."""
@@ -598,7 +611,7 @@ class ShardedCollector(FetchingCollector):
             self._listener.on_answer(result)
         fragment = join([result.fragment for result in results])
         self._note_episodes(fragment, results)
-        self._replay = self._steps(fragment, _details(results))
+        self._replay = self._steps(fragment, iter(_details(results)))
         return fragment
 
     def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
@@ -672,30 +685,18 @@ class ShardedCollector(FetchingCollector):
         self._stages[:] = [episode.stage for episode in self.episodes]
 
     def _steps(
-        self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]
+        self, fragment: Fragment, details: Iterator[tuple[int, Mapping[str, Any]]]
     ) -> Iterator[WorldsStep]:
         """Yield the steps of a fragment in their order. Each is counted when it is read."""
-        endings = iter([*zip(fragment.endings, details, strict=True)])
-        upcoming = next(endings, None)
-        for number in range(len(fragment.rewards)):
-            is_last = number + 1 == len(fragment.rewards)
-            step_endings: list[Ending] = []
+        for step in fragment.steps():
+            endings = {ending.row: ending for ending in step.endings}
             for row in range(self.rows):
                 self._listener.on_row()
-                if upcoming is not None and (upcoming[0][0], upcoming[0][1].row) == (number, row):
-                    (_, ending), (stage, draws) = upcoming
-                    self._listener.on_episode(row // self._width, ending.episode, stage, draws)
-                    step_endings.append(ending)
-                    upcoming = next(endings, None)
-            self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
-            self._observations = (
-                fragment.following
-                if is_last
-                else apply_to_parts(itemgetter(number + 1), fragment.observations)
-            )
-            yield WorldsStep(
-                self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, step_endings
-            )
+                if row in endings:
+                    stage, draws = next(details)
+                    self._listener.on_episode(row // self._width, endings[row].episode, stage, draws)
+            self.starts, self._observations = step.ended, step.observations
+            yield step
 
     def state(self) -> ShardState:
         return ShardState([episode.history for episode in self.episodes], observation_digest(self.begin()))

@@ -7,9 +7,8 @@ from it as from worlds of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from deepbots_cli.rollout.collector import (
     join,
 )
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
+from deepbots_cli.rollout.worlds import Array, Ending, Phase
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
 
@@ -127,22 +126,8 @@ class SeatCollector(FetchingCollector):
         fragment = self._fragment
         if fragment is None or len(fragment.rewards) != steps:
             raise RuntimeError("no fragment of this length was offered to the agent")
-        self._replay = self._steps(fragment)
+        self._replay = fragment.steps()
         return fragment
-
-    def _steps(self, fragment: Fragment) -> Iterator[WorldsStep]:
-        endings: dict[int, list[Ending]] = {}
-        for number, ending in fragment.endings:
-            endings.setdefault(number, []).append(ending)
-        for number, rewards in enumerate(fragment.rewards):
-            is_last = number + 1 == len(fragment.rewards)
-            following = (
-                fragment.following
-                if is_last
-                else apply_to_parts(itemgetter(number + 1), fragment.observations)
-            )
-            ended = fragment.following_starts if is_last else fragment.starts[number + 1]
-            yield WorldsStep(following, rewards, ended, [{}] * self.rows, endings.get(number, []))
 
 
 def own_ending(seat: SeatLayout, ending: Ending) -> Ending:

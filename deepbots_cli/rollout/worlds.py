@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from operator import itemgetter
-from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
 import gymnasium as gym
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.program import AgentEnding
+from deepbots_cli.program import AgentEnding, Member, Program
 from deepbots_cli.rollout.episode import (
     Episode,
     EpisodeAccumulator,
@@ -79,11 +78,6 @@ class Phase(IntEnum):
         return cls.ENDS if end.step == step else cls.RESTS
 
 
-AgentTerms = Mapping[str, Sequence[str]]
-"""The names of the reward terms of each of several agents in a world; empty for one agent."""
-ONE_AGENT: AgentTerms = MappingProxyType({})
-
-
 class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world with the `history` of its running episode, from which the episode can be repeated."""
 
@@ -110,15 +104,11 @@ class WorldsOptions(TypedDict, total=False):
         on_episode: Called after each episode of a row with the number of its world.
         options: Returns the values that the next episode of a world takes in place of draws, as `options` of
             `reset`.
-        agent_terms: The reward terms of each of several agents, for `agent_rewards` of each step.
-        agents_alone: Those among several agents whose episode may end while others go on.
     """
 
     on_step: Callable[[], None]
     on_episode: Callable[[int, Episode], None]
     options: Callable[[int], Mapping[str, Any] | None]
-    agent_terms: AgentTerms
-    agents_alone: Sequence[str]
 
 
 class Worlds(ABC):
@@ -132,7 +122,7 @@ class Worlds(ABC):
     Args:
         worlds: The worlds, with their agents.
         seeds: The seed of each.
-        on_step, on_episode, options, agent_terms, agents_alone: See `WorldsOptions`.
+        on_step, on_episode, options: See `WorldsOptions`.
     """
 
     def __init__(
@@ -143,16 +133,14 @@ class Worlds(ABC):
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
-        agent_terms: AgentTerms = ONE_AGENT,
-        agents_alone: Sequence[str] = (),
     ) -> None:
         self.worlds = worlds
         self.seeds = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
         self._options = options
-        self._agent_terms = agent_terms
-        self._agents_alone = agents_alone
+        self._members = _members_of(worlds[0])
+        self._agents_alone = [name for name, member in self._members.items() if member.alone]
         self._has_copies = has_copies(worlds[0])
         first = self._agents_of(worlds[0])
         self._width = len(first)
@@ -293,10 +281,8 @@ class SingleWorlds(Worlds):
             infos,
             endings,
             {
-                agent: np.array(
-                    [sum(info["reward_terms"][name] for name in names) for info in infos], np.float32
-                )
-                for agent, names in self._agent_terms.items()
+                name: np.array([member.reward(info["reward_terms"]) for info in infos], np.float32)
+                for name, member in self._members.items()
             },
             {agent: self._phases(agent, infos, lengths) for agent in self._agents_alone},
         )
@@ -393,6 +379,14 @@ def has_copies(world: gym.Env[Any, Any]) -> bool:
     return (
         world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
     )
+
+
+def _members_of(world: gym.Env[Any, Any]) -> Mapping[str, Member]:
+    """Return the agents of a world of several, by name."""
+    if not world.has_wrapper_attr("scenario"):
+        return {}
+    program: Program = world.get_wrapper_attr("scenario")
+    return program.members
 
 
 def observation_digest(observations: Any) -> str:
@@ -522,7 +516,8 @@ class BatchWorlds(Worlds):
         first = self._batch_of(self.stages[0])
         super().__init__(first.singles, seeds, **shared)
         self._term_places = {
-            agent: [first.TERMS.index(name) for name in names] for agent, names in self._agent_terms.items()
+            name: [first.TERMS.index(term) for term in member.terms.values()]
+            for name, member in self._members.items()
         }
 
     def _batch_of(self, stage: int) -> BatchSupervisor:

@@ -240,7 +240,7 @@ class Scenario(Section):
         from deepbots_cli.scenario.validate import findings_of, validate
 
         document = load(path)
-        root = None if document.root is None else _with_whole_training(document.root)
+        root = None if document.root is None else with_whole_training(document.root)
         scenario = validate(root, document.findings) if root is not None else None
         if root is None or scenario is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
@@ -275,7 +275,7 @@ class Scenario(Section):
         return json_schema()
 
 
-def _with_whole_training(root: MappingNode) -> MappingNode:
+def with_whole_training(root: MappingNode) -> MappingNode:
     """Return the scenario in which the `train` of each agent has the keys at the top level too."""
     agents, shared = node_at(root, "agents"), node_at(root, "train")
     if not isinstance(agents, MappingNode) or not isinstance(shared, MappingNode):

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import json
 import shutil
-import zipfile
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate
@@ -77,8 +75,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
         return Decision(generator.uniform(-1, 1, (1, 2)).astype(np.float32))
 
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    with closing(SingleWorlds([api.build(program)], [7], agent_terms=terms)) as worlds:
+    with closing(SingleWorlds([api.build(program)], [7])) as worlds:
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 50)
     assert fragment is not None
@@ -101,24 +98,6 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
             assert ending.observation.tolist() == observed[name].tolist()
             assert ending.episode.is_success == infos[name]["is_success"]
             assert ending.episode.total_return == pytest.approx(own.rewards[: number + 1].sum(), rel=1e-4)
-
-
-def test_a_batch_pays_each_agent_what_single_worlds_do(tmp_path: Path) -> None:
-    program = api.compile(write_scenario(tmp_path, SHARED), overrides=["world.engine=mujoco"]).program
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    actions = np.random.default_rng(0).uniform(-1, 1, (30, 8, 2)).astype(np.float32)
-    single = SingleWorlds([api.build(program) for _ in range(8)], range(8), agent_terms=terms)
-    batch = BatchWorlds(
-        lambda stage: api.build_batch(program, 8, engine="mujoco"), range(8), agent_terms=terms
-    )
-    with closing(single), closing(batch):
-        for worlds in (single, batch):
-            worlds.reset()
-        for step in actions:
-            of_single, of_batch = single.step_all(step).agent_rewards, batch.step_all(step).agent_rewards
-            assert {*of_single} == {*of_batch} == {"left", "right"}
-            for name in of_single:
-                assert of_batch[name] == pytest.approx(of_single[name], rel=1e-5, abs=1e-6)
 
 
 def test_all_agents_learn_in_one_run(trained: Path) -> None:
@@ -159,20 +138,24 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["PPO", "SAC", "older weights", "one policy"])
+@pytest.mark.parametrize("case", ["PPO", "SAC", "older weights", "one policy", "ends of its own"])
 def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, case: str) -> None:
     text = {
         "PPO": SEVERAL.replace(OWN, PPO),
         "SAC": SEVERAL.replace(OWN, SAC),
         "older weights": SHARED.replace("n_steps", "environments: 2, shards: 2, staleness: 1, n_steps"),
         "one policy": SHARED_POLICY + PPO_512,
+        "ends of its own": LEARNING,
     }[case]
-    becomes_the_same(write_scenario(tmp_path, text), tmp_path, 100, seed=2)
+    becomes_the_same(write_scenario(tmp_path, text), tmp_path, 500 if text == LEARNING else 100, seed=2)
+    assert {*evaluate(tmp_path / "whole", episodes=4, seed=5).agents} == {"left", "right"}
 
 
 @pytest.mark.slow
-def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: Path) -> None:
-    scenario = write_scenario(tmp_path, SHARED.replace("n_steps", "environments: 2, shards: 2, n_steps"))
+@pytest.mark.parametrize("case", ["policies", "one policy"])
+def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: Path, case: str) -> None:
+    text = SHARED if case == "policies" else SHARED_POLICY + PPO_512
+    scenario = write_scenario(tmp_path, text.replace("n_steps", "environments: 2, shards: 2, n_steps"))
     here = deepbots_cli.train(scenario, run=tmp_path / "here", seed=3)
     with Cluster(workers=2) as cluster, LocalProcesses(2) as processes:
         cluster._pool = processes
@@ -248,24 +231,6 @@ def test_an_agent_adds_keys_to_the_training_of_all(tmp_path: Path) -> None:
     assert api.compile(in_python).digest == api.compile(tmp_path / "several.yaml").digest
 
 
-def test_a_damaged_model_of_an_agent_is_refused_by_its_name(trained: Path, tmp_path: Path) -> None:
-    copied = shutil.copytree(trained, tmp_path / "run")
-    model = copied / "models" / "agent" / "best.zip"
-    with zipfile.ZipFile(trained / "models" / "agent" / "best.zip") as whole:
-        parts = {name: whole.read(name) for name in whole.namelist()}
-    with zipfile.ZipFile(model, "w") as archive:
-        archive.writestr("data", parts["data"])
-        archive.writestr("left.zip", parts["left.zip"])
-        archive.writestr("right.zip", parts["right.zip"][:200])
-    with pytest.raises(RunError, match="right"):
-        load_model(Run.open(copied), "best")
-    with (
-        pytest.raises(RunError, match="no model of the agent 'left'"),
-        own_model(copied / "run.json", "left"),
-    ):
-        pass
-
-
 LEARNING = ALONE + PPO.replace("768", "1024") + "\n"
 NAMES = ["left", "right"]
 
@@ -275,13 +240,9 @@ carts = scenario_fixture(LEARNING)
 
 def _worlds(file: Path, kind: str, count: int) -> Worlds:
     program = api.compile(file, overrides=["world.engine=mujoco"]).program
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    options: dict[str, Any] = {"agent_terms": terms, "agents_alone": NAMES}
     if kind == "batch":
-        return BatchWorlds(
-            lambda stage: api.build_batch(program, count, engine="mujoco"), range(count), **options
-        )
-    return SingleWorlds([api.build(program) for _ in range(count)], range(count), **options)
+        return BatchWorlds(lambda stage: api.build_batch(program, count, engine="mujoco"), range(count))
+    return SingleWorlds([api.build(program) for _ in range(count)], range(count))
 
 
 def _ahead(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
@@ -300,6 +261,9 @@ def test_the_episodes_of_an_agent_end_where_it_ends(carts: Path) -> None:
     assert fragments["batch"] is not None
     for name in NAMES:
         assert of_all.agent_phases[name].tolist() == fragments["batch"].agent_phases[name].tolist()
+        assert fragments["batch"].agent_rewards[name] == pytest.approx(
+            of_all.agent_rewards[name], rel=1e-5, abs=1e-6
+        )
     seat = SeatCollector([SeatLayout(program.members["left"], program.agent)], collector)
     seat.offer(of_all)
     own = seat.fetch(None, 90)  # type: ignore[arg-type]  # it has acted already
@@ -346,12 +310,6 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
     deepbots_cli.train(carts, run=tmp_path / "run", seed=1)
     assert sum(ends for ends, *_ in seen) > 0
     assert sum(size - part for _, part, size in seen) > 0
-
-
-@pytest.mark.slow
-def test_a_training_with_such_ends_resumes_exactly_and_is_evaluated(carts: Path, tmp_path: Path) -> None:
-    becomes_the_same(carts, tmp_path, 500, seed=2)
-    assert {*evaluate(tmp_path / "whole", episodes=4, seed=5).agents} == {"left", "right"}
 
 
 @pytest.mark.parametrize("algorithm", ["SAC", "RecurrentPPO"])
@@ -439,25 +397,6 @@ SHARED_ALONE = _changed(
     ("success: right, failure: left}", "ends: left, failure: left}"),
     ("success: left, failure: right}", "ends: right, failure: right}"),
 )
-TEAM = _changed(
-    SHARED_POLICY,
-    ("success: right, failure: left", "failure: all"),
-    ("success: left, failure: right", "failure: all"),
-    ("policy: left}\n", "policy: left}\n  third: {like: left, robots: [third], policy: left}\n"),
-    (
-        "signals:",
-        """\
-  third:
-    urdf: cartpole
-    pose: {y: -1 m}
-    sensors: {angle: {type: joint_position, joint: pole_hinge}}
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: drive * 5 rad/s}
-signals:""",
-    ),
-)
-"""Three equal robots, each of which has an agent."""
-
 
 sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 
@@ -466,17 +405,15 @@ sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> None:
     file = write_scenario(tmp_path, text)
     program = api.compile(file).program
-    terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    alone = [name for name, member in program.members.items() if member.alone]
+    alone = any(member.alone for member in program.members.values())
 
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
         actions = np.tile(np.float32([1.0, 0.1]), (2, 1))
-        return Decision(actions, {f"{name}/values": actions[:, place] for place, name in enumerate(terms)})
+        return Decision(
+            actions, {f"{name}/values": actions[:, place] for place, name in enumerate(program.members)}
+        )
 
-    worlds = SingleWorlds(
-        [api.build(program) for _ in range(2)], [7, 8], agent_terms=terms, agents_alone=alone
-    )
-    with closing(worlds):
+    with closing(SingleWorlds([api.build(program) for _ in range(2)], [7, 8])) as worlds:
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 80)
         assert fragment is not None
@@ -494,7 +431,7 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
         assert both.columns["values"][:, rows].tolist() == part.columns["values"].tolist()
         own = [(number, end.row - 2 * side) for number, end in both.endings if end.row // 2 == side]
         assert own == [(number, end.row) for number, end in part.endings]
-        assert (part.taking_part is not None) == bool(alone)
+        assert (part.taking_part is not None) == alone
         if part.taking_part is not None:
             assert both.taking_part is not None
             assert both.taking_part[:, rows].tolist() == part.taking_part.tolist()
@@ -512,66 +449,10 @@ def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_shards_give_the_same_weights_wherever_they_run(sharing_carts: Path, tmp_path: Path) -> None:
-    sharing_carts.write_text(
-        SHARED_POLICY + PPO_512.replace("n_steps", "environments: 2, shards: 2, n_steps")
-    )
-    here = deepbots_cli.train(sharing_carts, run=tmp_path / "here", seed=3)
-    with Cluster(workers=2) as cluster, LocalProcesses(2) as processes:
-        cluster._pool = processes
-        there = deepbots_cli.train(sharing_carts, run=tmp_path / "there", seed=3, executor=cluster)
-    assert here.weights_digest == there.weights_digest
-
-
-@pytest.mark.slow
 def test_an_algorithm_without_support_is_refused(sharing_carts: Path, tmp_path: Path) -> None:
     sharing_carts.write_text(SHARED_POLICY + "train: {algorithm: SAC, total_timesteps: 256}\n")
     with pytest.raises(UsageError, match="SAC does not support a policy that several agents share"):
         deepbots_cli.train(sharing_carts, run=tmp_path / "run", seed=1)
-
-
-@pytest.mark.parametrize(
-    ("right", "headline"),
-    [
-        ("{like: left, robots: [right], policy: middle}", "there is no other agent `middle`"),
-        ("{like: left, robots: [right], policy: right}", "there is no other agent `right`"),
-        (
-            "{like: left, robots: [right], policy: left, action: {drive: -0.5 .. 1}}",
-            "`right` cannot share the policy of `left`, because it does not mirror it exactly",
-        ),
-    ],
-)
-def test_a_mistake_about_a_shared_policy_is_one_finding(
-    sharing_carts: Path, right: str, headline: str
-) -> None:
-    sharing_carts.write_text(CARTS.replace("{like: left, robots: [right]}", right))
-    errors = [finding.headline for finding in api.lint(sharing_carts) if finding.severity == "error"]
-    assert errors == [headline]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:We recommend agents to be named", "ignore:Observation numpy array is all")
-def test_a_team_of_equal_robots_is_an_environment_and_learns_one_policy(tmp_path: Path) -> None:
-    pytest.importorskip("pettingzoo")
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
-    from pettingzoo.utils import parallel_to_aec
-
-    file = tmp_path / "team.yaml"
-    file.write_text(TEAM + PPO_512)
-    with closing(deepbots_cli.parallel_env(file)) as environment:
-        assert environment.possible_agents == ["left", "right", "third"]
-        parallel_api_test(environment, num_cycles=100)
-        api_test(parallel_to_aec(environment), num_cycles=20)
-    parallel_seed_test(lambda: deepbots_cli.parallel_env(file), num_cycles=10)
-    with pytest.warns(RuntimeWarning, match="there is no display"):
-        render_test(
-            lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(file, render_mode=render_mode))
-        )
-    deepbots_cli.train(file, run=tmp_path / "run", seed=1, total_timesteps=64)
-    learners = load_model(Run.open(tmp_path / "run"), "best").learners  # type: ignore[attr-defined]  # of several
-    weights = [learner.weights() for learner in learners.values()]
-    for name, tensor in weights[0].items():
-        assert all(np.array_equal(tensor, other[name]) for other in weights[1:])
 
 
 WORLDS = 9
@@ -651,24 +532,6 @@ def test_an_agent_beside_others_sees_the_same_in_a_batch(tmp_path: Path, case: t
     assert compare(program) > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "case",
-    few(
-        [
-            "tag: {agent: hunter, others: {prey: stroll}}",
-            "tag: {agent: prey, others: {hunter: chase}}",
-            "carry: {agent: left, others: {right: push}}",
-            "sumo: {agent: red, others: {blue: push}}",
-        ],
-        ["carry: {agent: left, others: {right: push}}"],
-    ),
-)
-def test_scripts_of_shipped_scenarios_act_the_same_in_a_batch(case: str) -> None:
-    scenario, role = case.split(": ", 1)
-    compare(api.compile(scenario, overrides=[f"role={role}"]).program, steps=40)
-
-
 @pytest.fixture(scope="module", params=["PPO", pytest.param("RecurrentPPO", marks=pytest.mark.slow)])
 def trained_alike(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which both agents have learned, beside its scenario."""
@@ -687,11 +550,6 @@ def scenario_with_rival(trained_alike: Path, *overrides: str) -> api.Compiled:
         overrides=[role, "world.engine=mujoco", *overrides],
         permissions=Permissions(folders=(trained_alike,)),
     )
-
-
-@pytest.mark.slow
-def test_a_policy_beside_the_agent_acts_the_same_in_a_batch(trained_alike: Path) -> None:
-    assert compare(scenario_with_rival(trained_alike).program) > 0
 
 
 @pytest.mark.slow

@@ -140,7 +140,7 @@ def compare(
 
 @pytest.mark.parametrize("name", few([*FAST, "multi_cartpole", PUSHED, FEET], LIVED, stem))
 def test_a_world_of_a_batch_has_the_episodes_of_a_single_world(name: str) -> None:
-    overrides = ("truncation.max_time=0.6 s",) if name in ENDLESS else ()
+    overrides = ("truncation.max_time={limit: 0.6 s, success: all}",) if name in ENDLESS else ()
     assert compare(name, worlds=3, steps=40, overrides=overrides) > 0
 
 

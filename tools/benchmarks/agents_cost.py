@@ -110,11 +110,9 @@ def of_agents(environment: Any, actions: np.ndarray[Any, Any]) -> Callable[[], f
     return measure
 
 
-def worlds_of(program: Program, count: int, agent_terms: dict[str, list[str]]) -> BatchWorlds:
+def worlds_of(program: Program, count: int) -> BatchWorlds:
     """A batch of the worlds of a training."""
-    return BatchWorlds(
-        lambda _: api.build_batch(program, count, engine="mujoco"), range(count), agent_terms=agent_terms
-    )
+    return BatchWorlds(lambda _: api.build_batch(program, count, engine="mujoco"), range(count))
 
 
 def of_batch(worlds: BatchWorlds, actions: np.ndarray[Any, Any]) -> Callable[[], float]:
@@ -146,14 +144,7 @@ def main() -> None:
         two.write_text(TWO, encoding="utf-8")
         one.write_text(ONE, encoding="utf-8")
         programs = [api.compile(file).program for file in (two, one)]
-        terms = [
-            {name: [*member.terms.values()] for name, member in program.members.items()}
-            for program in programs
-        ]
-        batches = [
-            worlds_of(program, arguments.worlds, agent_terms)
-            for program, agent_terms in zip(programs, terms, strict=True)
-        ]
+        batches = [worlds_of(program, arguments.worlds) for program in programs]
         with (
             closing(deepbots_cli.parallel_env(two)) as agents,
             closing(api.make(two)) as joint,
