@@ -160,8 +160,8 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
     """Yield what each cheat that changes anything earns on top of a half solution without a policy."""
     with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
         folders = [("", base)]
-        for title, cheat in CHEATS.items():
-            folder = Path(name, str(len(folders)))
+        for number, (title, cheat) in enumerate(CHEATS.items()):
+            folder = Path(name, str(number))
             shutil.copytree(lesson.folder / START, folder)
             shutil.copytree(base, folder, dirs_exist_ok=True)
             before = _contents(folder)
