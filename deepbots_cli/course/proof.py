@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
-from deepbots_cli.course.lessons import HALF, SOLUTION, START, Lesson
+from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
 from deepbots_cli.course.marking import UNCHANGED
 from deepbots_cli.words import counted
 
@@ -61,7 +61,8 @@ def _world(text: str) -> Cheat:
 
     def cheat(folder: Path) -> None:
         for path in folder.glob("*.yaml"):
-            if "extends:" not in path.read_text(encoding="utf-8"):
+            is_world = path.name != ANSWERS_NAME and "extends:" not in path.read_text(encoding="utf-8")
+            if is_world:
                 path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
 
     return cheat
