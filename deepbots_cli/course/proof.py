@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
-from deepbots_cli.course.lessons import HALF, SOLUTION, START, Lesson
+from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
 from deepbots_cli.course.marking import UNCHANGED
 from deepbots_cli.words import counted
 
@@ -61,7 +61,8 @@ def _world(text: str) -> Cheat:
 
     def cheat(folder: Path) -> None:
         for path in folder.glob("*.yaml"):
-            if "extends:" not in path.read_text(encoding="utf-8"):
+            is_world = path.name != ANSWERS_NAME and "extends:" not in path.read_text(encoding="utf-8")
+            if is_world:
                 path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
 
     return cheat
@@ -160,8 +161,8 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
     """Yield what each cheat that changes anything earns on top of a half solution without a policy."""
     with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
         folders = [("", base)]
-        for title, cheat in CHEATS.items():
-            folder = Path(name, str(len(folders)))
+        for number, (title, cheat) in enumerate(CHEATS.items()):
+            folder = Path(name, str(number))
             shutil.copytree(lesson.folder / START, folder)
             shutil.copytree(base, folder, dirs_exist_ok=True)
             before = _contents(folder)
