@@ -9,16 +9,15 @@ from itertools import groupby
 from math import isnan, nan
 from typing import NamedTuple
 
-from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
-from deepbots_cli.compiler.robots import joint_dimension, joint_interval, rigid_root
+from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.layout import removal_fix
-from deepbots_cli.expressions.dimensions import ACCELERATION, Dimension
-from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval, hull
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import TypedNode, walk
@@ -27,7 +26,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.robots import kinematics
 
 _RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
@@ -693,7 +691,6 @@ def observation_saturates(context: RuleContext) -> Iterator[Finding]:
     """Report a value that is at the end of its range in normal operation."""
     yield from _saturated_at_start(context)
     yield from _goal_out_of_range(context)
-    yield from _saturated_by_gravity(context)
 
 
 def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
@@ -753,50 +750,3 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
                 "widen the range of the goal, or draw `desired` from a smaller range",
             )
             return
-
-
-def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
-    met = set()
-    for number in ranged_numbers(context.analysis):
-        leaf = context.analysis.resolve_aliases(number.node)
-        reading = _reading_at_rest(context.analysis, leaf)
-        if (
-            reading is None
-            or not number.entry.clip
-            or id(number.entry) in met
-            or number.low <= reading <= number.high
-        ):
-            continue
-        met.add(id(number.entry))
-        axis = leaf.component if isinstance(leaf, Name) else ""
-        size = abs(reading) * _RANGE_FACTOR
-        wide = Interval(min(number.low, -size), max(number.high, size))
-        edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
-        headline = (
-            f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-            f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
-            f" {with_unit(reading, ACCELERATION)}"
-        )
-        help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
-        fix = replace_range(context, number, wide, ACCELERATION)
-        yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
-
-
-def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
-    """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
-    that is unknown."""
-    reading = analysis.sensor(leaf)
-    if reading is None or reading[1].kind != "accelerometer" or not isinstance(leaf, Name):
-        return None
-    robot, sensor = reading
-    model = analysis.body(robot).model
-    tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
-    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(
-        tilt not in (ZERO, SIGNED_UNIT) for tilt in tilts
-    ):
-        return None
-    link = kinematics.link_frames(model)[sensor.subjects[0]]
-    turn = frames.compose(link, frames.frame(sensor.mount))[1]
-    # An accelerometer at rest measures the reaction to gravity, which points upward.
-    x, y, z = analysis.program.world.gravity
-    return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, highest_return, return_range, speed_notes
+from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -155,62 +155,6 @@ class _PoleSearch:
 
 
 # Too large, too small
-
-
-@rule(
-    "DB702",
-    "in an episode up to the time limit, `{term}` adds up to at least {least} in absolute value, but an"
-    " ending gives at most {prize}",
-    "scale `{term}` down, or scale the rewards of the endings up",
-    versions="training",
-)
-def term_dominates(context: RuleContext) -> Iterator[Match]:
-    """Report a term that until the time limit adds up to more than a hundred times the payment of any
-    ending."""
-    reward = context.analysis.reward
-    ordinary, final = reward.split_by_end()
-    prize = reward.largest_final(final)
-    if not 0.0 < prize < INF:
-        return
-    for term, node in ordinary:
-        interval = reward.ranges_while_running().of(node)
-        high = (
-            max(abs(interval.low), abs(interval.high))
-            * reward.analysis.last_step
-            * reward.program.action_repeat
-        )
-        if interval.is_single or high <= _DOMINANCE_RATIO * prize:
-            continue
-        low = _smallest_sum(reward, node)
-        if low > _DOMINANCE_RATIO * prize:
-            also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            least, most = number_text(low), number_text(prize)
-            yield Match(term.span, labels=also, term=term.name, least=least, prize=most)
-
-
-def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
-    """Return the smallest size of the sum up to the time limit: block by block, since a term may depend on
-    the number of the step."""
-    first = 1
-    last = reward.analysis.last_step
-    total = 0.0
-    sign = 0.0
-    while first <= last:
-        # Each block is twice as long as the one before: a million steps need 20 ranges.
-        end = min(last, 2 * first - 1)
-        interval = reward.ranges_while_running((float(first), float(end))).of(node)
-        if interval.low > 0.0:
-            side = 1.0
-        elif interval.high < 0.0:
-            side = -1.0
-        else:
-            side = 0.0
-        if side == 0.0 or side == -sign:
-            return 0.0
-        sign = side
-        total += min(abs(interval.low), abs(interval.high)) * (end - first + 1) * reward.program.action_repeat
-        first = end + 1
-    return total
 
 
 @rule(
@@ -386,21 +330,6 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
                 f" is {number_text(possible.high)}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif required > (limited := highest_return(analysis.ideal.reward)) + _RELATIVE_ROUNDING * abs(
-            limited
-        ):
-            headline = (
-                f"no episode reaches the required return of {required:g}: limits of speed allow at most"
-                f" {number_text(limited)}"
-            )
-            notes = speed_notes(analysis)
-            yield Finding(
-                "DB810",
-                context.values.span(path),
-                headline,
-                "require a smaller return, or allow a higher speed",
-                notes=notes,
-            )
         elif required <= possible.low:
             headline = (
                 f"every episode reaches the required return of {required:g}: the lowest possible return"
