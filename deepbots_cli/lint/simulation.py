@@ -151,11 +151,9 @@ class SimulatedEpisode:
     end: End
 
 
-DriverKind = Literal[
-    "idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"
-]
-"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and
-sequences of actions."""
+DriverKind = Literal["idle", "constant", "alternating", "random", "script", "detour", "interrupted"]
+"""Who drives, the simplest first; a script is left for an action before its success (`detour`), or
+`interrupted` there again and again."""
 
 
 @dataclass(frozen=True)
