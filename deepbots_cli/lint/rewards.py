@@ -176,7 +176,7 @@ def term_dominated(simulation: Simulation) -> Iterator[Match]:
     for term, rows in terms:
         ratios, notes = [], []
         for by, row in rows.items():
-            episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
+            episodes = max(1, simulation.measured[by].episodes)
             other_sum = (
                 sum(statistics[by].absolute_total for other, statistics in terms if other is not term)
                 / episodes

@@ -8,22 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from itertools import combinations, count, islice, product, repeat
+from itertools import combinations, islice, product, repeat
 from math import dist, pi, prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
-from deepbots_cli.lint.rollouts import episode_result
-from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, Entry, Stop, work_per_step
+from deepbots_cli.lint.rollouts import Player, StoppedError
+from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, End, Entry, Stop, work_per_step
 from deepbots_cli.program import RANDOM, Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
-from deepbots_cli.rollout import Driver, Start, Step, steps
+from deepbots_cli.rollout import Start, Step
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime import Supervisor
 
@@ -50,8 +49,8 @@ _AT_LIMIT = 0.02
 _MAX_SHOWN = 80
 
 
-class ExploitSearch:
-    """Plays the episodes of a scenario. `write` takes each, `begin_step` the number of the next step."""
+class ExploitSearch(Player):
+    """Plays the episodes of a scenario."""
 
     def __init__(
         self,
@@ -60,10 +59,7 @@ class ExploitSearch:
         begin_step: Callable[[int], None],
         permissions: Permissions,
     ) -> None:
-        self._program = program
-        self._write = write
-        self._begin_step = begin_step
-        self._permissions = permissions
+        super().__init__(program, write, begin_step, permissions)
         self._left = int(_MAX_WORK / work_per_step(program))
         self._longest = max(10, min(program.truncation.max_episode_steps(program.period), self._left // 4))
         self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
@@ -73,11 +69,9 @@ class ExploitSearch:
 
     def run(self) -> None:
         """Play fixed drivers and scripts, and interrupt scripts if these earn no more than a success."""
-        self._write(Activity("build", 0))
         try:
-            self._environment = api.build(self._program, permissions=self._permissions)
-        except DeepbotsError as error:
-            self._write(Stop("build", str(error)))
+            self._environment = self._build(self._program)
+        except StoppedError:
             return
         last = self._program.truncation.max_episode_steps(self._program.period)
         if self._longest < last:
@@ -173,17 +167,10 @@ class ExploitSearch:
         acting = named_driver(self._environment, driver)
         watch: MotionWatch | None = None
         rows: list[list[float]] = []
-        numbers = count(1)
-
-        def act(observation: Any) -> Any:
-            self._begin_step(next(numbers))
-            self._left -= 1
-            return acting.act(observation)
-
+        start = Start.of_evaluation(0, number)
         step: Step | None = None
-        for step in islice(
-            steps(environment, Driver(act), Start.of_evaluation(0, number)), self._longest + 1
-        ):
+        for step in self._steps(environment, acting.act, start, self._longest):
+            self._left -= 1
             if watch is None:
                 watch = MotionWatch(environment)
             else:
@@ -205,11 +192,20 @@ class ExploitSearch:
                 name: [float(part[at]) for part in quarters]
                 for at, name in enumerate(step.info["reward_terms"])
             },
-            **episode_result(step, rewards, self._program.agent.discount),
+            steps=len(rewards),
+            discounted_return=float(rewards @ self._program.agent.discount ** np.arange(len(rewards))),
+            end=_end(step),
             **watch.summary(),
         )
         self._write(episode)
         return episode
+
+
+def _end(last: Step) -> End:
+    """Return how an episode ended, from its last step."""
+    if last.terminated or last.info["is_success"]:
+        return "success" if last.info["is_success"] else "failure"
+    return "limit" if last.truncated else "left"
 
 
 # Fixed drivers
