@@ -1,5 +1,5 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319, DB325), wheels that do not move a robot (DB322),
-robots that topple (DB324), and limits in degrees (DB317).
+"""Robots: commands and actuators (DB312, DB313, DB315, DB319, DB325), wheels that do not move a robot
+(DB322), robots that topple (DB324), and limits in degrees (DB317).
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
 
 @rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """Report an implausible mass of an object for its size; the robot files were judged when they were read."""
+    """Report an implausible mass of an object; the robot files were judged when they were read."""
     world = context.program.world
     values = context.values
     weight = sum(robot.model.mass for robot in world.robots)

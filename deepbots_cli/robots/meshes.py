@@ -269,8 +269,10 @@ def mesh_reach(mesh: Mesh, direction: Vector) -> float:
 
 
 def mesh_problem(suffix: str, data: bytes) -> str | None:
-    """Return the headline for the first problem of a mesh; None if an engine may load it. Beyond all plausible
-    sizes, engines search a grid as large as the mesh, and do not end."""
+    """Return the headline for the first problem of a mesh; None if an engine may load it.
+
+    Beyond all plausible sizes, engines search a grid as large as the mesh, and do not end.
+    """
     try:
         size = mesh_size(suffix, data)
     except FaultyMeshError as error:
