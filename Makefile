@@ -51,9 +51,8 @@ laws: dev ## what must hold for all scenarios, tried on scenarios that chance dr
 	$(BIN)/python -m tests.laws --seed $(or $(SEED),$(shell date +%Y%m%d)) --minutes $(or $(MINUTES),60) --jobs 2 --report build/laws.json
 
 .PHONY: fuzz
-fuzz: dev ## damaged files: lint, for a tenth also fmt and diff, for a thousandth editors; COUNT=500000 takes hours of CPU, START= goes on from a number
+fuzz: dev ## damaged files: lint, for a tenth also fmt, diff and a world of Webots, for a thousandth editors; COUNT=500000 takes hours of CPU, START= goes on from a number
 	$(BIN)/python -m tests.fuzz --count $(or $(COUNT),20000) --start $(or $(START),0)
-	$(BIN)/python -m tests.fuzz.worlds --count $$(( $(or $(COUNT),20000) / 10 )) --start $(or $(START),0)
 
 .PHONY: check
 check: dev ## everything that a change must pass

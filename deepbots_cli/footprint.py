@@ -15,12 +15,10 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, quaternion
-from deepbots_cli.robots.kinematics import bounds_of_shape, corners, lowest_point, placed, resting_height
-from deepbots_cli.robots.meshes import mesh_vertices
+from deepbots_cli.robots.kinematics import bounds_of_shape, corners, placed
 from deepbots_cli.robots.model import (
     Capsule,
     Cylinder,
-    Mesh,
     RobotModel,
     Shape,
     Sphere,
@@ -199,39 +197,3 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
             yield x, y, radius
         case _:
             yield from ((px, py, 0.0) for px, py, _ in corners(shape, frame))
-
-
-def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
-    """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root.
-
-    The result has the ends of all shapes that are at most `thickness` (m) above the lowest point. For an
-    upright cylinder, it has the corners of the box around it.
-    """
-    lowest = -resting_height(model)
-    touching = [
-        (shape, frame)
-        for shape, frame in placed(model, lambda link: link.collisions)
-        if lowest_point(shape, frame) <= lowest + thickness
-    ]
-    return [foot for shape, frame in touching for foot in _feet(shape, frame, thickness)]
-
-
-def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
-    x, y, _ = frame[0]
-    axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
-    match shape:
-        case Sphere():
-            yield x, y
-        case Cylinder(_, length) | Capsule(_, length) if abs(axis[2]) < 0.1:  # a wheel touches along a line
-            yield from ((x + end * axis[0], y + end * axis[1]) for end in (-length / 2, length / 2))
-        case Capsule(_, length):
-            end = -length / 2 if axis[2] > 0.0 else length / 2
-            yield x + end * axis[0], y + end * axis[1]
-        case _:
-            ends = (
-                [frames.add(frame[0], frames.rotate(frame[1], vertex)) for vertex in mesh_vertices(shape)]
-                if isinstance(shape, Mesh)
-                else corners(shape, frame)
-            )
-            lowest = min((corner[2] for corner in ends), default=0.0)
-            yield from ((corner[0], corner[1]) for corner in ends if corner[2] <= lowest + thickness)

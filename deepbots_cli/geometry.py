@@ -32,7 +32,8 @@ from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.frames import rotation_matrix
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import TILE_MARGIN_M, Formula, Picture, Pit, Terrain, TerrainShape, Tiles
-from deepbots_cli.robots.meshes import PLACED_SUFFIXES, mesh_bounds, placed_triangles, read_verified
+from deepbots_cli.robots.mesh_formats import FaultyMeshError, placed_triangles
+from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import (
     Geometry,
     Inertial,
@@ -518,34 +519,12 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     Raises:
         EngineError: The file has gone or changed, or holds no triangles.
     """
-    data = read_verified(mesh)
-    suffix = Path(mesh.path).suffix.lower()
     try:
-        read = _placed_triangles if suffix in PLACED_SUFFIXES else _listed_triangles
-        triangles = read(data, suffix)
-    except (ValueError, IndexError, AttributeError) as error:  # trimesh has no exception of its own
+        placed = placed_triangles(Path(mesh.path).suffix.lower(), read_verified(mesh))
+    except FaultyMeshError as error:
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
-    if not len(triangles):
-        raise EngineError(f"mesh {mesh.path} has no triangles")
-    return np.asarray(triangles * np.asarray(mesh.scale), np.float64)
-
-
-def _placed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
-    corners = [
-        np.array(part.moved(rows)).reshape(-1, 3)[np.array(part.corners)]
-        for part, rows in placed_triangles(suffix, data)
-        if part.corners
-    ]
-    return np.concatenate([*corners, np.empty((0, 3))]).reshape(-1, 3, 3)
-
-
-def _listed_triangles(data: bytes, suffix: str) -> NDArray[np.float64]:
-    import trimesh
-
-    return np.asarray(
-        trimesh.load_mesh(BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True).triangles,
-        np.float64,
-    )
+    corners = [np.array(part.moved(rows)).reshape(-1, 3)[np.array(part.corners)] for part, rows in placed]
+    return np.asarray(np.concatenate(corners).reshape(-1, 3, 3) * np.asarray(mesh.scale), np.float64)
 
 
 def with_masses(model: RobotModel) -> RobotModel:

@@ -7,8 +7,7 @@ order:
 definitions.py what a value is defined by and depends on; which values are the same quantity
 ranges.py      the interval of a value, in any step and right after a reset; intervals as text
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
-returns.py     what the terms of the reward pay in a step and at an end; the return of an episode, also within
-               limits of speed
+returns.py     what the terms of the reward pay in a step and at an end; the return of an episode
 changes.py     what differs between two scenarios
 shown_units.py in which unit a quantity is shown: the one in which the file writes it
 """

@@ -116,9 +116,6 @@ class DefinitionAnalysis:
         self._sources: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self.identity = Identities(self._self).of
         """A number that two trees share if they mean the same quantity."""
-        self.rates: dict[bool, dict[Scalar, float]] = {}
-        """The largest changes of values per second, as computed by `speeds.rate_of`: all, and the exact
-        ones."""
         self.period = program.world.timestep * program.action_repeat
         """The time between two actions, in s."""
         self.last_step = program.truncation.max_episode_steps(self.period)

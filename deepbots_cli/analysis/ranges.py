@@ -318,15 +318,6 @@ class StartRanges(Ranges):
     def _placements(self, body: str) -> Iterator[Placement]:
         return (place for place in self.analysis.placements if place.body == body)
 
-    def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
-        """Yield each placement of a body or of the copies of a group, before the world settles: x, y, z in m,
-        roll, pitch, yaw in rad.
-
-        The z of a body that rests on the ground is unknown.
-        """
-        for place in self._placements(body.partition("#")[0]):
-            yield place, {key: self._coordinate(place, key) for key in (*_PLANE_AXES, "z", *_ROTATION_KEYS)}
-
     def _coordinate(self, place: Placement, key: str) -> Interval:
         # z counts from the top of an object, or from the terrain below.
         is_raised = isinstance(place.spot, Top) or self.analysis.program.world.terrain is not None
@@ -393,11 +384,6 @@ class RangeAnalysis(DefinitionAnalysis):
         if (first, last) not in self._ranges:
             self._ranges[first, last] = Ranges(self._self, {}, (first, last))
         return self._ranges[first, last]
-
-
-def is_level(pose: Mapping[str, Interval]) -> bool:
-    """Return whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
-    return pose["roll"] == pose["pitch"] == single(0.0)
 
 
 def _product(a: Interval, b: Interval, c: Interval) -> Interval:

@@ -7,8 +7,9 @@ policy has to fit all of them, so its observation, action and messages must be t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED, success_help
@@ -62,7 +63,7 @@ from deepbots_cli.scenario.quantities import read_schedule, read_until
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.task import DiscreteAction, Expectation
 from deepbots_cli.scenario.task import ScenarioTest as TestSpec
-from deepbots_cli.scenario.training import ALGORITHMS, Auto
+from deepbots_cli.scenario.training import ALGORITHMS, MAX_LAYERS, MAX_WEIGHTS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import AdaptiveRate as AdaptiveRateSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
@@ -139,6 +140,8 @@ def training(
                 f"set `learning_starts` to at least {longest:_}",
             )
     _check_shards(spec.train, values)
+    _check_network(spec.train.network.hidden, values)
+    _check_samples(spec.train, copies, values)
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -212,6 +215,34 @@ def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
             "with a teacher, shards cannot act with older weights",
             "leave out `staleness` or `teacher`",
         )
+
+
+def _check_network(hidden: Sequence[int], values: ValueReader) -> None:
+    """Report layers that no training accepts."""
+    path = ("train", "network", "hidden")
+    weights = sum(width * next_width for width, next_width in pairwise(hidden))
+    if len(hidden) > MAX_LAYERS:
+        headline = f"a policy has at most {MAX_LAYERS} hidden layers, not {len(hidden)}"
+        values.add("DB105", path, headline, "leave out some layers")
+    elif weights > MAX_WEIGHTS:
+        headline = f"the hidden layers have {weights:,} weights, and the limit is {MAX_WEIGHTS:,}"
+        values.add("DB105", path, headline, "use fewer units")
+
+
+def _check_samples(train: TrainingSpec, copies: RobotCopies | None, values: ValueReader) -> None:
+    """Report settings of an update that Stable-Baselines3 refuses."""
+    settings = train.hyperparameters
+    if settings.get("clip_range_vf") == 0.0:
+        headline = "with a `clip_range_vf` of 0, the value function learns nothing"
+        values.add("DB105", ("train", "clip_range_vf"), headline, "write a number above 0, or leave it out")
+    is_one_sample = settings.get("n_steps") == train.environments == 1 and copies is None
+    # PPO and its kin normalize advantages by their standard deviation, which a single sample lacks.
+    normalizes = settings.get(
+        "normalize_advantage", train.on_policy and "batch_size" in train.hyperparameter_names()
+    )
+    if is_one_sample and normalizes:
+        headline = "an update has a single sample, and normalized advantages need two"
+        values.add("DB105", ("train", "n_steps"), headline, "set `n_steps` to at least 2")
 
 
 def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:

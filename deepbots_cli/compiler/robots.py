@@ -31,7 +31,7 @@ from deepbots_cli.expressions.dimensions import (
     Dimension,
     Unit,
 )
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
+from deepbots_cli.expressions.intervals import Interval, single
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, ValueType
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
@@ -86,9 +86,8 @@ def _armature_dimension(joint: Joint) -> Dimension:
 
 def joint_interval(joint: Joint) -> Interval:
     """Return the positions that the limits of the joint leave."""
-    if joint.limit.lower is None or joint.limit.upper is None:
-        return EVERYTHING
-    return Interval(joint.limit.lower, joint.limit.upper)
+    lower, upper = joint.limit.lower, joint.limit.upper
+    return Interval(-math.inf if lower is None else lower, math.inf if upper is None else upper)
 
 
 def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
@@ -251,11 +250,13 @@ def warn_beyond_limits(
         low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in interval)
         return low if low == high else f"{low} .. {high}"
 
-    limits = allowed if allowed.low > -math.inf else single(allowed.high)
-    headline = (
-        f"{description} {in_unit(actual)} {unit.text},"
-        f" but the robot file allows {in_unit(limits)} {unit.text}"
-    )
+    if allowed.low == -math.inf:
+        limits = f"at most {in_unit(single(allowed.high))}"
+    elif allowed.high == math.inf:
+        limits = f"at least {in_unit(single(allowed.low))}"
+    else:
+        limits = in_unit(allowed)
+    headline = f"{description} {in_unit(actual)} {unit.text}, but the robot file allows {limits} {unit.text}"
     values.add("DB304", text.span, headline, help, fix=_clamping_fix(text, numbers, allowed))
 
 

@@ -130,13 +130,6 @@ _CATALOG = (
     ),
     Rule("DB313", "joint-driven-twice", "warning", "two actuators drive the same joint", preview=True),
     Rule(
-        "DB314",
-        "limp-at-start",
-        "warning",
-        "an arm that sinks before the first command reaches its motors",
-        preview=True,
-    ),
-    Rule(
         "DB315", "pose-out-of-reach", "warning", "a command that is out of the reach of the arm", deep="only"
     ),
     Rule(
@@ -247,7 +240,6 @@ _CATALOG = (
         "warning",
         "an observation that is often clipped to the end of its range",
         deep="too",
-        deep_preview=True,
     ),
     Rule(
         "DB612",
@@ -272,8 +264,7 @@ _CATALOG = (
         "rays-meet-nothing",
         "warning",
         "a sensor whose rays meet nothing in the world",
-        deep="too",
-        deep_preview=True,
+        deep="only",
     ),
     Rule(
         "DB616",
@@ -299,8 +290,7 @@ _CATALOG = (
         "term-dominates",
         "warning",
         "a reward term that outweighs the rewards of the endings",
-        deep="too",
-        deep_preview=True,
+        deep="only",
     ),
     Rule("DB703", "suspicious-sign", "warning", "a reward term whose sign contradicts the endings"),
     Rule(
@@ -311,14 +301,7 @@ _CATALOG = (
         deep="too",
         deep_preview=True,
     ),
-    Rule(
-        "DB705",
-        "rewards-early-death",
-        "warning",
-        "failing at once costs less than continuing",
-        deep="too",
-        deep_preview=True,
-    ),
+    Rule("DB705", "rewards-early-death", "warning", "failing at once costs less than continuing"),
     Rule(
         "DB706",
         "hidden-state-reward",
@@ -424,7 +407,7 @@ _CATALOG = (
 )
 
 RETIRED = {
-    **dict.fromkeys(("DB604", "DB605", "DB606", "DB610"), ""),
+    **dict.fromkeys(("DB314", "LIMP-AT-START", "DB604", "DB605", "DB606", "DB610"), ""),
     **dict.fromkeys(("DB716", "CYCLE-PAYS"), "`deepbots lint --exploits` finds such rewards by playing"),
 }
 """The codes and names of rules that are gone, in capital letters, with what to use instead."""

@@ -8,9 +8,9 @@ page is in `rule_pages`, by this code.
 
 names.py         places left to the author, unused definitions, equality of          DB109, DB205, DB411,
                  measurements, angles that jump                                      DB506
-robots.py        commands, actuators, wheels that slip, robots that topple           DB312 to DB315, DB317,
-                                                                                     DB319, DB322, DB324,
-                                                                                     DB325
+robots.py        commands, actuators, wheels that slip, robots that topple           DB312, DB313, DB315,
+                                                                                     DB317, DB319, DB322,
+                                                                                     DB324, DB325
 geometry.py      rays of sensors that meet nothing, mirror images of joints          DB615, DB618
 world.py         objects out of scale, means of engines, how episodes begin          DB309, DB310, DB316,
                                                                                      DB323, DB507, DB809,

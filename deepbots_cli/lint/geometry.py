@@ -1,306 +1,69 @@
-"""What contradicts the geometry of a robot file: rays of sensors that meet nothing (DB615), since they pass
-over everything or begin below the ground, and mirror images of joints (DB618)."""
+"""What contradicts the geometry of a robot file: rays of sensors that meet nothing (DB615), which pass over
+everything or begin below the ground, and mirror images of joints (DB618)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from functools import cached_property
-from math import copysign, hypot, inf, pi
+from math import copysign
 from typing import NamedTuple
 
-from deepbots_cli import footprint, frames
+from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.ranges import is_level, with_unit
-from deepbots_cli.compiler.values import ValueReader
+from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
-from deepbots_cli.frames import Frame, Triple, quaternion
+from deepbots_cli.frames import Triple
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import linear
-from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, casts_rays
+from deepbots_cli.lint.simulation import ARENA, Clearance, driven_wheels
+from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Thrust
 from deepbots_cli.program.task import Mirror, ObservedNumber, Symmetry
-from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.kinematics import link_frames
-from deepbots_cli.robots.meshes import mesh_bounds
-from deepbots_cli.robots.model import Joint, Mesh, RobotModel
+from deepbots_cli.robots.model import Joint, RobotModel
 
 SAME_HEIGHT_M = 1e-4
 """The difference of heights (m) below which they are equal."""
-_FOOT_HEIGHT_M = 0.005
-"""The height (m) above the lowest one up to which wheels and casters carry the robot."""
-_RESTING_GAP_M = 0.05
-"""The distance (m) from its resting height within which a robot comes to rest there."""
-_MAX_JOINT_POSITIONS = 12
-"""The number of positions of all joints together that are tried."""
 _RANGE_FACTOR = 1.2
-_LOWEST, _HIGHEST = 0, 1
-_PlacedRays = tuple[float, list[list[tuple[float, float]]]]
-"""The reach (m) of a sensor; the height (m) at which each ray begins, and its rise per m, in each
-attitude."""
-
-
-@rule("DB615", versions="every")
-def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
-    """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
-    heights = _Heights(context.analysis)
-    for robot in context.program.robots:
-        for sensor in filter(casts_rays, robot.sensors):
-            if (clearance := heights.clearance(robot.name, sensor.name)) is not None:
-                yield _passing_over(context.values, robot.name, sensor.name, clearance)
-            if (depth := heights.depth(robot.name, sensor.name)) is not None:
-                yield _buried(context.values, robot.name, sensor.name, depth)
 
 
 @rule("DB615", simulated=True)
-def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
-    """Report the same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
-    if not simulation.is_complete:
-        return
-    heights = _Heights(simulation.analysis)
-    for robot, sensor, depth in simulation.report.summary.depths:
-        if heights.depth(robot, sensor) is None:
-            yield _buried(simulation.values, robot, sensor, depth, notes=(simulation.summary,))
-    for robot, sensor, clearance in simulation.report.summary.clearances:
-        if heights.needs_simulation(robot, sensor):
-            yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
+def rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
+    """Report a sensor whose rays passed over everything in the world in each step, or began below the ground.
 
-
-class _Heights:
-    """The heights of rays and of all solid bodies, as far as they follow from a scenario."""
-
-    def __init__(self, analysis: Analysis) -> None:
-        self._analysis = analysis
-        self._program = analysis.program
-        self._world = analysis.program.world
-        self._rays: dict[tuple[str, str], _PlacedRays | None] = {}
-
-    def clearance(self, robot: str, sensor: str) -> Clearance | None:
-        """Return the clearance of the rays of a sensor above everything; None if they meet the ground or a
-        body, or that is unknown."""
-        gravity = self._world.gravity
-        if self._world.ground is None or gravity[0] or gravity[1] or gravity[2] >= 0.0:
-            return None
-        lowest = self._lowest(robot, sensor)
-        if lowest is None:
-            return None
-        tallest, highest = "", -inf
-        for name, top in self._tops(robot):
-            if top + MAX_SINK >= lowest:
-                return None  # before the meshes of other robots are read
-            if top > highest:
-                tallest, highest = name, top
-        return Clearance(lowest, highest, tallest) if tallest else None
-
-    def depth(self, robot: str, sensor: str) -> float | None:
-        """Return how far below flat ground all rays of a sensor begin, in m; None if one begins above, or
-        that is unknown."""
-        placed_rays = self._placed_rays(robot, sensor) if self._world.ground is not None else None
-        if placed_rays is None:
-            return None
-        highest = max(height for rays in placed_rays[1] for height, _ in rays)
-        return -highest if highest < -MAX_SINK else None
-
-    def needs_simulation(self, robot: str, sensor: str) -> bool:
-        """Return whether the height of the rays does not follow from the text, and no robot flies or may lift
-        an object above them later."""
-        loose = any(
-            body.solid and not kind.fixed
-            for body in self._world.objects
-            for kind in (body.variants or (body,))
-        )
-        return not (self._flies or (loose and _can_lift(self._world))) and self._lowest(robot, sensor) is None
-
-    @property
-    def _flies(self) -> bool:
-        return any(
-            isinstance(command.actuator, Thrust)
-            for robot in self._program.robots
-            for command in robot.commands
-        )
-
-    def _lowest(self, robot: str, name: str) -> float | None:
-        """Return the lowest point of any ray within its range, m above the ground; None where it is unknown
-        or a ray meets the ground."""
-        placed_rays = self._placed_rays(robot, name)
-        if placed_rays is None:
-            return None
-        reach, tried = placed_rays
-        for rays in tried[1:]:
-            for (height, slope), (reference, known_slope) in zip(rays, tried[0], strict=True):
-                if abs(height - reference) > SAME_HEIGHT_M or abs(slope - known_slope) > SAME_HEIGHT_M:
-                    return None
-        lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
-        return lowest if lowest > 0.0 else None
-
-    def _placed_rays(self, robot: str, name: str) -> _PlacedRays | None:
-        """Return the rays of a sensor in each attitude of its robot; None where that is unknown."""
-        if (robot, name) not in self._rays:
-            self._rays[robot, name] = self._place_rays(robot, name)
-        return self._rays[robot, name]
-
-    def _place_rays(self, robot: str, name: str) -> _PlacedRays | None:
-        sensors = next((entry.sensors for entry in self._program.robots if entry.name == robot), ())
-        sensor = next((sensor for sensor in sensors if sensor.name == name), None)
-        body = self._analysis.body(robot)
-        root = self._root(body)
-        if root is None or sensor is None or sensor.beams is None:
-            return None
-        mount = frames.frame(sensor.mount)
-        rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
-        tried: list[list[tuple[float, float]]] = []
-        for positions in _attitudes(body.model):
-            link = frames.compose(root, kinematics.link_frames(body.model, positions)[sensor.subjects[0]])
-            ray_frames = [frames.compose(link, ray) for ray in rays]
-            tried.append(
-                [(position[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for position, turn in ray_frames]
-            )
-        return sensor.beams.reach, tried
-
-    def _root(self, body: RobotBody) -> Frame | None:
-        """Return the frame of a robot's root, without yaw: of a fixed base, or of a robot that is level on
-        the ground."""
-        if self._flies:
-            return None
-        height = None if body.fixed_base else _standing_height(body.model)
-        seen_frames: set[Frame] = set()
-        for place, pose in self._analysis.start.poses(body.name):
-            coordinates = [pose[key] for key in ("z", "roll", "pitch")]
-            if body.fixed_base and all(interval.is_single for interval in coordinates):
-                seen_frames.add(
-                    ((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0))
-                )
-            elif (
-                height is not None
-                and is_level(pose)
-                and (place.rests or all(abs(end - height) < _RESTING_GAP_M for end in pose["z"]))
-            ):
-                seen_frames.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
-            else:
-                return None
-        return seen_frames.pop() if len(seen_frames) == 1 else None
-
-    def _tops(self, robot: str) -> Iterator[tuple[str, float]]:
-        """Yield the name and the top of everything solid except the robot, m; infinite where it is
-        unknown."""
-        if self._world.arena is not None:
-            yield ARENA, self._world.arena.wall_height
-        may_be_lifted = _can_lift(self._world)
-        for object_body in self._world.objects:
-            if object_body.solid:
-                yield object_body.name, self._top(object_body, may_be_lifted=may_be_lifted)
-        for body in self._world.robots:
-            # With copies of a robot, the other copies are bodies in the way as well.
-            if body.name != robot or self._program.agent.copies is not None:
-                yield body.name, self._top_of_robot(body)
-
-    def _top(self, body: ObjectBody, *, may_be_lifted: bool) -> float:
-        """Return the top of an object; of a movable one with its longest side upright."""
-        kinds = [(kind.shape, kind.fixed) for kind in body.variants] or [(body.shape, body.fixed)]
-        if any(
-            (isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed)
-            for shape, fixed in kinds
-        ):
-            return inf
-        poses = list(self._analysis.start.poses(body.name))
-        top = -inf
-        for shape, fixed in kinds:
-            box = kinematics.bounds_of_shape(shape)
-            size = kinematics.box_sides(box)
-            high = box[1][2]
-            top = max(top, -inf if fixed else max(size))
-            if not poses:  # a wall
-                top = max(top, size[2], body.pose.xyz[2] + high)
-            for place, pose in poses:
-                if (
-                    place.velocity is not None
-                    or place.angular_velocity is not None
-                    or (fixed and not is_level(pose))
-                ):
-                    return inf  # it may fly, or robots may drive up on it
-                half, height = (high, size[2]) if is_level(pose) else (hypot(*size), hypot(*size))
-                top = max(top, height if place.rests else pose["z"].high + half)
-        return top
-
-    def _top_of_robot(self, body: RobotBody) -> float:
-        root = self._root(body)
-        if (
-            root is None
-            or root[1] != frames.IDENTITY_ROTATION
-            or not _end_is_motionless(body.model, _HIGHEST)
-        ):
-            return inf
-        return root[0][2] + kinematics.robot_bounds(body.model)[1][2]
-
-
-def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
-    """Yield all joints at 0, then at positions that differ from joint to joint, spread evenly over their
-    ranges (golden ratio)."""
-    yield {}
-    free = [joint for joint in model.moving_joints if joint.name not in model.followers]
-    for number in range(1, _MAX_JOINT_POSITIONS):
-        yield {
-            joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0)
-            for index, joint in enumerate(free)
-        }
-
-
-def _position(joint: Joint, share: float) -> float:
-    low, high = joint.ends(pi)
-    return low + share * (high - low)
-
-
-def _end_is_motionless(model: RobotModel, end: int) -> bool:
-    """Return whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs
-    move both, arms the highest.
-
-    Meshes do not count.
+    Not where a case or a stage has another world, nor rays above everything where a robot flies or may lift
+    an object into their way.
     """
-    plain = kinematics.without_meshes(model)
-    height, *other_heights = [
-        kinematics.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)
-    ]
-    return all(abs(other_height - height) <= SAME_HEIGHT_M for other_height in other_heights)
+    program = simulation.program
+    if not simulation.is_complete or any(
+        version.world != program.world for version in program.versions.values()
+    ):
+        return
+    for robot, sensor, depth in simulation.report.summary.depths:
+        yield _buried(simulation, robot, sensor, depth)
+    if not _may_lift(program):
+        for robot, sensor, clearance in simulation.report.summary.clearances:
+            yield _passing_over(simulation, robot, sensor, clearance)
 
 
-def _can_lift(world: WorldModel) -> bool:
-    return not all(_end_is_motionless(robot.model, _HIGHEST) for robot in world.robots)
-
-
-def _standing_height(model: RobotModel) -> float | None:
-    """Return the height (m) of the root's origin on level ground; None for a robot that joints raise, or that
-    has to balance."""
-    contact_points = footprint.contact_points(model, _FOOT_HEIGHT_M)
-    center = _center_of_mass(model)
-    stands = contact_points and all(
-        min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points)
-        for axis in (0, 1)
+def _may_lift(program: Program) -> bool:
+    """Return whether a robot flies, or has other motors than those of wheels beside an object that moves."""
+    models = {body.name: body.model for body in program.world.robots}
+    is_loose = any(
+        body.solid and not kind.fixed for body in program.world.objects for kind in (body.variants or (body,))
     )
-    return kinematics.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
+    return any(
+        isinstance(actuator, Thrust) or (is_loose and not driven_wheels(robot, models[robot.name]))
+        for robot in program.robots
+        for actuator in robot.actuators
+    )
 
 
-def _center_of_mass(model: RobotModel) -> tuple[float, float]:
-    """Return (x, y) of the center of mass in the frame of the root, in m, with all joints at 0."""
-    where = kinematics.link_frames(model)
-    inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
-    masses = [
-        (inertial.mass, frames.compose(where[name], frames.frame(inertial.origin))[0])
-        for name, inertial in inertials
-    ]
-    mass = sum(weight for weight, _ in masses)
-    if mass <= 0.0:
-        return 0.0, 0.0
-    return sum(weight * at[0] for weight, at in masses) / mass, sum(
-        weight * at[1] for weight, at in masses
-    ) / mass
-
-
-def _passing_over(
-    values: ValueReader, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()
-) -> Finding:
+def _passing_over(simulation: Simulation, robot: str, sensor: str, clearance: Clearance) -> Finding:
+    values = simulation.values
     base = clearance.tallest.partition("#")[0]
     height, top, lower = (
         with_unit(length, LENGTH)
@@ -329,20 +92,17 @@ def _passing_over(
         values.key_span(("robots", robot, "sensors", sensor)),
         headline,
         help,
-        notes=notes,
+        notes=(simulation.summary,),
         labels=also,
     )
 
 
-def _buried(
-    values: ValueReader, robot: str, sensor: str, depth: float, notes: tuple[str, ...] = ()
-) -> Finding:
+def _buried(simulation: Simulation, robot: str, sensor: str, depth: float) -> Finding:
     lower = with_unit(float(f"{depth:.3g}"), LENGTH)
     headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
     help = f"raise the `pose` of the sensor by more than {lower}"
-    return Finding(
-        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes
-    )
+    span = simulation.values.key_span(("robots", robot, "sensors", sensor))
+    return Finding("DB615", span, headline, help, notes=(simulation.summary,))
 
 
 _JOINT_READINGS = frozenset({"joint_position", "joint_velocity", "joint_torque"})

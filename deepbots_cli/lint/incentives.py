@@ -27,8 +27,7 @@ from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
-from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
-from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
+from deepbots_cli.lint.context import Match, RuleContext, rule
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.words import number_text
@@ -196,63 +195,6 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     return running.where(
         reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF)
     )
-
-
-@rule("DB705", simulated=True)
-def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
-    """Report that failing early costs less than even the cheapest simulated policy, as with `-distance`."""
-    reward = simulation.analysis.reward
-    ordinary, final = reward.split_by_end()
-    failure = _cheapest_failure(reward, final)
-    successes = simulation.program.successes
-    rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
-    if not (
-        simulation.is_complete
-        and reward.is_complete
-        and simulation.program.agent.goal is None
-        and failure
-        and successes
-        and rows
-    ):
-        return
-    if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
-        return  # the static rule knows the costs
-    if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
-        return  # later steps cost something else
-    cost, ending = failure
-    prize, success = max(
-        ((total_range(final, reward.ranges_at(candidate)).high, candidate) for candidate in successes),
-        key=lambda entry: entry[0],
-    )
-    ours = {term.name for term, _ in ordinary}
-    totals = {
-        by: [(term, measured[by].total) for term, measured in simulation.terms() if term.name in ours]
-        for by in rows
-    }
-    cheapest = max(rows, key=lambda by: sum(total for _, total in totals[by]) / rows[by].steps)
-    pay = sum(total for _, total in totals[cheapest]) / rows[cheapest].steps
-    living = pay * _steps_that_count(reward, ending) + total_range(final, reward.ranges_at(None)).high
-    if living >= cost or not 0.0 < prize < INF:
-        return
-    share = break_even(living, cost, prize)
-    if share >= MIN_BREAK_EVEN:
-        dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
-        headline = (
-            f"a step costs {number_text(-pay, 3)}, `{ending.name}` {_price(cost)}, and `{success.name}`"
-            f" pays {number_text(prize, 3)}"
-        )
-        notes = (
-            f"measured in {rows[cheapest].steps} steps of {cheapest}",
-            *_share_notes(reward, share, success),
-        )
-        yield Finding(
-            "DB705",
-            dearest.span,
-            headline,
-            LIVING_HELP,
-            notes=notes,
-            labels=(Label(ending.span, "the cheaper ending"),),
-        )
 
 
 # Staying short of the success

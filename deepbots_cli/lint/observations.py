@@ -3,31 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from functools import reduce
 from itertools import groupby
-from math import isnan, nan
+from math import prod
 from typing import NamedTuple
 
-from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
-from deepbots_cli.compiler.robots import joint_dimension, joint_interval, rigid_root
+from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.layout import removal_fix
-from deepbots_cli.expressions.dimensions import ACCELERATION, Dimension
-from deepbots_cli.expressions.intervals import SIGNED_UNIT, ZERO, Interval, hull
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.expressions.types import TypedNode, walk
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.robots import kinematics
 
 _RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
@@ -141,9 +138,10 @@ def goal_in_observation(context: RuleContext) -> Iterator[Match]:
 
 
 class Linear(NamedTuple):
-    """A sum of measurements, each by its identity, with fixed coefficients, and a fixed offset."""
+    """A sum of quantities with fixed coefficients, and a fixed offset. A measurement is a quantity by its
+    identity, a product by those of its factors, and what is paid under a condition by that, too."""
 
-    terms: Mapping[int, float]
+    terms: Mapping[Hashable, float]
     offset: float = 0.0
 
 
@@ -220,8 +218,7 @@ def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
 
 
 def linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear]) -> Linear:
-    """Return the value without noise; anything but a sum of products with fixed factors is one measurement.
-    `linear_by_node` is a cache."""
+    """Return the value without noise as a sum. `linear_by_node` is a cache."""
     node = analysis.resolve_aliases(node)
     number = analysis.identity(node)
     if number not in linear_by_node:
@@ -251,6 +248,14 @@ def linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear]) 
                 )
             case Op("div", (_, Const(divisor))) if divisor:
                 linear_by_node[number] = _scaled(parts[0], 1.0 / float(divisor))
+            case Op("mul") if all(len(part.terms) == 1 and not part.offset for part in parts):
+                factors = [next(iter(part.terms.items())) for part in parts]
+                product = ("mul", *(term for term, _ in factors))
+                linear_by_node[number] = Linear({product: prod(factor for _, factor in factors)})
+            case Op("where", (condition, _, Const(0.0))):
+                paid = {None: parts[1].offset, **parts[1].terms}
+                under = ("where", analysis.identity(condition))
+                linear_by_node[number] = Linear({(*under, term): paid[term] for term in paid if paid[term]})
             case _:
                 linear_by_node[number] = Linear({number: 1.0})
     return linear_by_node[number]
@@ -526,8 +531,6 @@ _RANGE_FACTOR = 1.2
 """The factor by which suggested ranges are larger than needed."""
 _MIN_VISIBLE_SHARE = 0.05
 """The share of the way to a limit, before the limit, in which the policy must see it come."""
-# 40 halvings leave 1e-12 of the interval.
-_MAX_BISECTIONS = 40
 
 
 @rule("DB603", versions="base")  # a stage may have wider limits on purpose
@@ -550,13 +553,13 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
                     yield _unseen(context, analysis, view, ending, comparison)
 
 
-class BlindNumber(NamedTuple):
-    """A number of the observation, and the value of a threshold's quantity from which on the number is
-    constant; NaN if it never is."""
+class View(NamedTuple):
+    """A number of the observation that depends on the quantity of a threshold, and whether it does not show
+    that the quantity comes near."""
 
     number: RangedNumber
     threshold: Threshold
-    edge: float
+    is_blind: bool
 
 
 def _parts(analysis: Analysis, node: Scalar) -> set[int]:
@@ -571,18 +574,18 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
 
 def _blind(
     parts_by_number: list[tuple[RangedNumber, set[int]]], reachable: list[Threshold], ranges: Ranges
-) -> Iterator[BlindNumber]:
+) -> Iterator[View]:
     """Yield for each threshold of a comparison that no number shows the first number that should."""
     views = []
     for threshold in reachable:
         quantity = ranges.analysis.identity(threshold.quantity)
         numbers = [
-            BlindNumber(number, threshold, _edge(number, threshold, ranges))
+            View(number, threshold, _is_blind(number, threshold, ranges))
             for number, parts in parts_by_number
             if quantity in parts
         ]
         views.append((quantity, numbers))
-    for quantity, blind in views:
+    for quantity, own_views in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
         other_views = [
             view
@@ -590,25 +593,22 @@ def _blind(
             if other_quantity != quantity
             for view in views_there
         ]
-        if blind and not any(isnan(view.edge) for view in (*blind, *other_views)):
-            yield blind[0]
+        if own_views and all(view.is_blind for view in (*own_views, *other_views)):
+            yield own_views[0]
 
 
-def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
-    """Return the end of the range of the quantity itself; for a value that depends on it, the point where it
-    stops changing."""
-    analysis = ranges.analysis
-    bound = threshold.bound
-    limit = threshold.limit
+def _is_blind(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> bool:
+    """Return whether the range of a number ends before the limit of its quantity; of a value that depends on
+    it, whether it is constant shortly before the limit, and not far from it."""
+    bound, limit = threshold.bound, threshold.limit
     interval = ranges.of(threshold.quantity)
-    quantity = analysis.identity(threshold.quantity)
+    quantity = ranges.analysis.identity(threshold.quantity)
     if not number.entry.clip:
-        return nan
-    if quantity == analysis.identity(number.node):
+        return False
+    if quantity == ranges.analysis.identity(number.node):
         slack = _RELATIVE_ROUNDING * max(abs(bound.low), abs(bound.high))
-        edge = number.high if threshold.above else number.low
-        is_short = edge < limit - slack if threshold.above else edge > limit + slack
-        return edge if is_short and not number.is_outside(interval) else nan
+        is_short = number.high < limit - slack if threshold.above else number.low > limit + slack
+        return is_short and not number.is_outside(interval)
 
     def is_constant(start: float) -> bool:
         """Return whether the number is constant from `start` to the limit."""
@@ -620,34 +620,21 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     safe = -1.0 if threshold.above else 1.0
     far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
     far = min(max(far, interval.low), interval.high)
-    visible = limit + _MIN_VISIBLE_SHARE * (far - limit)
-    if not is_constant(visible) or is_constant(far):
-        return nan
-    for _ in range(_MAX_BISECTIONS):
-        half = (visible + far) / 2.0
-        visible, far = (half, far) if is_constant(half) else (visible, half)
-    return visible
+    return is_constant(limit + _MIN_VISIBLE_SHARE * (far - limit)) and not is_constant(far)
 
 
 def _unseen(
     context: RuleContext,
     analysis: Analysis,
-    view: BlindNumber,
+    view: View,
     ending: Expression,
     comparison: ConditionComparison,
 ) -> Finding:
-    number = view.number
-    name = view.number.name
-    limit = view.threshold.limit
-    help = (
-        f"widen the range of `{name}`, or the bounds of a `clamp` in its value, so that it still changes at"
-        f" the limit of `{ending.name}`"
-    )
-    fix = None
+    number, limit = view.number, view.threshold.limit
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
-        end = "high" if view.threshold.above else "low"
+        end, edge = ("high", number.high) if view.threshold.above else ("low", number.low)
         headline = (
-            f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but"
+            f"the {end} end of the range of `{number.name}` is {with_unit(edge, number.dimension)}, but"
             f" the episode fails only at {with_unit(limit, number.dimension)}"
         )
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
@@ -655,19 +642,15 @@ def _unseen(
         wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
-    elif (dimension := view.threshold.dimension) is not None:
-        part = _part_of(comparison, analysis, view.threshold.quantity)
-        quantity_text = (
-            f"`{comparison.value.text[part.start : part.end]}`"
-            if part
-            else f"the value that `{ending.name}` compares"
-        )
-        headline = (
-            f"`{name}` does not change while {quantity_text} goes from {with_unit(view.edge, dimension)} to"
-            f" {with_unit(limit, dimension)}, the limit of `{ending.name}`"
-        )
     else:
-        headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
+        dimension = view.threshold.dimension
+        limit_text = "its limit" if dimension is None else f"its limit, {with_unit(limit, dimension)}"
+        headline = f"`{number.name}` is constant already before `{ending.name}` reaches {limit_text}"
+        help = (
+            f"widen the range of `{number.name}`, or the bounds of a `clamp` in its value, so that it still"
+            f" changes at the limit of `{ending.name}`"
+        )
+        fix = None
     limit_span = ending.span
     label = f"`{ending.name}` ends the episode here"
     if comparison.value.owner:
@@ -677,23 +660,11 @@ def _unseen(
     return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
 
 
-def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> TypedNode | None:
-    """Return the part of a comparison that is written for the quantity; None where nothing is."""
-    identity = analysis.identity(quantity)
-    for part in walk(comparison.node):
-        if part is not comparison.node and identity in map(
-            analysis.identity, analysis.lowered(part, comparison.value.owner)
-        ):
-            return part
-    return None
-
-
 @rule("DB611")
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
     """Report a value that is at the end of its range in normal operation."""
     yield from _saturated_at_start(context)
     yield from _goal_out_of_range(context)
-    yield from _saturated_by_gravity(context)
 
 
 def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
@@ -753,50 +724,3 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
                 "widen the range of the goal, or draw `desired` from a smaller range",
             )
             return
-
-
-def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
-    met = set()
-    for number in ranged_numbers(context.analysis):
-        leaf = context.analysis.resolve_aliases(number.node)
-        reading = _reading_at_rest(context.analysis, leaf)
-        if (
-            reading is None
-            or not number.entry.clip
-            or id(number.entry) in met
-            or number.low <= reading <= number.high
-        ):
-            continue
-        met.add(id(number.entry))
-        axis = leaf.component if isinstance(leaf, Name) else ""
-        size = abs(reading) * _RANGE_FACTOR
-        wide = Interval(min(number.low, -size), max(number.high, size))
-        edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
-        headline = (
-            f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-            f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
-            f" {with_unit(reading, ACCELERATION)}"
-        )
-        help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
-        fix = replace_range(context, number, wide, ACCELERATION)
-        yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
-
-
-def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
-    """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
-    that is unknown."""
-    reading = analysis.sensor(leaf)
-    if reading is None or reading[1].kind != "accelerometer" or not isinstance(leaf, Name):
-        return None
-    robot, sensor = reading
-    model = analysis.body(robot).model
-    tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
-    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(
-        tilt not in (ZERO, SIGNED_UNIT) for tilt in tilts
-    ):
-        return None
-    link = kinematics.link_frames(model)[sensor.subjects[0]]
-    turn = frames.compose(link, frames.frame(sensor.mount))[1]
-    # An accelerometer at rest measures the reaction to gravity, which points upward.
-    x, y, z = analysis.program.world.gravity
-    return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]

@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator
 from itertools import accumulate, combinations
-from math import isclose, prod
+from math import isclose
 from typing import Literal, NamedTuple
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import RewardTerms, highest_return, return_range, speed_notes
+from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, walk
+from deepbots_cli.expressions.scalar import walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
+from deepbots_cli.lint.observations import linear
 from deepbots_cli.program import Member
 from deepbots_cli.program.values import Expression
 from deepbots_cli.words import number_text
@@ -159,62 +160,6 @@ class _PoleSearch:
 
 @rule(
     "DB702",
-    "in an episode up to the time limit, `{term}` adds up to at least {least} in absolute value, but an"
-    " ending gives at most {prize}",
-    "scale `{term}` down, or scale the rewards of the endings up",
-    versions="training",
-)
-def term_dominates(context: RuleContext) -> Iterator[Match]:
-    """Report a term that until the time limit adds up to more than a hundred times the payment of any
-    ending."""
-    reward = context.analysis.reward
-    ordinary, final = reward.split_by_end()
-    prize = reward.largest_final(final)
-    if not 0.0 < prize < INF:
-        return
-    for term, node in ordinary:
-        interval = reward.ranges_while_running().of(node)
-        high = (
-            max(abs(interval.low), abs(interval.high))
-            * reward.analysis.last_step
-            * reward.program.action_repeat
-        )
-        if interval.is_single or high <= _DOMINANCE_RATIO * prize:
-            continue
-        low = _smallest_sum(reward, node)
-        if low > _DOMINANCE_RATIO * prize:
-            also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            least, most = number_text(low), number_text(prize)
-            yield Match(term.span, labels=also, term=term.name, least=least, prize=most)
-
-
-def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
-    """Return the smallest size of the sum up to the time limit: block by block, since a term may depend on
-    the number of the step."""
-    first = 1
-    last = reward.analysis.last_step
-    total = 0.0
-    sign = 0.0
-    while first <= last:
-        # Each block is twice as long as the one before: a million steps need 20 ranges.
-        end = min(last, 2 * first - 1)
-        interval = reward.ranges_while_running((float(first), float(end))).of(node)
-        if interval.low > 0.0:
-            side = 1.0
-        elif interval.high < 0.0:
-            side = -1.0
-        else:
-            side = 0.0
-        if side == 0.0 or side == -sign:
-            return 0.0
-        sign = side
-        total += min(abs(interval.low), abs(interval.high)) * (end - first + 1) * reward.program.action_repeat
-        first = end + 1
-    return total
-
-
-@rule(
-    "DB702",
     "summed over an episode, `{term}` is at least {ratio} times as large as all other terms together",
     "scale `{term}` down, or the other terms up",
     simulated=True,
@@ -231,7 +176,7 @@ def term_dominated(simulation: Simulation) -> Iterator[Match]:
     for term, rows in terms:
         ratios, notes = [], []
         for by, row in rows.items():
-            episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
+            episodes = max(1, simulation.measured[by].episodes)
             other_sum = (
                 sum(statistics[by].absolute_total for other, statistics in terms if other is not term)
                 / episodes
@@ -386,21 +331,6 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
                 f" is {number_text(possible.high)}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif required > (limited := highest_return(analysis.ideal.reward)) + _RELATIVE_ROUNDING * abs(
-            limited
-        ):
-            headline = (
-                f"no episode reaches the required return of {required:g}: limits of speed allow at most"
-                f" {number_text(limited)}"
-            )
-            notes = speed_notes(analysis)
-            yield Finding(
-                "DB810",
-                context.values.span(path),
-                headline,
-                "require a smaller return, or allow a higher speed",
-                notes=notes,
-            )
         elif required <= possible.low:
             headline = (
                 f"every episode reaches the required return of {required:g}: the lowest possible return"
@@ -420,14 +350,6 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
             yield Analysis(stage.program), stage.until.threshold, ("curriculum", index, "until")
 
 
-class Multiple(NamedTuple):
-    """A value as a number times something; two values with the same something are multiples of each other.
-    It is None for a constant."""
-
-    factor: float
-    of: Hashable
-
-
 @rule("DB718", versions="training")
 def nearly_zero_sum(context: RuleContext) -> Iterator[Finding]:
     """Two agents get opposite multiples of the same value that do not cancel."""
@@ -435,7 +357,7 @@ def nearly_zero_sum(context: RuleContext) -> Iterator[Finding]:
     if not program.has_rivals:
         return
     for member, rival in combinations(program.members.values(), 2):
-        factors, rival_factors = _factors(member), _factors(rival)
+        factors, rival_factors = (_factors(context.analysis, agent) for agent in (member, rival))
         for quantity in factors.keys() & rival_factors.keys():
             (factor, term), (rival_factor, rival_term) = factors[quantity], rival_factors[quantity]
             if factor * rival_factor >= 0.0 or isclose(factor, -rival_factor, rel_tol=1e-9):
@@ -450,57 +372,17 @@ def nearly_zero_sum(context: RuleContext) -> Iterator[Finding]:
             )
 
 
-def _factors(member: Member) -> dict[Hashable, tuple[float, Expression]]:
+def _factors(analysis: Analysis, member: Member) -> dict[Hashable, tuple[float, Expression]]:
     """Return what an agent gets for each quantity, the sum of the factors of its terms, with the first
-    term."""
+    term; its own names are replaced by those of the whole scenario."""
     factors: dict[Hashable, tuple[float, Expression]] = {}
-    for multiple, term in _multiples(member):
-        sum_before, first = factors.get(multiple.of, (0.0, term))
-        factors[multiple.of] = sum_before + multiple.factor, first
-    return factors
-
-
-def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
-    """Yield the terms of an agent as multiples, without constant ones; its own names are replaced by their
-    expressions."""
-    expressions: dict[tuple[str, str | None], Scalar] = {}
-    for signal in map(member.names.signal, member.program.signals):
-        parts = signal.components or (None,)
-        expressions |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
     for term in member.program.agent.reward:
         if term.foreign is None:
-            multiple = multiple_of(member.names.expression(term, of_agent=False).scalar, expressions)
-            if multiple.of is not None:
-                yield multiple, term
-
-
-def multiple_of(tree: Scalar, signals: Mapping[tuple[str, str | None], Scalar]) -> Multiple:
-    """Return a value as a multiple. `signals` has the expression of each signal."""
-    match tree:
-        case Const(value=value):
-            return Multiple(float(value), None)
-        case Name(name, component) if (name, component) in signals:
-            return multiple_of(signals[name, component], signals)
-        case Op("neg", (value,)):
-            inner = multiple_of(value, signals)
-            return inner._replace(factor=-inner.factor)
-        case Op("mul", args):
-            parts = [multiple_of(part, signals) for part in args]
-            quantities = tuple(part.of for part in parts if part.of is not None)
-            quantity = quantities[0] if len(quantities) == 1 else ("mul", quantities)
-            return Multiple(prod(part.factor for part in parts), quantity if quantities else None)
-        case Op("div", (value, Const(value=divisor))) if divisor:
-            inner = multiple_of(value, signals)
-            return inner._replace(factor=inner.factor / float(divisor))
-        case Op("where", (condition, value, Const(value=0.0))):
-            inner = multiple_of(value, signals)
-            return Multiple(inner.factor, ("where", multiple_of(condition, signals), inner.of))
-        case Op(op, args):
-            return Multiple(1.0, (op, tuple(multiple_of(part, signals) for part in args)))
-        case State(function, args):  # each call has a memory of its own, at a place of its own
-            return Multiple(1.0, (function, tuple(multiple_of(part, signals) for part in args)))
-        case Name() | EngineRead() | Draw():
-            return Multiple(1.0, tree)
+            tree = member.names.expression(term, of_agent=False).scalar
+            for quantity, factor in linear(analysis, tree, {}).terms.items():
+                sum_before, first = factors.get(quantity, (0.0, term))
+                factors[quantity] = sum_before + factor, first
+    return factors
 
 
 def _number(value: float) -> str:

@@ -1,12 +1,11 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319, DB325), wheels that do not move a robot (DB322),
-robots that topple (DB324), and limits in degrees (DB317).
+"""Robots: commands and actuators (DB312, DB313, DB315, DB319, DB325), wheels that do not move a robot
+(DB322), robots that topple (DB324), and limits in degrees (DB317).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import ceil, degrees, inf, pi, radians, sqrt
-from typing import TypeGuard
 
 from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
@@ -14,23 +13,18 @@ from deepbots_cli.analysis.ranges import range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE, ENGINES
-from deepbots_cli.expressions.dimensions import TIME
-from deepbots_cli.expressions.intervals import ZERO, Interval, hull
+from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
 from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
-from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.lint.geometry import SAME_HEIGHT_M
 from deepbots_cli.lint.simulation import TOPPLING_S, SimulationPosition, UnreachedPose, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
-from deepbots_cli.program.world import RobotBody, whole_timesteps
 from deepbots_cli.robots import kinematics
-from deepbots_cli.robots.kinematics import link_frames, load_and_inertia, min_spring_inertia
+from deepbots_cli.robots.kinematics import joint_inertia, link_frames, min_spring_inertia
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
-_MAX_KNOWN_SPREAD = 0.2
-"""The largest range (rad or m) from which the initial position of a joint may be drawn to count as known."""
 _MIN_SHARE = 0.25
 """The share of the commands of the agent that an actuator must be able to follow."""
 _MIN_MISS_SHARE = 0.1
@@ -171,123 +165,6 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
-@rule(
-    "DB314",
-    "`{motor}` exerts no torque for the first {wait}, and `{joint}` sinks by about {sunk}",
-    "hold the joint with a `position_motor`, or shorten the delay of the first command",
-)
-def limp_at_start(context: RuleContext) -> Iterator[Match]:
-    """Report an arm that sinks at the start of an episode, because the first command reaches its torque
-    motors late."""
-    program = context.program
-    analysis = context.analysis
-    values = context.values
-    if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
-        return
-    for robot in program.robots:
-        held_joints = {
-            joint
-            for command in robot.commands
-            if not _is_limp(command.actuator)
-            for joint in getattr(command.actuator, "joints", ())
-        }
-        limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
-        body = analysis.body(robot.name)
-        positions = _start_positions(analysis, body) if limp else None
-        ticks = int(program.timing == "delayed")
-        if robot.to_route.latency is not None:
-            latency = analysis.ranges.of(analysis.scalars(robot.to_route.latency)[0]).low
-            ticks += whole_timesteps(latency, program.world.timestep) if latency > 0.0 else 0
-        for motor in limp:
-            wait = ticks * program.world.timestep + motor.response.delay
-            joints = {
-                joint: limit
-                for joint, limit in zip(motor.joints, motor.max_torque, strict=True)
-                if joint not in held_joints
-            }
-            if positions is None or wait <= program.world.timestep:
-                continue
-            sunk = _sunk(body, positions, joints, program.world.gravity, wait)
-            if sunk is not None:
-                late = ("messages", "to_robot", "latency")
-                also = (
-                    (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
-                )
-                yield Match(
-                    values.key_span(("robots", robot.name, "actuators", motor.name)),
-                    labels=also,
-                    motor=motor.name,
-                    wait=with_unit(wait, TIME),
-                    joint=sunk[0].name,
-                    sunk=with_unit(sunk[1], joint_dimension(sunk[0])),
-                )
-
-
-def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
-    """Return whether it exerts nothing until its first command."""
-    return isinstance(actuator, Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
-
-
-def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | None:
-    """Return the initial positions of the joints of a robot with a fixed base, rad or m; None where they are
-    not known."""
-    placements = analysis.program.reset.placements
-    is_tilted = any(
-        place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in placements
-    )
-    if not body.fixed_base or is_tilted:
-        return None
-    starts = {
-        joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or ZERO
-        for joint in body.model.moving_joints
-    }
-    if any(interval.high - interval.low > _MAX_KNOWN_SPREAD for interval in starts.values()):
-        return None
-    return {name: (interval.low + interval.high) / 2 for name, interval in starts.items()}
-
-
-def _sunk(
-    body: RobotBody,
-    positions: Mapping[str, float],
-    joints: Mapping[str, float | None],
-    gravity: Triple,
-    time: float,
-) -> tuple[Joint, float] | None:
-    """Return the joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names
-    to the torque limits of motors."""
-    where = link_frames(body.model, positions)
-    pull = frames.rotate_back(frames.frame(body.pose)[1], gravity)
-    moved = {
-        name: _moved(body.model, where, body.model.joint(name), limit, pull, time)
-        for name, limit in joints.items()
-    }
-    name = max(moved, key=lambda joint: moved[joint], default="")
-    if not name:
-        return None
-    joint = body.model.joint(name)
-    tolerance = 0.005 if joint.type == "prismatic" else radians(2.0)
-    return (joint, moved[name]) if moved[name] > tolerance else None
-
-
-def _moved(
-    model: RobotModel,
-    where: Mapping[str, Frame],
-    joint: Joint,
-    limit: float | None,
-    pull: Triple,
-    time: float,
-) -> float:
-    """Return how far gravity moves a joint while the other joints are still; 0 if its motor could not hold
-    it."""
-    load, inertia = load_and_inertia(model, where, joint, pull)
-    excess = abs(load) - joint.friction
-    if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
-        return 0.0
-    return min(
-        excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf
-    )
-
-
 @rule("DB325")
 def shaking_spring(context: RuleContext) -> Iterator[Finding]:
     """Report a spring on a joint that is too light for the engine step: the joint shakes while its link is in
@@ -307,7 +184,7 @@ def shaking_spring(context: RuleContext) -> Iterator[Finding]:
                 continue
             needed = min_spring_inertia(motor.stiffness, motor.damping or 0.0, step)
             inertias = {
-                name: load_and_inertia(model, where, joint, (0.0, 0.0, 0.0))[1] + step * joint.damping
+                name: joint_inertia(model, where, joint) + step * joint.damping
                 for name, joint in ((name, model.joint(name)) for name in motor.joints)
             }
             light = [name for name, inertia in inertias.items() if 0.0 < inertia < needed]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from itertools import count, islice, repeat
@@ -30,13 +30,11 @@ from deepbots_cli.lint.simulation import (
     RANDOM,
     Activity,
     EarlyEnding,
-    End,
     Entry,
     MeasuredOverlap,
     NumberStatistics,
     PolicyStatistics,
     Rollout,
-    SimulatedEpisode,
     Stop,
     Summary,
     TermStatistics,
@@ -68,9 +66,9 @@ def compiled(folder: Path) -> Program:
     return api.compile(Source.kept(folder)).program
 
 
-class Simulator:
-    """Carries out the plan of a scenario. `write` takes a result, `begin_step` the number of the next
-    step."""
+class Player:
+    """Builds the world of a scenario and plays episodes in it. `write` takes a result, `begin_step` the
+    number of the next step."""
 
     def __init__(
         self,
@@ -83,8 +81,42 @@ class Simulator:
         self._write = write
         self._begin_step = begin_step
         self._permissions = permissions
-        self._plan = simulation_plan(program)
         self._version = ""
+
+    def _build(self, program: Program) -> Supervisor:
+        """Raises: StoppedError: The world cannot be built, which has been written."""
+        self._write(Activity("build", 0, self._version))
+        try:
+            return api.build(program, permissions=self._permissions)
+        except DeepbotsError as error:
+            self._write(Stop("build", str(error)))
+            raise StoppedError from None
+
+    def _steps(
+        self, environment: Supervisor, act: Callable[[Any], Any], start: Start, longest: int
+    ) -> Iterator[Step]:
+        """Yield the state after the reset, then each step, whose number is written before it begins."""
+        numbers = count(1)
+
+        def numbered(observation: Any) -> Any:
+            self._begin_step(next(numbers))
+            return act(observation)
+
+        return islice(steps(environment, Driver(numbered), start), longest + 1)
+
+
+class Simulator(Player):
+    """Carries out the plan of a scenario."""
+
+    def __init__(
+        self,
+        program: Program,
+        write: Callable[[Entry], None],
+        begin_step: Callable[[int], None],
+        permissions: Permissions,
+    ) -> None:
+        super().__init__(program, write, begin_step, permissions)
+        self._plan = simulation_plan(program)
         self._statistics: dict[str, StepStatistics] = {}
         self._rays = RayWatch(program)
         self._wheels = WheelWatch(program)
@@ -123,14 +155,6 @@ class Simulator:
     def _begin(self, activity: str, seed: int) -> None:
         self._write(Activity(activity, seed, self._version))
 
-    def _build(self, program: Program) -> Supervisor:
-        self._begin("build", 0)
-        try:
-            return api.build(program, permissions=self._permissions)
-        except DeepbotsError as error:
-            self._write(Stop("build", str(error)))
-            raise StoppedError from None
-
     # Starts
 
     def _check_starts(self) -> None:
@@ -168,7 +192,7 @@ class Simulator:
             arms.is_watching = True
             self._begin(policy, seed)
             try:
-                for _ in self._steps(environment, Rollout(policy, seed, _FIRST_STEPS)):
+                for _ in self._planned_steps(environment, Rollout(policy, seed, _FIRST_STEPS)):
                     if arms.commands:
                         break
             except DeepbotsError:  # reported by the episodes that follow
@@ -224,7 +248,7 @@ class Simulator:
     def _episode(
         self, environment: Supervisor, rollout: Rollout, statistics: StepStatistics, *, report: bool
     ) -> None:
-        episode_steps = self._steps(environment, rollout)
+        episode_steps = self._planned_steps(environment, rollout)
         next(episode_steps)
         speeds = SpeedWatch(environment)
         check_rays = self._rays.watch(environment.engine)
@@ -233,9 +257,8 @@ class Simulator:
         )  # a case may have another robot file
         if report:
             self._tilts.begin(environment.engine, is_idle=rollout.policy == IDLE)
-        rewards: list[float] = []
+        statistics.episodes += 1
         for step in episode_steps:
-            rewards.append(step.reward)
             statistics.add(step.observation, step.info["reward_terms"])
             check_rays()
             check_wheels()
@@ -250,21 +273,10 @@ class Simulator:
                 self._write(Stop("space", numbers=_outside(environment, step.observation)))
                 raise StoppedError
         self._tilts.close()
-        if report:
-            result = episode_result(step, rewards, self._program.agent.discount)
-            self._write(SimulatedEpisode(rollout.policy, rollout.seed, **result))
 
-    def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
-        """Return the steps of an episode; the number of each is written before it begins."""
+    def _planned_steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
         actions = _actions(environment, rollout)
-        numbers = count(1)
-
-        def act(_: Any) -> Any:
-            self._begin_step(next(numbers))
-            return next(actions)
-
-        # `steps` also yields the state after the reset.
-        return islice(steps(environment, Driver(act), Start(rollout.seed)), rollout.steps + 1)
+        return self._steps(environment, lambda _: next(actions), Start(rollout.seed), rollout.steps)
 
     # What has been constant so far
 
@@ -327,8 +339,7 @@ class StepStatistics:
         self._first: dict[str, NDArray[np.uint8]] = {}
         self._changed: set[str] = set()
         numbers, terms = len(program.agent.numbers), len(program.agent.reward)
-        self.steps = 0
-        self.rows = 0
+        self.steps = self.episodes = self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
         self.at_low, self.at_high = np.zeros(numbers, int), np.zeros(numbers, int)
         self.sums = np.zeros(terms)
@@ -382,7 +393,7 @@ class StepStatistics:
     def summary(self) -> PolicyStatistics:
         """Return the statistics of all steps."""
         if not self.steps:
-            return PolicyStatistics(0, 0, [], [])
+            return PolicyStatistics(0, 0, 0, [], [])
         numbers = zip(
             *(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True
         )
@@ -391,21 +402,11 @@ class StepStatistics:
         )
         return PolicyStatistics(
             self.steps,
+            self.episodes,
             self.rows,
             [NumberStatistics(*row) for row in numbers],
             [TermStatistics(*row) for row in terms],
         )
-
-
-def episode_result(
-    last: Step, rewards: Sequence[float] | NDArray[np.float64], discount: float
-) -> dict[str, Any]:
-    """Return the result of an episode in a report, from its last step and the reward of each step."""
-    end: End = "limit" if last.truncated else "left"
-    if last.terminated or last.info["is_success"]:
-        end = "success" if last.info["is_success"] else "failure"
-    discounted = float(np.dot(rewards, discount ** np.arange(len(rewards))))
-    return {"steps": len(rewards), "discounted_return": discounted, "end": end}
 
 
 def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:

@@ -1,30 +1,28 @@
-"""The episodes of `lint --exploits`: fixed drivers, scripts, and a search over sequences of actions. Runs in
-a process of its own.
+"""The episodes of `lint --exploits`: fixed drivers, scripts, and scripts that are left or interrupted before
+their success. Runs in a process of its own.
 
-Every driver is a text that `--driver` takes, so that each episode can be repeated by hand. The search is the
-cross-entropy method: it draws sequences around a mean, and moves the mean to the best of them.
+Every driver is a text that `--driver` takes, so that each episode can be repeated by hand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from itertools import combinations, count, islice, product, repeat
-from math import ceil, dist, pi, prod
+from itertools import combinations, islice, product, repeat
+from math import dist, pi, prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
-from deepbots_cli.lint.rollouts import episode_result
-from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, Entry, Stop, work_per_step
+from deepbots_cli.lint.rollouts import Player, StoppedError
+from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, End, Entry, Stop, work_per_step
 from deepbots_cli.program import RANDOM, Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
-from deepbots_cli.rollout import Driver, Start, Step, steps
+from deepbots_cli.rollout import Start, Step
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime import Supervisor
 
@@ -43,20 +41,16 @@ _CONFIRMED = 3
 _INTERRUPTIONS = (1, 3)
 _MAX_INTERRUPTIONS = 5
 _MIN_BETWEEN = 2
-_SHARE_OF_INTERRUPTIONS = 0.05
+_SHARE_OF_INTERRUPTIONS = 0.1
 """The share of the steps that are left for the interruptions from each start."""
-_POPULATION = 12
-_ELITES = 3
-_GENERATIONS = 12
-_MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
 """The share of the range of a joint within which it is at a limit."""
 
 _MAX_SHOWN = 80
 
 
-class ExploitSearch:
-    """Plays the episodes of a scenario. `write` takes each, `begin_step` the number of the next step."""
+class ExploitSearch(Player):
+    """Plays the episodes of a scenario."""
 
     def __init__(
         self,
@@ -65,22 +59,19 @@ class ExploitSearch:
         begin_step: Callable[[int], None],
         permissions: Permissions,
     ) -> None:
-        self._program = program
-        self._write = write
-        self._begin_step = begin_step
-        self._permissions = permissions
+        super().__init__(program, write, begin_step, permissions)
         self._left = int(_MAX_WORK / work_per_step(program))
         self._longest = max(10, min(program.truncation.max_episode_steps(program.period), self._left // 4))
         self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
+        self._peaks: dict[tuple[str, int], int] = {}
+        """The step before the last that earns most in each episode."""
         self._slots = action_slots(program.agent.action)
 
     def run(self) -> None:
-        """Play fixed drivers and scripts, and search further if these earn no more than a success."""
-        self._write(Activity("build", 0))
+        """Play fixed drivers and scripts, and interrupt scripts if these earn no more than a success."""
         try:
-            self._environment = api.build(self._program, permissions=self._permissions)
-        except DeepbotsError as error:
-            self._write(Stop("build", str(error)))
+            self._environment = self._build(self._program)
+        except StoppedError:
             return
         last = self._program.truncation.max_episode_steps(self._program.period)
         if self._longest < last:
@@ -96,14 +87,6 @@ class ExploitSearch:
             if self._program.defines_success and not is_better_than_success(self._episodes):
                 for number in range(_STARTS):
                     self._interrupt(number)
-            if (
-                self._program.defines_success
-                and not is_better_than_success(self._episodes)
-                and self._search(0)
-            ):
-                self._confirm()
-                if not is_better_than_success(self._episodes):
-                    self._search(1)
 
     @property
     def _episodes(self) -> list[DrivenEpisode]:
@@ -120,8 +103,9 @@ class ExploitSearch:
                 self._play(episode.driver, episode.kind, number)
 
     def _interrupt(self, number: int) -> None:
-        """Interrupt the best script in the step before its success, again and again: a success may have to
-        last for a time."""
+        """Leave the best script in the step before its success; go to and fro from the step that it earns
+        most in, such as a bonus; or interrupt it before its success again and again, which may have to last
+        for a time."""
         reached = [
             episode
             for episode in self._episodes
@@ -134,6 +118,16 @@ class ExploitSearch:
         actions = [
             driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]
         ]
+        for action in actions:
+            self._play(f"{best.driver}*{max(1, before)},{action}*{self._longest}", "detour", number)
+        enough = self._left * (1.0 - _SHARE_OF_INTERRUPTIONS)
+        peak = self._peaks[best.driver, number]
+        for pair, hold in product(_opposites(self._slots), _HOLDS):
+            for order in (pair, pair[::-1]):
+                if self._left >= enough:
+                    cycle = f",{driver_text(self._slots, order, [hold, hold])}"
+                    turns = (self._longest - peak) // (2 * hold) + 1
+                    self._play(f"{best.driver}*{peak}{cycle * turns}", "interrupted", number)
         enough = self._left * (1.0 - _SHARE_OF_INTERRUPTIONS)
         for action, lasting in product(actions, _INTERRUPTIONS):
             if self._left < enough:
@@ -173,17 +167,10 @@ class ExploitSearch:
         acting = named_driver(self._environment, driver)
         watch: MotionWatch | None = None
         rows: list[list[float]] = []
-        numbers = count(1)
-
-        def act(observation: Any) -> Any:
-            self._begin_step(next(numbers))
-            self._left -= 1
-            return acting.act(observation)
-
+        start = Start.of_evaluation(0, number)
         step: Step | None = None
-        for step in islice(
-            steps(environment, Driver(act), Start.of_evaluation(0, number)), self._longest + 1
-        ):
+        for step in self._steps(environment, acting.act, start, self._longest):
+            self._left -= 1
             if watch is None:
                 watch = MotionWatch(environment)
             else:
@@ -194,6 +181,7 @@ class ExploitSearch:
         values: NDArray[np.float64] = np.array(rows)
         quarters = [part.sum(axis=0) for part in np.array_split(values[:, :-1], 4)]
         rewards = values[:, -1]
+        self._peaks[driver, number] = 1 + int(np.argmax(rewards[:-1])) if len(rewards) > 1 else 1
         episode = DrivenEpisode(
             driver=driver,
             kind=kind,
@@ -204,58 +192,20 @@ class ExploitSearch:
                 name: [float(part[at]) for part in quarters]
                 for at, name in enumerate(step.info["reward_terms"])
             },
-            **episode_result(step, rewards, self._program.agent.discount),
+            steps=len(rewards),
+            discounted_return=float(rewards @ self._program.agent.discount ** np.arange(len(rewards))),
+            end=_end(step),
             **watch.summary(),
         )
         self._write(episode)
         return episode
 
-    # The search
 
-    def _search(self, number: int) -> bool:
-        """Search from one start for a driver that earns most without success; first for a success, where none
-        is known.
-
-        Returns:
-            Whether a driver earns more than each success from this start.
-        """
-        reached = [
-            episode for episode in self._episodes if episode.number == number and episode.end == "success"
-        ]
-        scripts = [episode for episode in reached if episode.kind == "script" and episode.steps > 1]
-        arms: list[Family] = []
-        if scripts:
-            best = max(scripts, key=lambda episode: episode.total_return)
-            arms += [Detour(self._slots, best.driver, best.steps, stay) for stay in (self._longest, None)]
-        arms += [Cycle(self._slots, holds) for holds in sequence_shapes(self._longest)]
-        budget = self._left * (0.6 if number == 0 else 1.0) / len(arms)
-        for seed, family in enumerate(arms):
-            if not reached and self._program.defines_success:
-                self._cross_entropy(number, family, budget / 2, seed, with_success=True)
-            self._cross_entropy(number, family, budget / (1 if reached else 2), seed, with_success=False)
-            episodes = [episode for episode in self._episodes if episode.number == number]
-            if is_better_than_success(episodes):
-                return True
-        return False
-
-    def _cross_entropy(
-        self, number: int, family: Family, budget: float, seed: int, *, with_success: bool
-    ) -> None:
-        end = self._left - budget
-        rng = np.random.default_rng([number, seed, with_success])
-        distribution = Distribution(family.slots)
-        for _ in range(_GENERATIONS):
-            scored: list[tuple[float, NDArray[np.float64]]] = []
-            for _ in range(_POPULATION):
-                numbers = distribution.draw(rng)
-                episode = self._play(family.driver(numbers.tolist()), family.kind, number)
-                if self._left <= end:
-                    return
-                if episode is not None and (with_success or episode.end != "success"):
-                    scored.append((episode.total_return, numbers))
-            distribution.move_to(
-                [numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]]
-            )
+def _end(last: Step) -> End:
+    """Return how an episode ended, from its last step."""
+    if last.terminated or last.info["is_success"]:
+        return "success" if last.info["is_success"] else "failure"
+    return "limit" if last.truncated else "left"
 
 
 # Fixed drivers
@@ -300,10 +250,7 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
     has_idle = idle_action(program.agent.action) is not None
     for number, values in enumerate(constants):
         yield driver_text(slots, [values]), "idle" if has_idle and not number else "constant"
-    opposites = [
-        (first, second) for first, second in combinations(constants, 2) if _are_opposite(slots, first, second)
-    ]
-    for pair, hold in product(opposites[:_MAX_PAIRS], _HOLDS):
+    for pair, hold in product(_opposites(slots), _HOLDS):
         yield driver_text(slots, pair, [hold, hold]), "alternating"
     yield RANDOM, "random"
 
@@ -319,6 +266,12 @@ def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
         (*idle[:at], value, *idle[at + 1 :]) for at, slot in enumerate(slots) for value in slot.extremes[1:]
     ]
     return list(dict.fromkeys([idle, *ends, *alone]))[:_MAX_CONSTANTS]
+
+
+def _opposites(slots: Sequence[Slot]) -> list[tuple[Sequence[float], Sequence[float]]]:
+    """Return the first pairs of opposite actions."""
+    pairs = (pair for pair in combinations(_constants(slots), 2) if _are_opposite(slots, *pair))
+    return list(islice(pairs, _MAX_PAIRS))
 
 
 def _are_opposite(slots: Sequence[Slot], first: Sequence[float], second: Sequence[float]) -> bool:
@@ -338,83 +291,6 @@ def driver_text(
         text if hold == 1 else f"{text}*{hold}"
         for text, hold in zip(texts, holds or [1] * len(texts), strict=True)
     )
-
-
-# Families of drivers that are searched
-
-
-class Cycle:
-    """A sequence of actions that is repeated, each held for so many steps."""
-
-    def __init__(self, slots: Sequence[Slot], holds: Sequence[int]) -> None:
-        self.kind: DriverKind = "sequence"
-        self.slots = list(slots) * len(holds)
-        self._of_one = slots
-        self._holds = holds
-
-    def driver(self, numbers: Sequence[float]) -> str:
-        width = len(self._of_one)
-        return driver_text(
-            self._of_one, [numbers[at : at + width] for at in range(0, len(numbers), width)], self._holds
-        )
-
-
-def sequence_shapes(longest: int) -> list[tuple[int, ...]]:
-    """Return the steps for which the actions of a cycle are held: two short cycles, and one that lasts the
-    episode and holds the last longest."""
-    part = ceil(longest / 16)
-    return [(4, 4), (part, part), (part, part, 2 * part, 2 * part, 10 * part)]
-
-
-class Detour:
-    """A script that succeeds after `steps` is interrupted by an action: to the end of the episode, for `stay`
-    steps, or again and again."""
-
-    def __init__(self, slots: Sequence[Slot], script: str, steps: int, stay: int | None) -> None:
-        self.kind: DriverKind = "detour"
-        length = Slot((), 0.0)
-        self.slots = [length, length, *slots]
-        self._of_one = slots
-        self._script = script
-        self._steps = steps
-        self._stay = stay
-
-    def driver(self, numbers: Sequence[float]) -> str:
-        before, after = (1 + round((self._steps - 2) * (number + 1.0) / 2.0) for number in numbers[:2])
-        return f"{self._script}*{before},{driver_text(self._of_one, [numbers[2:]])}*{self._stay or after}"
-
-
-Family = Cycle | Detour
-
-
-class Distribution:
-    """Independent normal numbers from -1 to 1, and options with probabilities."""
-
-    def __init__(self, slots: Sequence[Slot]) -> None:
-        self._slots = slots
-        self._mean, self._deviation = np.array([slot.idle for slot in slots]), np.ones(len(slots))
-        self._odds = [np.full(max(1, len(slot.options)), 1.0 / max(1, len(slot.options))) for slot in slots]
-
-    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        numbers = np.clip(rng.normal(self._mean, self._deviation), -1.0, 1.0).round(2) + 0.0  # no -0
-        for at, slot in enumerate(self._slots):
-            if slot.options:
-                numbers[at] = rng.choice(len(slot.options), p=self._odds[at])
-        return numbers
-
-    def move_to(self, best: Sequence[NDArray[np.float64]]) -> None:
-        if not best:
-            return
-        numbers = np.array(best)
-        # The added deviation prevents early convergence (noisy cross-entropy: Szita and Lorincz, 2006).
-        self._mean, self._deviation = numbers.mean(axis=0), numbers.std(axis=0) + _MIN_DEVIATION
-        for at, slot in enumerate(self._slots):
-            if slot.options:
-                # Additive smoothing: an option that none of the best has keeps a probability.
-                counts = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(
-                    slot.options
-                )
-                self._odds[at] = counts / counts.sum()
 
 
 # Motion

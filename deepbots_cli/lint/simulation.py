@@ -140,22 +140,9 @@ class MeasuredOverlap:
     seed: int
 
 
-@dataclass(frozen=True)
-class SimulatedEpisode:
-    """One episode; `discounted_return` is the discounted return."""
-
-    policy: str
-    seed: int
-    steps: int
-    discounted_return: float
-    end: End
-
-
-DriverKind = Literal[
-    "idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"
-]
-"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and
-sequences of actions."""
+DriverKind = Literal["idle", "constant", "alternating", "random", "script", "detour", "interrupted"]
+"""Who drives, the simplest first; a script is left for an action before its success (`detour`), or
+`interrupted` there again and again."""
 
 
 @dataclass(frozen=True)
@@ -252,6 +239,7 @@ class PolicyStatistics(NamedTuple):
     """All episodes of one policy. `rows` is `steps` times the copies of a team."""
 
     steps: int
+    episodes: int
     rows: int
     numbers: Sequence[NumberStatistics]
     terms: Sequence[TermStatistics]
@@ -287,7 +275,6 @@ Entry: TypeAlias = (
     | EarlyEnding
     | MeasuredOverlap
     | UnreachedPose
-    | SimulatedEpisode
     | DrivenEpisode
     | Summary
     | Stop
@@ -332,7 +319,6 @@ class SimulationReport:
     overlaps: list[MeasuredOverlap] = field(default_factory=list)
     endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
     misses: list[UnreachedPose] = field(default_factory=list)
-    episodes: list[SimulatedEpisode] = field(default_factory=list)
     driven: list[DrivenEpisode] = field(default_factory=list)
     summary: Summary = Summary()
     stop: Stop | None = None
@@ -369,8 +355,6 @@ class SimulationReport:
                 self.overlaps.append(entry)
             case UnreachedPose():
                 self.misses.append(entry)
-            case SimulatedEpisode():
-                self.episodes.append(entry)
             case DrivenEpisode():
                 self.driven.append(entry)
             case Summary():

@@ -3,7 +3,7 @@
     echo '{"folder": ..., "allow_code": false, "search": false}' | python -m
     deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
 
-It writes lines to stdout: `~17` before step 17, and the entries of a `report.SimulationReport`.
+It writes lines to stdout: `~17` before step 17, and the entries of a `simulation.SimulationReport`.
 It limits itself before it imports a simulator or reads the scenario. On Windows, which has no such limits,
 the clock of the parent remains.
 """

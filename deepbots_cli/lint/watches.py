@@ -411,9 +411,15 @@ class RayWatch:
 
 
 def _top_of(engine: Engine, body: ObjectBody) -> Callable[[], float]:
+    """Return a reader of the height of the top, m; of an object that moves, with its longest side upright."""
     shapes = [variant.shape for variant in body.variants] or [body.shape]
+    longest = (
+        0.0
+        if body.fixed
+        else max(max(kinematics.box_sides(kinematics.bounds_of_shape(shape))) for shape in shapes)
+    )
     pose = engine.pose(body.name)
-    return lambda: max(kinematics.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
+    return lambda: max(longest, *(kinematics.bounds_of_shape(shape, pose())[1][2] for shape in shapes))
 
 
 def _top_of_robot(engine: Engine, name: str, box: Bounds) -> Callable[[], float]:

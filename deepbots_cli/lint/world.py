@@ -5,19 +5,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from math import hypot
 
-from deepbots_cli import footprint
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.ranges import StartRanges, is_level, with_unit
+from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES, Feature
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
+from deepbots_cli.expressions.dimensions import ANGLE, MASS
 from deepbots_cli.expressions.functions import contains_draw
-from deepbots_cli.expressions.intervals import ALWAYS, single
+from deepbots_cli.expressions.intervals import ALWAYS
 from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
@@ -26,24 +24,17 @@ from deepbots_cli.lint.simulation import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust
-from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
-from deepbots_cli.robots import kinematics
-from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
+from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, Variant
+from deepbots_cli.robots.model import Mesh, volume
 
 _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 """The plausible densities in kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each
 m^3."""
-_MAX_SIZE_RATIO = 4.0
-"""The width of an object from which a robot in it is too small, as a multiple of the size of the robot."""
-_MIN_OVERLAP_M = 0.01
-"""The overlap (m) of the heights of two bodies of which one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5
 """The mass from which an object is implausible, as a multiple of the mass of all robots together."""
 _WATER_DENSITY = 1000.0
 """The density of water, in kg/m^3."""
 _LENGTHS_IN_METERS = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
-_Robots = list[tuple[RobotBody, float]]
-"""The robots with the size of each, in m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
 """The depth (m) up to which bodies may overlap; engines let resting bodies sink in by less than a millimeter,
 and a pose set by hand is often a little off.
@@ -156,23 +147,17 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
 
 @rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """Report an implausible size or mass of an object; the robot files were judged when they were read."""
+    """Report an implausible mass of an object; the robot files were judged when they were read."""
     world = context.program.world
     values = context.values
-    sizes = [
-        (robot, max(kinematics.box_sides(kinematics.robot_bounds(kinematics.without_meshes(robot.model)))))
-        for robot in world.robots
-    ]
-    robots = [(robot, size) for robot, size in sizes if size > 0.0]
+    weight = sum(robot.model.mass for robot in world.robots)
     met: set[NodePath] = set()
     for body in world.objects:
         for path, kind in _forms(body):
             if path in met or not values.is_present(path):
                 continue  # another copy of a group, or a wall
             met.add(path)
-            finding = _object_around_robot(
-                context.analysis.start, body, kind, robots, path, values
-            ) or _odd_mass(body, kind, robots, path, values)
+            finding = _odd_mass(body, kind, weight, path, values)
             if finding is not None:
                 yield finding
 
@@ -186,70 +171,11 @@ def _forms(body: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
         yield path, Variant(body.name, body.shape, body.mass, fixed=body.fixed)
 
 
-def _object_around_robot(
-    start: StartRanges, body: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
-) -> Finding | None:
-    """Return a finding about an object with a small robot inside, wherever both are placed."""
-    if not body.solid or isinstance(kind.shape, Mesh):
-        return None
-    width = 2.0 * footprint.shape_footprint(kind.shape).inradius
-    for robot, size in robots:
-        if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, body, kind.shape):
-            headline = (
-                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`"
-                f" ({with_unit(size, LENGTH)}) begins inside it"
-            )
-            return Finding(
-                "DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimeters(path, values)
-            )
-    return None
-
-
-def _is_within(start: StartRanges, robot: RobotBody, body: ObjectBody, shape: Shape) -> bool:
-    """Return whether the origin of a robot lies within the outline of an object, seen from above, and part of
-    the robot at the same height."""
-    radius, half = _inner_cylinder(shape)
-    high = kinematics.robot_bounds(kinematics.without_meshes(robot.model))[1][2]
-    positions = start.analysis.program.reset.joint_positions.get(robot.name)
-    standing = kinematics.resting_height(robot.model, positions=positions)
-    lying = kinematics.resting_height(shape)
-    pairs = [
-        (thing_pose, robot_pose)
-        for thing_pose in start.poses(body.name)
-        for robot_pose in start.poses(robot.name)
-    ]
-    for (object_placement, object_pose), (robot_placement, robot_pose) in pairs:
-        if not (is_level(object_pose) and is_level(robot_pose)):
-            return False
-        middle = single(lying) if object_placement.rests else object_pose["z"]
-        root = single(standing) if robot_placement.rests else robot_pose["z"]
-        apart = [
-            max(object_pose[axis].high - robot_pose[axis].low, robot_pose[axis].high - object_pose[axis].low)
-            for axis in "xy"
-        ]
-        shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
-        if hypot(*apart) >= radius or shared < _MIN_OVERLAP_M:
-            return False
-    return bool(pairs)
-
-
-def _inner_cylinder(shape: Shape) -> tuple[float, float]:
-    """Return the radius and half the height of an upright cylinder within a shape, m."""
-    match shape:
-        case Sphere(radius):
-            # The edge of this cylinder lies within the sphere, since 0.86 ** 2 + 0.5 ** 2 is below 1.
-            return 0.86 * radius, 0.5 * radius
-        case Capsule(radius, length) | Cylinder(radius, length):
-            return radius, length / 2
-        case _:
-            return footprint.shape_footprint(shape).inradius, kinematics.resting_height(shape)
-
-
 def _odd_mass(
-    body: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
+    body: ObjectBody, kind: Variant, carried: float, path: NodePath, values: ValueReader
 ) -> Finding | None:
     """Return a finding about a movable object with the density of no material, or one that outweighs all
-    robots by far."""
+    robots, of a mass of `carried` kg, by far."""
     size = volume(kind.shape)
     if not body.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
@@ -266,7 +192,6 @@ def _odd_mass(
             ", or write `fixed: true`" if density > _MAX_DENSITY else ""
         )
         return Finding("DB507", values.span_of_first(path, "mass"), headline, help)
-    carried = sum(robot.model.mass for robot, _ in robots)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, but all robots together weigh only {with_unit(carried, MASS)}"

@@ -11,6 +11,6 @@ xacro.py       xacro to plain elements, with includes and limits; xacro_expressi
                expressions
 packages.py    the places of mesh files and robot files, and what may be read
 meshes.py      the contents of mesh files; how many times their triangles cover each other
-mesh_formats.py the triangles of COLLADA and glTF files, and their faults
+mesh_formats.py the triangles of STL, OBJ, COLLADA and glTF files, and their faults
 units.py       millimeters, grams and g mm^2 in a robot file
 """

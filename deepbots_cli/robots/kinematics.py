@@ -267,14 +267,10 @@ def center_of_mass(model: RobotModel, where: Mapping[str, Frame]) -> Triple:
     return (total[0] / mass, total[1] / mass, total[2] / mass) if mass > 0.0 else where[model.root][0]
 
 
-def load_and_inertia(
-    model: RobotModel, where: Mapping[str, Frame], joint: Joint, pull: Triple
-) -> tuple[float, float]:
-    """Return the torque (N m, or force in N) of gravity `pull` (m/s^2) at a joint, and the inertia (kg m^2 or
-    kg) that the joint moves: that of the links behind it, and its armature."""
+def joint_inertia(model: RobotModel, where: Mapping[str, Frame], joint: Joint) -> float:
+    """Return the inertia (kg m^2 or kg) that a joint moves: that of the links behind it, and its armature."""
     pivot, joint_rotation = where[joint.child]
     axis = frames.rotate(joint_rotation, joint.axis)
-    load = 0.0
     inertia = joint.armature
     for link in map(model.link, model.links_below(joint.child)):
         if link.inertial is None:
@@ -282,15 +278,15 @@ def load_and_inertia(
         mass = link.inertial.mass
         center, link_rotation = frames.compose(where[link.name], frames.frame(link.inertial.origin))
         if joint.type == "prismatic":
-            load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
+            inertia += mass
             continue
         arm = frames.cross(axis, frames.subtract(center, pivot))
         local = frames.rotate_back(link_rotation, axis)
         spin = sum(
             local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
         )
-        load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
-    return load, inertia
+        inertia += mass * frames.dot(arm, arm) + spin
+    return inertia
 
 
 def min_spring_inertia(stiffness: float, damping: float, step: float) -> float:

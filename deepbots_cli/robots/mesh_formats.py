@@ -1,5 +1,8 @@
-"""The triangles of COLLADA and glTF 2.0 files, and their faults. This module needs no numpy, since lint
-imports it.
+"""The triangles of STL, OBJ, COLLADA and glTF 2.0 files, and their faults. This module needs no numpy, since
+lint imports it.
+
+Every file is read here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is not
+a number and on an OBJ face that names a missing vertex; it draws nothing for an STL file of a wrong length.
 
 COLLADA: the reader of PyBullet 3.2.7 crashes on an index beyond the vertices, on a reference that leads
 nowhere and on a missing id, and does not end on a count that is too large. It composes rotations, and a scale
@@ -26,6 +29,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +46,7 @@ MAX_NODES = 10_000  # nodes may place others, so a short file could place billio
 Rows = tuple[tuple[float, ...], ...]
 """The rows of an affine map: three of four numbers."""
 IDENTITY: Rows = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+_SECTIONS = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _FACES = ("triangles", "polylist", "polygons")
 _WITH_ID = (("source", "id"), ("vertices", "id"))
 _REFERENCES = (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry", "url"))
@@ -59,21 +64,139 @@ class Triangles:
     numbers: array[float]
     corners: array[int]
 
-    def moved(self, rows: Rows, step: int = 1) -> array[float]:
-        """Return the coordinates of every so many vertices in the frame to which `rows` map."""
-        if rows == IDENTITY and step == 1:
+    def moved(self, rows: Rows) -> array[float]:
+        """Return the coordinates of the vertices in the frame to which `rows` map."""
+        if rows == IDENTITY:
             return self.numbers
-        points = list(zip(*(self.numbers[axis :: 3 * step] for axis in range(3)), strict=True))
+        points = list(zip(*(self.numbers[axis::3] for axis in range(3)), strict=True))
         moved = array("d", bytes(24 * len(points)))
         for axis, (a, b, c, d) in enumerate(rows):
             moved[axis::3] = array("d", [a * x + b * y + c * z + d for x, y, z in points])
         return moved
 
 
+Placed = tuple[tuple[Triangles, Rows], ...]
+
+
 @lru_cache(maxsize=1)
-def collada_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
-    """Return the triangles of a COLLADA file without a DOCTYPE, in the frame of their geometry, and the map
-    from there to the frame of the file, in m, once for each node that places the geometry.
+def placed_triangles(suffix: str, data: bytes) -> Placed:
+    """Return the triangles of a mesh file, and the map from their frame to that of the file, once for each
+    node that places them; coordinates are in the units of an STL or OBJ file, and in m of the others.
+
+    Raises:
+        FaultyMeshError: The file is not sound, has no triangle, or places too much.
+    """
+    read, headline = _READERS.get(suffix, (gltf_triangles, "the scene of the glTF file has no triangle"))
+    placed = read(data)
+    if not any(part.corners for part, _ in placed):
+        raise FaultyMeshError(headline)
+    return placed
+
+
+# STL
+
+
+_NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_THREE_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([rb"(" + _NUMBER + rb")"] * 3) + rb"(?=\s|$)"
+_NOT_FINITE = re.compile(rb"nan|inf", re.IGNORECASE)
+_STL_VERTEX = re.compile(rb"vertex[ \t]([^\n]*)", re.IGNORECASE)
+_STL_PLACE = re.compile(rb"vertex" + _THREE_NUMBERS, re.IGNORECASE)
+
+
+def is_text_stl(data: bytes) -> bool:
+    """Return whether an STL file is text; some programs begin the header of a binary file with `solid`
+    too."""
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data
+
+
+def _stl_triangles(data: bytes) -> Placed:
+    if is_text_stl(data):
+        numbers = _places(data, _STL_VERTEX, _STL_PLACE, "STL")
+        if len(numbers) % 9:
+            raise FaultyMeshError("a triangle of the STL file does not have three vertices")
+    elif len(data) < 84:
+        raise FaultyMeshError("the STL file is shorter than its header")
+    else:
+        triangles = int.from_bytes(data[80:84], "little")
+        if len(data) != 84 + 50 * triangles:
+            raise FaultyMeshError(
+                f"the STL file declares {triangles:,} triangles, but it is as long as a file of"
+                f" {(len(data) - 84) / 50:,g} triangles"
+            )
+        # A header of 80 bytes and a count of 4; then 50 bytes per triangle: a normal of 12, corners of 36,
+        # and 2.
+        numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
+        if sys.byteorder == "big":
+            numbers.byteswap()
+        # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
+        if not math.isfinite(sum(numbers)):
+            raise FaultyMeshError("the STL file contains a vertex that is not finite")
+    return ((Triangles(numbers, array("q", range(len(numbers) // 3))), IDENTITY),)
+
+
+def _places(data: bytes, vertex: re.Pattern[bytes], place: re.Pattern[bytes], kind: str) -> array[float]:
+    """Return the coordinates of all vertices of a file of text. Raises: FaultyMeshError: One has none."""
+    places = place.findall(data)
+    vertices = vertex.findall(data)
+    if any(map(_NOT_FINITE.search, vertices)):
+        raise FaultyMeshError(f"the {kind} file contains a vertex that is not finite")
+    if len(vertices) != len(places):
+        raise FaultyMeshError(f"a vertex of the {kind} file is not three numbers")
+    return array("d", map(float, chain.from_iterable(places)))
+
+
+# OBJ
+
+
+_OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]([^\n]*)", re.MULTILINE)
+_OBJ_PLACE = re.compile(rb"^[ \t]*v" + _THREE_NUMBERS, re.MULTILINE)
+_LINE = re.compile(rb"^[ \t]*([vf])(?=[ \t])([^\n]*)", re.MULTILINE)
+_INDEX = re.compile(rb"[ \t](-?)0*([0-9]+)")
+# vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+_MAX_LINES = 400_000
+
+
+def _obj_triangles(data: bytes) -> Placed:
+    """Return the triangles around the first corner of each face."""
+    if b"\0" in data:
+        raise FaultyMeshError("the OBJ file is not text")
+    lines = list(islice(_LINE.finditer(data), _MAX_LINES + 1))
+    if len(lines) > _MAX_LINES:
+        raise FaultyMeshError(f"the OBJ file contains more than {_MAX_LINES:,} vertices and faces")
+    numbers = _places(data, _OBJ_VERTEX, _OBJ_PLACE, "OBJ")
+    vertices, before, total = len(numbers) // 3, 0, 0
+    if not vertices:
+        raise FaultyMeshError("the OBJ file contains no vertex")
+    corners = array("q")
+    for line in lines:
+        if line[1] == b"v":
+            before += 1
+            continue
+        face = _INDEX.findall(data, line.start(2), min(line.end(2), line.start(2) + 16 * MAX_CORNERS))
+        total += len(face)
+        if total > MAX_CORNERS:
+            raise FaultyMeshError(
+                f"the faces of the OBJ file together have more than {MAX_CORNERS:,} corners"
+            )
+        # -1 is the last vertex before the face. `int` refuses more than 4300 digits.
+        indices = [before - int(digits[:10]) if sign else int(digits[:10]) - 1 for sign, digits in face]
+        for (_, digits), index in zip(face, indices, strict=True):
+            if not 0 <= index < vertices:
+                raise FaultyMeshError(
+                    f"a face of the OBJ file has vertex {digits[:12].decode()}, but the file has only"
+                    f" {vertices} vertices"
+                )
+        for second in range(1, len(indices) - 1):
+            corners.extend((indices[0], indices[second], indices[second + 1]))
+    return ((_used(numbers, corners), IDENTITY),)
+
+
+# COLLADA
+
+
+def collada_triangles(data: bytes) -> Placed:
+    """Return the triangles of a COLLADA file in the frame of their geometry, and the map from there to the
+    frame of the file, in m, once for each node that places the geometry.
 
     A polygon gives the triangles around its first corner. Nodes move what follows in the order of the
     elements in them, and the unit of the file scales it.
@@ -82,6 +205,9 @@ def collada_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
         FaultyMeshError: PyBullet cannot read the file, or it places too much.
     """
     root = _root(data)
+    missing = next((tag for tag in _SECTIONS if root.find(tag) is None), None)
+    if missing is not None:
+        raise FaultyMeshError(f"the COLLADA file has no <{missing}>")
     _require(root, _REFERENCES)
     unit = root.find("asset/unit")
     meter = 1.0 if unit is None else _floats(unit.attrib.get("meter", "1").split(), 1)[0]
@@ -104,16 +230,17 @@ def collada_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
 
 
 def _root(data: bytes) -> ElementTree.Element:
-    """Return the outermost element of a file without a DOCTYPE, all tags without their namespaces."""
+    """Return the outermost element, all tags without their namespaces."""
     from xml.etree import ElementTree  # `lint` of robots without such meshes starts 8 ms sooner
 
+    text = data.decode("utf-8", errors="replace").removeprefix("\ufeff").strip(" \t\r\n\0")
     try:
-        # No entity can expand here: `meshes._dae` refuses a file with a DOCTYPE before.
-        root = ElementTree.fromstring(
-            data.decode("utf-8", errors="replace").removeprefix("\ufeff").strip(" \t\r\n\0")
-        )
-    except ElementTree.ParseError as error:
-        raise FaultyMeshError("the mesh is not a COLLADA file") from error
+        # Without a DOCTYPE, no entity can expand.
+        root = None if "<!DOCTYPE" in text else ElementTree.fromstring(text)
+    except ElementTree.ParseError:
+        root = None
+    if root is None or root.tag.rpartition("}")[2] != "COLLADA":
+        raise FaultyMeshError("the mesh is not a COLLADA file")
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # ElementTree writes {namespace}tag
     return root
@@ -266,18 +393,10 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
     if any(not {"semantic", "source", "offset"} <= {*element.attrib} for element in inputs):
         raise FaultyMeshError("an <input> of the COLLADA file lacks its semantic, source or offset")
     stride = 1 + max(_count(element, "offset", 0) for element in inputs)
-    text = next((element.text or "" for element in triangles.iter("p")), "")
-    # The limit keeps the rest of a huge text in one piece, which is then refused.
-    tokens = text.split(None, _MAX_INDICES)
-    if len(tokens) > _MAX_INDICES:
-        raise FaultyMeshError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")
-    if not tokens or 3 * stride * _count(triangles, "count", 0) > len(tokens):
+    indices = _integers(next((element.text or "" for element in triangles.iter("p")), ""))
+    if not indices or 3 * stride * _count(triangles, "count", 0) > len(indices):
         raise FaultyMeshError("a <triangles> of the COLLADA file has fewer triangles than its count")
-    try:
-        corners = array("q", map(int, tokens[offset::stride]))
-    except (ValueError, OverflowError) as error:
-        raise FaultyMeshError("an index of the COLLADA file is not a number") from error
-    return corners
+    return indices[offset::stride]
 
 
 def _polygon_corners(polygons: ElementTree.Element, offset: int) -> array[int]:
@@ -395,8 +514,7 @@ def _document(data: bytes) -> dict[str, Any]:
     return document
 
 
-@lru_cache(maxsize=1)
-def gltf_triangles(data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
+def gltf_triangles(data: bytes) -> Placed:
     """Return the triangles of a `.glb` file in the frame of their mesh, and the map from there to the frame
     of the file, once for each node that places the mesh.
 
@@ -559,3 +677,11 @@ def _accessor(document: dict[str, Any], buffer: bytes, number: object, size: int
     if sys.byteorder == "big":
         numbers.byteswap()
     return numbers
+
+
+_READERS: dict[str, tuple[Callable[[bytes], Placed], str]] = {
+    ".stl": (_stl_triangles, "the STL file contains no triangle"),
+    ".obj": (_obj_triangles, "the OBJ file contains no face"),
+    ".dae": (collada_triangles, "the scene of the COLLADA file has no triangle or polygon"),
+}
+"""The reader of each format but glTF, and the fault of a file without triangles."""

@@ -1,8 +1,6 @@
 """Mesh files: access and content. This module needs no numpy, since lint imports it.
 
-Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is
-not a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws
-nothing for an STL file of a wrong length.
+Every file is checked here before an engine or a library reads it.
 
 A renderer without a graphics card shades every triangle in a pixel, hidden or not. PyBullet took 440 s for a
 picture of 640,000 large triangles in one plane, and takes 4 s for a ball of as many triangles. Of 2,432
@@ -13,30 +11,23 @@ times that triangles cover the box is estimated from a random sample.
 from __future__ import annotations
 
 import hashlib
-import math
-import re
-import struct
-import sys
 from array import array
-from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from itertools import chain, islice, product
+from itertools import chain, product
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.elements import Element, parse
+from deepbots_cli.robots.elements import Element
 from deepbots_cli.robots.mesh_formats import (
     GLTF_SUFFIXES,
     FaultyMeshError,
-    Rows,
-    Triangles,
-    collada_triangles,
-    gltf_triangles,
+    Placed,
+    placed_triangles,
     read_gltf,
 )
 from deepbots_cli.robots.model import ZERO, Mesh, Vector
@@ -48,30 +39,8 @@ MAX_CACHED_MESHES = 256
 _CHECKED: dict[tuple[str, str], CheckedMesh] = {}
 """The meshes that were checked, by suffix and sha256 digest."""
 MESH_SUFFIXES = (".stl", ".obj", ".dae", *GLTF_SUFFIXES)
-PLACED_SUFFIXES = (".dae", *GLTF_SUFFIXES)
-"""The formats whose nodes place the triangles."""
-_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
-_NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
-_NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
-_NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?=\s|$)"
-_SOUND_VERTEX = re.compile(rb"^[ \t]*v" + _NUMBERS, re.MULTILINE)
-_VERTEX_STL = re.compile(rb"vertex[ \t]", re.IGNORECASE)
-_SOUND_VERTEX_STL = re.compile(rb"vertex" + _NUMBERS, re.IGNORECASE)
-_VERTEX_COORDINATES = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
-_PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
-_FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
-_INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
-_SIGNED_INDEX = re.compile(rb"[ \t](-?[0-9]+)")
-_LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
-# vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
-_MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
-_LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
-_MAX_CORNERS = 1_500_000
 MAX_EXACT_VERTICES = 300_000  # read in 0.5 s
-_SAMPLED_VERTICES = 3_000
-_COLLADA = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _LFS_POINTER = b"version https://git-lfs"
 _ARCHIVES = (
     b"PK\x03\x04",
@@ -91,7 +60,7 @@ Bounds = tuple[Vector, Vector]
 
 class CheckedMesh(NamedTuple):
     """The first problem of a mesh; else how often its triangles cover it where they are many, and the box
-    around a sample of its vertices, in its own units."""
+    around it, in its own units."""
 
     problem: str | None
     coverage: Coverage | None = None
@@ -109,8 +78,8 @@ class LoadedMesh(NamedTuple):
 
 class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal. `spans` has the real path of
-    each mesh that was read, by the span of its file name, and `boxes` the box around a sample of its
-    vertices, in its own units, by suffix and digest. The reader collects the elements of the meshes that are
+    each mesh that was read, by the span of its file name, and `boxes` the box around it, in its own
+    units, by suffix and digest. The reader collects the elements of the meshes that are
     `refused`, by the headline of the refusal, with whether the robot can do without, and of those
     `elsewhere`, with their paths."""
 
@@ -198,7 +167,7 @@ class MeshReader:
                 else CheckedMesh(
                     None,
                     mesh_coverage(suffix, data, digest),
-                    _box(_coordinates(suffix, data, _SAMPLED_VERTICES)),
+                    mesh_size(suffix, data)[:2],
                 )
             )
         checked = _CHECKED[suffix, digest]
@@ -221,17 +190,6 @@ def read_mesh(path: Path) -> bytes:
     if path.suffix.lower() in GLTF_SUFFIXES:
         return read_gltf(path, MAX_BYTES)
     return read_at_most(path, MAX_BYTES + 1)
-
-
-def placed_triangles(suffix: str, data: bytes) -> tuple[tuple[Triangles, Rows], ...]:
-    """Return the triangles of a COLLADA or glTF file and the map to the frame of the file, in m, once for
-    each node that places them.
-
-    Raises:
-        FaultyMeshError: The file is not sound.
-    """
-    read = collada_triangles if suffix == ".dae" else gltf_triangles
-    return read(data)
 
 
 def read_verified(mesh: Mesh) -> bytes:
@@ -311,25 +269,14 @@ def mesh_reach(mesh: Mesh, direction: Vector) -> float:
 
 
 def mesh_problem(suffix: str, data: bytes) -> str | None:
-    """Return the headline for the first problem of a mesh; None if an engine may load it."""
-    match suffix:
-        case ".stl":
-            return _stl(data) or _far_out(suffix, data)
-        case ".obj":
-            return _obj(data) or _far_out(suffix, data)
-        case ".dae":
-            return _dae(data)
-        case _:
-            return _gltf(data) or _far_out(suffix, data)
+    """Return the headline for the first problem of a mesh; None if an engine may load it.
 
-
-def _far_out(suffix: str, data: bytes) -> str | None:
-    """Return the headline for a vertex beyond all plausible sizes: engines search a grid as large as the
-    mesh, and do not end."""
-    is_text = suffix == ".obj" or is_text_stl(data)
-    if is_text and not _LARGE_NUMBER.search(data):
-        return None
-    size = mesh_size(suffix, data)
+    Beyond all plausible sizes, engines search a grid as large as the mesh, and do not end.
+    """
+    try:
+        size = mesh_size(suffix, data)
+    except FaultyMeshError as error:
+        return str(error)
     farthest = max(map(abs, (*size.lower, *size.upper)))
     return (
         f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}"
@@ -341,146 +288,24 @@ def _far_out(suffix: str, data: bytes) -> str | None:
 class MeshSize(NamedTuple):
     """The corners of the box around a mesh, in its own units, and how many triangles it has."""
 
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
+    lower: Vector
+    upper: Vector
     triangles: int
 
 
 def mesh_size(suffix: str, data: bytes) -> MeshSize:
-    """Return the size of a mesh without fault."""
-    numbers = _coordinates(suffix, data)
-    if suffix == ".obj":
-        faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
-    elif suffix in PLACED_SUFFIXES:
-        faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(suffix, data))
-    else:
-        faces = len(numbers) // 9
-    return MeshSize(*_box(numbers), faces)
+    """Return the size of a mesh.
+
+    Raises:
+        FaultyMeshError: The file is not sound.
+    """
+    faces = sum(len(part.corners) // 3 for part, _ in placed_triangles(suffix, data))
+    return MeshSize(*_box(_coordinates(suffix, data)), faces)
 
 
-def _coordinates(suffix: str, data: bytes, sample: int = 0) -> Sequence[float]:
-    """Return the coordinates of the vertices of a mesh without fault, one after the other: of an STL file
-    those of each corner, of another file those that a face names. With a `sample`, only about so many
-    vertices, spread over the file."""
-
-    def step(count: int) -> int:
-        return max(1, count // sample) if sample else 1
-
-    if suffix in PLACED_SUFFIXES:
-        parts = placed_triangles(suffix, data)
-        stride = step(sum(len(part.numbers) // 3 for part, _ in parts))
-        return array("d", chain.from_iterable(part.moved(rows, stride) for part, rows in parts))
-    if suffix == ".stl" and not is_text_stl(data):
-        return _stl_numbers(data, step((len(data) - 84) // 50))
-    pattern = _VERTEX_COORDINATES if suffix == ".obj" else _PLACE_STL
-    vertices = pattern.findall(data)
-    if suffix == ".obj" and not sample:
-        indices = {int(index) for face in _FACE.findall(data) for index in _SIGNED_INDEX.findall(face)}
-        vertices = [vertices[index - 1] for index in indices] if min(indices, default=0) > 0 else vertices
-    return [float(number) for vertex in vertices[:: step(len(vertices))] for number in vertex.split()[:3]]
-
-
-def is_text_stl(data: bytes) -> bool:
-    """Return whether an STL file is text; some programs begin the header of a binary file with `solid`
-    too."""
-    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data
-
-
-def _stl(data: bytes) -> str | None:
-    if is_text_stl(data):
-        if _NOT_FINITE_STL.search(data):
-            return "the STL file contains a vertex that is not finite"
-        corners = len(_VERTEX_STL.findall(data))
-        if corners != len(_SOUND_VERTEX_STL.findall(data)):
-            return "a vertex of the STL file is not three numbers"
-        if not corners:
-            return "the STL file contains no triangle"
-        return None if corners % 3 == 0 else "a triangle of the STL file does not have three vertices"
-    if len(data) < 84:
-        return "the STL file is shorter than its header"
-    triangles = int.from_bytes(data[80:84], "little")
-    if len(data) != 84 + 50 * triangles:
-        return (
-            f"the STL file declares {triangles:,} triangles, but it is as long as a file of"
-            f" {(len(data) - 84) / 50:,g} triangles"
-        )
-    if not triangles:
-        return "the STL file contains no triangle"
-    # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
-    return (
-        None
-        if math.isfinite(sum(_stl_numbers(data)))
-        else "the STL file contains a vertex that is not finite"
-    )
-
-
-def _stl_numbers(data: bytes, step: int = 1) -> array[float]:
-    """Return the coordinates of the corners of every so many triangles of a binary file, one after the
-    other."""
-    # A header of 80 bytes and a count of 4; then 50 bytes per triangle: a normal of 12, corners of 36, and 2.
-    numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50 * step)))
-    if sys.byteorder == "big":
-        numbers.byteswap()
-    return numbers
-
-
-def _obj(data: bytes) -> str | None:
-    if b"\0" in data:
-        return "the OBJ file is not text"
-    if sum(1 for _ in islice(_LINES.finditer(data), _MAX_LINES + 1)) > _MAX_LINES:
-        return f"the OBJ file contains more than {_MAX_LINES:,} vertices and faces"
-    vertices = len(_VERTEX.findall(data))
-    if not vertices:
-        return "the OBJ file contains no vertex"
-    # Two plain searches take a third of the time of the pattern, and nearly always make it unnecessary.
-    lower = data.lower()
-    if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
-        return "the OBJ file contains a vertex that is not finite"
-    if len(_SOUND_VERTEX.findall(data)) != vertices:
-        return "a vertex of the OBJ file is not three numbers"
-    indices: set[bytes] = set()
-    corners = 0
-    for face in _FACE.finditer(data):
-        corner_indices = _INDEX.findall(
-            data, face.start(1), min(face.end(1), face.start(1) + 16 * _MAX_CORNERS)
-        )
-        indices.update(corner_indices)
-        corners += len(corner_indices)
-        if corners > _MAX_CORNERS:
-            return f"the faces of the OBJ file together have more than {_MAX_CORNERS:,} corners"
-    if not indices:
-        return "the OBJ file contains no face"
-    # As text, without leading zeros: `int` refuses more than 4300 digits.
-    last = max(indices, key=lambda digits: (len(digits), digits))
-    if len(last) > 9 or int(last) > vertices:
-        return (
-            f"a face of the OBJ file has vertex {last[:12].decode()}, but the file has only {vertices}"
-            " vertices"
-        )
-    return None
-
-
-def _dae(data: bytes) -> str | None:
-    source = Source("mesh", data.decode("utf-8", errors="replace").removeprefix("\ufeff"))
-    root = parse(source, Findings())
-    if root is None or root.tag != "COLLADA":
-        return "the mesh is not a COLLADA file"
-    missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
-    if missing:
-        return f"the COLLADA file has no <{missing}>"
-    return _without_triangles(".dae", data, "the scene of the COLLADA file has no triangle or polygon")
-
-
-def _gltf(data: bytes) -> str | None:
-    return _without_triangles(".glb", data, "the scene of the glTF file has no triangle")
-
-
-def _without_triangles(suffix: str, data: bytes, headline: str) -> str | None:
-    """Return the headline of a file that places no triangles, or is not sound."""
-    try:
-        return None if any(part.corners for part, _ in placed_triangles(suffix, data)) else headline
-    except FaultyMeshError as error:
-        return str(error)
+def _coordinates(suffix: str, data: bytes) -> array[float]:
+    """Return the coordinates of the vertices that the triangles of a mesh name, one after the other."""
+    return array("d", chain.from_iterable(part.moved(rows) for part, rows in placed_triangles(suffix, data)))
 
 
 # Coverage
@@ -488,11 +313,6 @@ def _without_triangles(suffix: str, data: bytes, headline: str) -> str | None:
 
 MAX_LAYERS = 100
 _SAMPLE = 1_000  # triangles
-_THREE_NUMBERS = rb"[ \t]+([-+.0-9eE]+)[ \t]+([-+.0-9eE]+)[ \t]+([-+.0-9eE]+)"
-_VERTEX_NUMBERS = re.compile(rb"^[ \t]*v" + _THREE_NUMBERS, re.MULTILINE)
-_FACE_CORNERS = re.compile(rb"^[ \t]*f(?=[ \t])([^\n]*)", re.MULTILINE)
-_CORNER = re.compile(rb"[ \t](-?[0-9]+)")
-_CORNER_STL = re.compile(rb"vertex" + _THREE_NUMBERS, re.IGNORECASE)
 
 Triangle = tuple[Vector, Vector, Vector]
 
@@ -520,11 +340,8 @@ def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
         seed: The seed of the sample, such as a digest: a file cannot be written to fit it.
     """
     try:
-        if suffix in PLACED_SUFFIXES:
-            count, sample = _placed(placed_triangles(suffix, data), Random(seed))
-        else:
-            count, sample = (_sampled_stl if suffix == ".stl" else _sampled_obj)(data, Random(seed))
-    except (ValueError, LookupError, OverflowError, struct.error):  # no engine draws such a file
+        count, sample = _sampled(placed_triangles(suffix, data), Random(seed))
+    except FaultyMeshError:  # no engine draws such a file
         return None
     return _coverage(count, sample) if count > MAX_LAYERS and sample else None
 
@@ -547,62 +364,18 @@ def _chosen(count: int, random: Random) -> list[int]:
     return sorted(random.sample(range(count), min(count, _SAMPLE))) if count > MAX_LAYERS else []
 
 
-def _vector(numbers: Sequence[bytes | str | float]) -> Vector:
-    """Return three numbers as a vector.
-
-    Raises:
-        ValueError: They are not three numbers.
-    """
-    x, y, z = map(float, numbers)
+def _vertex(numbers: Sequence[float], corner: int) -> Vector:
+    x, y, z = numbers[3 * corner : 3 * corner + 3]
     return x, y, z
 
 
-def _sampled_stl(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    if is_text_stl(data):
-        corners = _CORNER_STL.findall(data) if data.count(b"facet") > MAX_LAYERS else []
-        count = len(corners) // 3
-        triangles = (
-            [_vector(corner) for corner in corners[3 * number : 3 * number + 3]]
-            for number in _chosen(count, random)
-        )
-    else:
-        count = int.from_bytes(data[80:84], "little")
-        numbers = (struct.unpack_from("<9f", data, 96 + 50 * number) for number in _chosen(count, random))
-        triangles = ([_vector(row[at : at + 3]) for at in (0, 3, 6)] for row in numbers)
-    return count, [(a, b, c) for a, b, c in triangles]
-
-
-def _sampled_obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    """Return the number of triangles and some of them. A face with more than three corners gives the
-    triangles around its first corner."""
-    faces = [(face.start(), _CORNER.findall(face[1])) for face in _FACE_CORNERS.finditer(data)]
-    ends = list[int]()
-    for _, corners in faces:
-        ends.append((ends[-1] if ends else 0) + max(len(corners) - 2, 0))
-    count = ends[-1] if ends else 0
-    vertices = [*_VERTEX_NUMBERS.finditer(data)] if count > MAX_LAYERS else []
-    starts = [vertex.start() for vertex in vertices]
-    sample = list[Triangle]()
-    for number in _chosen(count, random):
-        face_index = bisect_right(ends, number)
-        at, corners = faces[face_index]
-        second = number - ends[face_index] + len(corners) - 1
-        indices = [int(corners[corner]) for corner in (0, second, second + 1)]
-        before = bisect_right(starts, at)  # -1 is the last vertex before the face
-        a, b, c = (
-            _vector(vertices[index - 1 if index > 0 else before + index].groups()) for index in indices
-        )
-        sample.append((a, b, c))
-    return count, sample
-
-
-def _placed(parts: Iterable[tuple[Triangles, Rows]], random: Random) -> tuple[int, list[Triangle]]:
+def _sampled(parts: Placed, random: Random) -> tuple[int, list[Triangle]]:
     """Return the number of triangles and some of them, without the nodes that place them."""
     count, sample = 0, list[Triangle]()
     for triangles, _ in parts:
         for number in _chosen(len(triangles.corners) // 3, random):
             corners = triangles.corners[3 * number : 3 * number + 3]
-            a, b, c = (_vector(triangles.numbers[3 * corner : 3 * corner + 3]) for corner in corners)
+            a, b, c = (_vertex(triangles.numbers, corner) for corner in corners)
             sample.append((a, b, c))
         count += len(triangles.corners) // 3
     return count, sample

@@ -135,6 +135,10 @@ class SelfPlay(Section):
     """Share of the environments in which the policy plays against a random script of the other agent."""
 
 
+MAX_LAYERS = 16
+MAX_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
+
+
 class PolicyNetwork(Section):
     """The network of the policy."""
 

@@ -76,9 +76,7 @@ def named(page: RulePage) -> str:
 
 
 BESIDES = {
-    "DB314": ("DB306",),
     "DB603": ("DB205",),
-    "DB702": ("DB810",),
     "DB703": ("DB708",),
     "DB705": ("DB810",),
     "DB708": ("DB810",),

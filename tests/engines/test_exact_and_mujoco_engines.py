@@ -41,7 +41,7 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 from tests.named import constant
-from tests.robots.meshes import ball
+from tests.robots.meshes import ball, block
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -215,8 +215,8 @@ def test_a_mesh_is_not_ground_and_the_message_says_what_to_do():
         create("mujoco", WorldModel(0.02, 1, terrain=Terrain(Mesh("ground.stl", "00"))))
 
 
-def post(inertial: Inertial, *shapes: Mesh) -> WorldModel:
-    pieces = tuple(Geometry(shape) for shape in shapes)
+def post(inertial: Inertial, *shapes: Mesh, turned: Pose = Pose()) -> WorldModel:  # noqa: B008
+    pieces = tuple(Geometry(shape, turned) for shape in shapes)
     model = RobotModel(
         "post",
         (Link("foot"), Link("pole", inertial, pieces, pieces)),
@@ -240,6 +240,21 @@ def test_the_rounded_inertia_of_a_thin_disc_is_possible(build):
     build(
         "mujoco", post(Inertial(0.2, Pose(rpy=(0.4, 0.3, 0.2)), ixx=0.0017, iyy=0.0017, izz=0.003401))
     ).step(1)
+
+
+def test_a_turned_mesh_of_a_link_without_inertia_has_that_of_its_box_in_turned_axes(build, tmp_path):
+    """About x, the axis of the hinge: I_x cos^2 + I_y sin^2 of a box that is turned about z."""
+    path = tmp_path / "box.obj"
+    path.write_bytes(block("box.obj", (0.6, 0.2, 0.1)))
+    shape = Mesh(str(path), sha256(path.read_bytes()).hexdigest())
+    for angle in (0.0, 0.5, pi / 2):
+        world = replace(post(Inertial(2.0), shape, turned=Pose(rpy=(0.0, 0.0, angle))), ground=None)
+        engine = build("mujoco", world)
+        engine.torque_motor("robot", ["hinge"], [10.0])([0.1])
+        engine.step(1)
+        inertia = 2 / 12 * ((0.2**2 + 0.1**2) * cos(angle) ** 2 + (0.6**2 + 0.1**2) * sin(angle) ** 2)
+        speed = engine.joint_states("robot", ["hinge"])()[0][1]
+        assert speed == pytest.approx(0.1 * 0.02 / inertia, rel=1e-6)
 
 
 def test_what_the_compiler_refuses_is_an_error_that_names_robot_and_link(tmp_path):

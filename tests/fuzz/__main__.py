@@ -1,5 +1,5 @@
-"""Lint damaged files for as long as it takes, with other commands for a tenth of them and editors for a
-thousandth: `make fuzz COUNT=500000`.
+"""Lint damaged files for as long as it takes, with other commands and a world of Webots for a tenth of them,
+and editors for a thousandth: `make fuzz COUNT=500000`.
 
     python -m tests.fuzz [--count 20000] [--start 0] [--keep FOLDER]
 
@@ -16,12 +16,15 @@ import sys
 import tempfile
 import time
 import traceback
+from functools import partial
 from pathlib import Path
 
 from tests.fuzz.beside import check, check_session
 from tests.fuzz.harness import allow, peak_memory, watch
 from tests.fuzz.mutations import case
-from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere
+from tests.fuzz.workbench import FailedError, Workbench, digest, digests_elsewhere, limited
+from tests.fuzz.worlds import SECONDS
+from tests.fuzz.worlds import check as check_world
 
 BLOCK = 5_000
 SAMPLED = 10
@@ -71,6 +74,7 @@ def block(bench: Workbench, start: int, end: int, keep: Path) -> int:
             findings = bench.examine(number)
             if number % 10 == 0:
                 check(bench, number)
+                limited(partial(check_world, number), SECONDS)
             if number % 1_000 == 0:
                 check_session(bench.folder, number)
         except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for

@@ -19,9 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
+from typing import TypeVar
 
 from deepbots_cli import api
 from deepbots_cli.cli import main as command_line
@@ -29,6 +30,7 @@ from deepbots_cli.diagnostics import Finding
 from tests.fuzz.harness import OUTSIDE, peak_memory
 from tests.fuzz.mutations import ROOT, Case, case
 
+T = TypeVar("T")
 MOST_SECONDS = 1.0
 MOST_MEMORY = 300 * 10**6
 """Bytes that the process holds at most."""
@@ -113,13 +115,7 @@ class Workbench:
     def _linted(self, damaged: Case) -> list[Finding]:
         for _ in range(3):  # of a busy machine some seconds are longer than others
             start = time.process_time()
-            signal.setitimer(signal.ITIMER_VIRTUAL, 5 * MOST_SECONDS)
-            try:
-                findings = api.lint(damaged.main, preview=True)
-            except _TooLong:
-                raise FailedError(f"it takes longer than {5 * MOST_SECONDS:g} s of CPU") from None
-            finally:
-                signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+            findings = limited(lambda: api.lint(damaged.main, preview=True), 5 * MOST_SECONDS)
             took = time.process_time() - start
             if took <= MOST_SECONDS:
                 self.slowest = max(self.slowest, (took, damaged.number))
@@ -141,6 +137,21 @@ class Workbench:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     raise _TooLong
+
+
+def limited(action: Callable[[], T], seconds: float) -> T:
+    """Return the result of an action.
+
+    Raises:
+        FailedError: It takes longer than so many seconds of CPU, inside of a workbench.
+    """
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        return action()
+    except _TooLong:
+        raise FailedError(f"it takes longer than {seconds:g} s of CPU") from None
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
 
 
 def _has_error(findings: Sequence[Finding]) -> bool:

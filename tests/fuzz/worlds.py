@@ -1,35 +1,20 @@
-"""Damaged worlds of Webots: each number gives a world, which may end in findings and in nothing else.
-
-    python -m tests.fuzz.worlds --count 20000
-
-A process of its own reads, builds and steps the worlds: one that ends it has its number printed.
-"""
+"""Damaged worlds of Webots: each number gives a world, which may end in findings and in nothing else."""
 
 from __future__ import annotations
 
-import argparse
 import random
-import resource
-import signal
-import sys
-import time
-from collections import Counter
 from pathlib import Path
-from types import FrameType
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.webots.project import Files, world_of_source
 from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
-from tests.fuzz.harness import SERVE, answers, peak_memory, serve
 from tests.fuzz.mutations import damaged
 
 SEEDS = Path(__file__).parent / "seeds_of_worlds"
 SECONDS = 20
-"""The time that one world may take."""
-MEMORY = 1 << 30
-ENDS = ("findings", "runs", "not finite")
+"""The CPU time that one world may take."""
 _PATH = Path("/nowhere/worlds/world.wbt")
 
 
@@ -56,43 +41,3 @@ def check(number: int) -> str:
     except FloatingPointError:
         return "not finite"
     return "runs"
-
-
-def _late(number: int, frame: FrameType | None) -> None:
-    raise TimeoutError(f"a world takes more than {SECONDS} s")
-
-
-def _answer(number: int) -> str:
-    signal.alarm(SECONDS)
-    try:
-        end = check(number)
-    except Exception as error:  # noqa: BLE001  # what arrives here is a fault
-        return f"{type(error).__name__}: {str(error)[:200]}"
-    finally:
-        signal.alarm(0)
-    return f"{peak_memory() >> 20} MiB" if peak_memory() > MEMORY else end
-
-
-def server() -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (4 * MEMORY, 4 * MEMORY))
-    signal.signal(signal.SIGALRM, _late)
-    serve(_answer)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=20_000)
-    parser.add_argument("--start", type=int, default=0)
-    options = parser.parse_args()
-    began = time.monotonic()
-    ends: Counter[str] = Counter()
-    for number, end in answers("tests.fuzz.worlds", range(options.start, options.start + options.count)):
-        ends[end if end in ENDS else "fails"] += 1
-        if end not in ENDS:
-            print(f"{number}: {end or 'the process ended'}", flush=True)
-    print(f"{options.count} worlds in {time.monotonic() - began:.0f} s: {dict(ends)}")
-    return int(ends["fails"] > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(server() if sys.argv[1:] == [SERVE] else main())

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import json
 import os
 import random
@@ -18,12 +19,14 @@ import resource
 import shutil
 import sys
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tests.fuzz.harness import SERVE, answers, in_fork, rise_of_memory, serve
-from tests.fuzz.run_files import HOSTILE, mutated
+from tests.fuzz.mutations import damaged
 
 ROOT = Path(__file__).parents[2]
 MOST_SECONDS = 10
@@ -35,9 +38,112 @@ COMMANDS = [
     ("diagnose", "run", "--only-logs"),
     ("export", "run", "--force"),
 ]
+READERS = [
+    ("runs", "run"),
+    ("eval", "run", "--episodes", "1"),
+    ("compare", "run", "run", "--episodes", "2"),
+    ("inspect", "run"),
+    ("resume",),
+]
+"""Further commands, on a run with damaged bytes."""
 RECORDS = ("run.json", "evaluations/0001.json")
 FOREIGN = "met: the task is solved"
 """A line that no command may print."""
+
+HOSTILE: list[Any] = [
+    *(
+        None,
+        True,
+        -1,
+        0,
+        1,
+        2**31,
+        2**63,
+        -(10**12),
+        10**12,
+        10**25,
+        0.5,
+        1e308,
+        -1e308,
+        float("nan"),
+        float("inf"),
+    ),
+    *("", "x", "x" * 100_000, [], {}, [[[]]], [0] * 1_000, "../../x", "\u0000\u202e"),
+    *({"dtype": "S2000000000", "value": ["x", "y"]}, {"dtype": "O", "value": 1}),
+]
+HEADERS = [b"<f4", b"<f8", b"<i8", b"|O'", b"|S9", b"(3,", b"(4,", b"(99999999999,", b"(-1,", b"()", b"True"]
+
+
+def damaged_json(data: bytes, chance: random.Random) -> bytes:
+    """One value replaced, removed or repeated, or a change of the text."""
+    if chance.random() < 0.3:
+        return damaged(data, chance)
+    value = json.loads(data)
+    inner = value
+    while True:
+        keys = list(inner) if isinstance(inner, dict) else list(range(len(inner)))
+        key = chance.choice(keys)
+        if not isinstance(inner[key], dict | list) or not inner[key] or chance.random() < 0.3:
+            break
+        inner = inner[key]
+    match chance.randrange(6):
+        case 0:
+            del inner[key]
+        case 1 if isinstance(inner, list):
+            inner *= chance.choice((2, 1_000))
+        case _:
+            inner[key] = chance.choice(HOSTILE)
+    return json.dumps(value).encode()
+
+
+def flipped(data: bytes, chance: random.Random) -> bytes:
+    """Some bytes changed, or the file cut off."""
+    changed = bytearray(data)
+    for _ in range(chance.choice((1, 1, 3, 30))):
+        if changed:
+            changed[chance.randrange(len(changed))] = chance.randrange(256)
+    return bytes(changed[: chance.randrange(len(changed) + 1)] if chance.random() < 0.2 else changed)
+
+
+def damaged_zip(data: bytes, chance: random.Random) -> bytes:
+    """One member changed, removed, renamed or packed, with sums that are right; or the archive itself
+    changed."""
+    if chance.random() < 0.3:
+        return flipped(data, chance)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = chance.choice(sorted(members))
+    way = chance.randrange(6)
+    stream = io.BytesIO()
+    match way:
+        case 0:
+            del members[name]
+        case 1:
+            members["more.npy"] = members.pop(name)
+        case 2:
+            head, tail = members[name][:128], members[name][128:]
+            members[name] = head.replace(chance.choice(HEADERS), chance.choice(HEADERS), 1) + tail
+        case 3 if name == "data":
+            members[name] = damaged_json(members[name], chance)
+        case _:
+            members[name] = flipped(members[name], chance)
+    with zipfile.ZipFile(
+        stream, "w", zipfile.ZIP_DEFLATED if way == 4 and chance.random() < 0.2 else zipfile.ZIP_STORED
+    ) as archive:
+        for member, content in members.items():
+            archive.writestr(member, content)
+    return stream.getvalue()
+
+
+def mutated(file: str, data: bytes, number: int) -> bytes:
+    """The file after the change of a number."""
+    chance = random.Random(f"{file.partition('.out.tfevents')[0]} {number}")  # without the time in the name
+    if file.endswith((".npz", ".zip")):
+        return damaged_zip(data, chance)
+    if file.endswith(".json"):
+        return damaged_json(data, chance)
+    return flipped(data, chance) if "tfevents" in file else damaged(data, chance)
+
 
 Change = Callable[[Path, random.Random], None]
 
@@ -234,7 +340,8 @@ def tried(run: Path, number: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         shutil.copytree(run, "run")
         kind = changed(Path("run"), number)
-        outcomes = [outcome_of(words) for words in COMMANDS]
+        is_damaged = kind == damaged_bytes.__name__
+        outcomes = [outcome_of(words) for words in (*COMMANDS, *(READERS if is_damaged else ()))]
     return {
         "kind": kind,
         "seconds": max(seconds for seconds, _, _ in outcomes),
@@ -256,20 +363,44 @@ def _commanded(words: tuple[str, ...]) -> tuple[int, str]:
 
     resource.setrlimit(resource.RLIMIT_CPU, (MOST_SECONDS, MOST_SECONDS))
     codes = list[int]()
+    before = _content(Path("run")) if words in READERS else {}
+    run = _resumed if words == ("resume",) else partial(main, list(words))
     with Path("output").open("w+") as output:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-            memory = rise_of_memory(lambda: codes.append(main(list(words))))
+            memory = rise_of_memory(lambda: codes.append(run()))
         output.seek(0)
         text = output.read(10**7)
     (code,) = codes
     label = " ".join(words)
     if code not in (0, 1, 2) or "Traceback" in text:
         return memory, f"{label} ended with {code}: {text[-600:]}"
+    if words in READERS and code == 2 and _content(Path("run")) != before:
+        return memory, f"{label} is refused, and has changed the run"
     if any(line.startswith(FOREIGN) for line in text.splitlines()) or "\x1b[2J" in text or "\u202e" in text:
         return memory, f"{label} prints a line of the run"
     if len(text) > 10**6:
         return memory, f"{label} prints {len(text)} letters"
     return memory, f"{label} takes {memory / 1e6:.0f} MB" if memory > MOST_MEMORY else ""
+
+
+def _resumed() -> int:
+    """Continue the run for a step; the exit code. Weights of another size are weights too: such a training
+    begins, and ends when they become infinite."""
+    import stand_in
+
+    from deepbots_cli.errors import DeepbotsError
+    from deepbots_cli.learning import resume
+
+    steps = max(int(path.name) for path in Path("run/checkpoints").iterdir() if path.name.isdecimal())
+    try:
+        resume(Path("run"), total_timesteps=steps + 1, build=stand_in.build)
+    except DeepbotsError as error:
+        return 1 if "the training diverged" in str(error) else 2
+    return 0
+
+
+def _content(run: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in _files(run) if path.name != ".lock"}
 
 
 def main() -> None:

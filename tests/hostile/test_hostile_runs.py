@@ -61,6 +61,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             pytest.param(range(at, at + 50), id=f"from {at}", marks=pytest.mark.slow)
             for at in range(0, 200, 50)
         ),
+        pytest.param(range(0, 10 * len(CHANGES), len(CHANGES)), id="damaged", marks=pytest.mark.slow),
     ],
 )
 def test_a_hostile_run_takes_little_time_and_memory_and_prints_no_line_of_its_own(

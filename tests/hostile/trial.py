@@ -1,8 +1,5 @@
-"""Lints hostile files, each in a folder of its own, and says what came of it.
-
-The linting is done by a process of its own, since the watch over opened files cannot be taken off again, and
-since the peak of memory is that of a process, which shall not hold what the files were made from.
-"""
+"""Lints hostile files, each in a folder and a forked process of its own, and says what came of it: the watch
+over opened files cannot be taken off again."""
 
 from __future__ import annotations
 
@@ -15,14 +12,13 @@ import time
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from deepbots_cli import api
 from deepbots_cli.cli import main as command_line
-from tests.fuzz.harness import OUTSIDE, allow, answers, peak_memory, serve, watch
+from tests.fuzz.harness import OUTSIDE, allow, in_fork, rise_of_memory, watch
 from tests.hostile.cases import Hostile, cases
-
-ROOT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class Outcome:
     """What became of a hostile file: the codes found at error level, CPU seconds, the exit code, what was
     opened that is none of its business.
 
-    `memory` is the peak of the process so far, in bytes.
+    `memory` is what the process took at most, in bytes.
     """
 
     codes: list[str]
@@ -43,42 +39,30 @@ class Outcome:
 def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
     """The cases, also those that are `slow`, and the outcome of each; fewer than all if lint took its process
     down."""
-    tried = [case for case in cases() if slow or not case.slow]
+    api.lint("cartpole")  # everything is imported
     with tempfile.TemporaryDirectory() as name:
-        folders = [Path(name).resolve() / str(number) / "project" for number in range(len(tried))]
-
-        def written() -> Iterator[str]:
-            for case, folder in zip(tried, folders, strict=True):
-                folder.mkdir(parents=True)
-                yield str(case.write(folder))
-
-        for case, folder, (_, answer) in zip(tried, folders, answers(__name__, written()), strict=True):
+        for number, case in enumerate(case for case in cases() if slow or not case.slow):
+            folder = Path(name).resolve() / str(number) / "project"
+            folder.mkdir(parents=True)
+            fork = in_fork(partial(examine, case.write(folder)))
             shutil.rmtree(folder.parent, ignore_errors=True)
-            if answer is None:
+            if fork.result is None:
                 return
-            yield case, Outcome(**answer)
+            yield case, fork.result
 
 
 def examine(main: Path) -> Outcome:
     """Lint a scenario by the command line."""
     os.chdir(main.parent)
     allow(main.parent)
-    OUTSIDE.clear()
+    watch()
+    codes: list[int] = []
+    command = ["lint", str(main), "--format", "json"]
     start = time.process_time()
     with redirect_stdout(io.StringIO()) as output, redirect_stderr(io.StringIO()):
-        exit_code = command_line(["lint", str(main), "--format", "json"])
+        memory = rise_of_memory(lambda: codes.append(command_line(command)))
     seconds = time.process_time() - start
-    os.chdir(main.parents[2])
     findings = json.loads(output.getvalue())["findings"]
-    codes = sorted({finding["code"] for finding in findings if finding["severity"] == "error"})
-    return Outcome(codes, seconds, exit_code, list(OUTSIDE), peak_memory())
-
-
-def main() -> None:
-    api.lint("cartpole")  # everything is imported
-    watch()
-    serve(lambda path: vars(examine(Path(path))))
-
-
-if __name__ == "__main__":
-    main()
+    errors = sorted({finding["code"] for finding in findings if finding["severity"] == "error"})
+    outside = [path for path in OUTSIDE if not path.endswith("/clear_refs")]
+    return Outcome(errors, seconds, codes[0], outside, memory)

@@ -4,11 +4,9 @@ true in every simulated step."""
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 from hypothesis import reject
@@ -17,7 +15,7 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import SpeedRanges, highest_return, rate_of, return_range
+from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.errors import EndsAtResetError, EvaluationError
 from deepbots_cli.expressions.functions import FUNCTIONS
@@ -260,24 +258,15 @@ def every_value_is_within_its_interval(case: Case) -> None:
     for probe, intervals in ranges:
         if not reads("joint_position", analysis, probe.tree):
             intervals += probe.stated
-    fast = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
-    speeds = [rate_of(analysis, probe.tree, exact=True) * analysis.period for probe in probes]
     with closing(api.build(with_probes(program, probes))) as world:
         for seed in SEEDS:
             with with_every_value(program):
                 episode = moments(world, probes, seed)
             for moment in episode:
                 for (probe, intervals), value in zip(ranges, moment.values, strict=True):
-                    now = in_step(analysis, fast, moment.step)
+                    now = in_step(analysis, moment.step)
                     for interval in (*intervals, *(one.of(probe.tree) for one in now)):
                         assert within(value, interval), (probe.text, probe.tree, moment.step, value, interval)
-            for before, after in pairwise(episode):
-                for probe, first, second, limit in zip(
-                    probes, before.values, after.values, speeds, strict=True
-                ):
-                    # Nothing is infinitely far, and stays so.
-                    change = 0.0 if first == second else abs(second - first)
-                    assert within(change, Interval(0.0, limit)), (probe.text, after.step, change, limit)
 
 
 def is_direction_of_zero(analysis: Analysis, tree: Scalar) -> bool:
@@ -298,12 +287,11 @@ def is_size(tree: Scalar) -> bool:
     return isinstance(tree, Op) and tree.op in ("hypot", "abs", "sqrt")
 
 
-def in_step(analysis: Analysis, fast: Ranges, step: int) -> list[Ranges]:
+def in_step(analysis: Analysis, step: int) -> list[Ranges]:
     """Return the ranges that hold in one step; those of most steps are not tried, as they take long."""
     if step == 0:
         return [analysis.start]
-    in_it = [analysis.ranges_in(step, step)] if step in (1, 2, analysis.last_step) else []
-    return [fast, *in_it]
+    return [analysis.ranges_in(step, step)] if step in (1, 2, analysis.last_step) else []
 
 
 # Rewards and observations
@@ -344,8 +332,6 @@ def every_reward_is_within_its_bounds(case: Case) -> None:
                 totals.append(sum(sum(moment.terms.values()) for moment in episode))
     for total in totals if is_whole else ():
         assert within(total, return_range(analysis.reward)), (total, return_range(analysis.reward))
-        limit = highest_return(analysis.reward)
-        assert within(total, Interval(-math.inf, limit)), (total, limit)
     place = program.agent.reward[0].span
     if any(finding.code == "DB711" and finding.span == place for finding in findings):
         assert all(within(total, Interval(totals[0], totals[0])) for total in totals), totals

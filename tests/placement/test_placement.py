@@ -26,9 +26,8 @@ from scipy.spatial.transform import Rotation
 from shapely import MultiPoint
 
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.footprint import Footprint, Patch, contact_points, patch_distance
+from deepbots_cli.footprint import Footprint, Patch, patch_distance
 from deepbots_cli.frames import Triple
-from deepbots_cli.robots.model import Capsule, Geometry, Link, Pose, RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.overview import extent
 from deepbots_cli.runtime.paths import DistanceField
@@ -377,15 +376,6 @@ def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Make) -> 
     environment = make(PLACED, "reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
     with pytest.raises(EvaluationError, match=r"no start met `reset.require`"):
         environment.reset(seed=7)
-
-
-@pytest.mark.parametrize("pitch", [0.6, math.pi - 0.6])
-def test_a_tilted_capsule_touches_the_ground_with_its_lower_end(pitch: float) -> None:
-    leg = Geometry(Capsule(0.05, 0.4), Pose((0.0, 0.0, 0.3), (0.0, pitch, 0.0)))
-    model = RobotModel("robot", (Link("leg", collisions=(leg,)),), (), "leg")
-    ((x, y),) = contact_points(model, 0.01)
-    assert x == pytest.approx(-math.copysign(0.2 * math.sin(0.6), math.cos(pitch)))
-    assert y == pytest.approx(0.0)
 
 
 TABLE_HALF = (0.3, 0.2)

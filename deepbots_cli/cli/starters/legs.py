@@ -24,8 +24,8 @@ from deepbots_cli.robots.kinematics import (
     box_around,
     center_of_mass,
     corners,
+    joint_inertia,
     link_frames,
-    load_and_inertia,
     min_spring_inertia,
     resting_height,
 )
@@ -208,7 +208,7 @@ def _springs(build: Build, joints: Sequence[Joint], stiffness: float) -> tuple[d
         "damping": f"{short_number(damping)} N*m*s/rad",
     }
     least = _ARMATURE_MARGIN * min_spring_inertia(stiffness, damping, _TIMESTEP / _SUBSTEPS["mujoco"])
-    inertias = [load_and_inertia(build.model, build.frames, joint, (0.0, 0.0, 0.0))[1] for joint in joints]
+    inertias = [joint_inertia(build.model, build.frames, joint) for joint in joints]
     return gains, least if min(inertias) < least else 0.0
 
 

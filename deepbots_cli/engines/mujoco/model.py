@@ -466,7 +466,8 @@ class ModelBuilder:
             if isinstance(piece.shape, Mesh):
                 corners = mesh_triangles(piece.shape).reshape(-1, 3)
                 x, y, z = ((corners.max(axis=0) - corners.min(axis=0)) ** 2).tolist()
-                return frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
+                box = frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
+                return frames.rotate_tensor(box, frames.rotation_matrix(piece.origin.rpy))
         return frames.diagonal((ROOT_MASS_FRACTION * mass,) * 3)
 
     def _joint(self, element: MjObject, joint: Joint) -> MjObject:

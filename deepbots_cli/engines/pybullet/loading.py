@@ -31,7 +31,8 @@ from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.kinematics import box_sides
-from deepbots_cli.robots.meshes import is_text_stl, mesh_bounds, read_verified
+from deepbots_cli.robots.mesh_formats import is_text_stl
+from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import (
     Cylinder,
     Friction,

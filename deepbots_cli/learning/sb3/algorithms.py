@@ -32,7 +32,7 @@ from deepbots_cli.learning.sb3.networks import asymmetric
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ACTIVATIONS, AdaptiveRate, Hyperparameter, Schedule, Training
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
-from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.scenario.training import ALGORITHMS, MAX_LAYERS, MAX_WEIGHTS
 from deepbots_cli.scenario.training import Training as Model
 
 _MIN_RATE, _MAX_RATE = 1e-5, 1e-2
@@ -364,8 +364,6 @@ def _entry(name: str) -> type[Model]:
     return ALGORITHMS[name]
 
 
-_MAX_LAYERS = 16
-_MAX_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
 _BYTES_PER_ENVIRONMENT = 29_000_000  # measured for a cart-pole in PyBullet
 
 
@@ -375,13 +373,13 @@ def check_size(hidden: Sequence[int], inputs: int = 0) -> None:
     Raises:
         UsageError: The network would be larger than any memory.
     """
-    if len(hidden) > _MAX_LAYERS:
-        raise UsageError(f"a policy has at most {_MAX_LAYERS} hidden layers")
-    if sum(width * next_width for width, next_width in pairwise((inputs, *hidden))) > _MAX_WEIGHTS:
+    if len(hidden) > MAX_LAYERS:
+        raise UsageError(f"a policy has at most {MAX_LAYERS} hidden layers")
+    if sum(width * next_width for width, next_width in pairwise((inputs, *hidden))) > MAX_WEIGHTS:
         observed = f"{inputs:,} observed numbers and " if inputs else ""
         raise UsageError(
             f"a policy with {observed}hidden layers of {', '.join(map(str, hidden))} units has more than"
-            f" {_MAX_WEIGHTS:,} weights"
+            f" {MAX_WEIGHTS:,} weights"
         )
 
 
