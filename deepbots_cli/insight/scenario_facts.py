@@ -171,10 +171,13 @@ class ScenarioFacts:
 
     # Units
 
-    def range_text(self, number: ObservedNumber, value: float) -> str:
-        """Return the text of a value of an observed number, given in SI units, in the unit of its range in
-        the file."""
-        return quantity_text(value, self.units.of_entry(number.full_name, number.unit))
+    def seen_text(self, number: ObservedNumber, value: float) -> str:
+        """Return a number of the observation, from -1 to 1, as the value that it represents, in the unit of
+        its range in the file."""
+        if number.is_truth:
+            return "true" if value else "false"
+        shown = number.low + (value + 1) / 2 * (number.high - number.low)
+        return quantity_text(shown, self.units.of_entry(number.full_name, number.unit))
 
 
 _CODE = Permissions(code=True)

@@ -17,17 +17,20 @@ from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from shlex import quote
+from statistics import fmean
 from typing import Any, Literal
 
 import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.files import display_path
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.scenario_facts import LintedScenario, ScenarioFacts, linted_scenario, named_source
-from deepbots_cli.insight.statements import EvaluationRate
+from deepbots_cli.insight.statements import EvaluationRate, Percentage, SuccessRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, instrument_program, trace_episodes
 from deepbots_cli.learning.environments import FAILURES_FOLDER, Failure, read_failure
+from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import (
@@ -52,8 +55,72 @@ from deepbots_cli.view.training_logs import logs_of, scalars_of
 
 MIN_EPISODES = 8
 """The number of episodes below which the returns of a training are not meaningful."""
+TOTAL_TIMESTEPS = "train.total_timesteps"
+"""The setting whose new value continues a training. A new value of another setting begins another
+training."""
 MIN_QUARTER = 30
 """Episodes in a quarter of a stage, below which its success rate is too uncertain for a trend."""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Whether a mean of episodes rises in the present stage.
+
+    Attributes:
+        direction: "rises", "no longer rises", "falls", or "" if the episodes do not show which.
+        before: The mean of the second quarter of the steps of the stage.
+        late: The mean of the last quarter.
+        gain: `late` - `before`, with its 95 % interval from `low` to `high`.
+    """
+
+    direction: Literal["rises", "no longer rises", "falls", ""] = ""
+    before: float = 0.0
+    late: float = 0.0
+    gain: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+
+
+def trend_of(progress: Array, values: Array, least: int) -> Trend:
+    """Return the trend of values of episodes, at their progress in a stage from 0 to 1. Each quarter needs at
+    least so many episodes.
+
+    The values rise if their gain since the second quarter, or from one half to the other, exceeds chance, and
+    they have not leveled off: an interval ends below half of what a steady rise would gain. They no longer
+    rise if they have leveled off, or if their interval excludes a gain of a tenth of their mean; where both
+    gains are below 0, the interval may be wider. In 300 simulated trainings each of 400 to 20,000 episodes,
+    rates that rose from 1 to 6 % were called flat in at most 4 %.
+    """
+    shares = [(0.0, 0.1), *((quarter / 4, (quarter + 1) / 4) for quarter in range(4))]
+    start, *quarters = (values[(progress > low) & (progress <= high)] for low, high in shares)
+    if min(map(len, quarters)) < least:
+        return Trend()
+    start, last = start if len(start) else quarters[0], quarters[3]
+    gain, low, high = _gain(quarters[1], last)
+    _, recent_low, recent_high = _gain(quarters[2], last)
+    of_halves, low_of_halves, _ = _gain(np.concatenate(quarters[:2]), np.concatenate(quarters[2:]))
+    is_clear = low > 0 or low_of_halves > of_halves / 4  # 99 % for halves, of which one has the start
+    whole, level = float(last.mean() - start.mean()), abs(float(last.mean()))
+    # A steady rise gains 0.6 of the whole since the second quarter, and 0.3 since the third.
+    leveled = high < 0.3 * whole or recent_high < 0.15 * whole or (gain <= 0 and high < 0.6 * whole)
+    margin = min(0.4 * float(last.std()), level) if max(gain, of_halves) <= 0 else 0.1 * level
+    direction: Literal["rises", "no longer rises", "falls", ""] = ""
+    if high < 0:
+        direction = "falls"
+    elif leveled:
+        direction = "" if recent_low > 0 else "no longer rises"
+    elif low > 0 or low_of_halves > 0:
+        direction = "rises" if gain > 0 and is_clear else ""
+    elif high <= margin:
+        direction = "no longer rises"
+    return Trend(direction, float(quarters[1].mean()), float(last.mean()), gain, low, high)
+
+
+def _gain(before: Array, after: Array) -> tuple[float, float, float]:
+    """Return the difference of two means, and the ends of its 95 % interval."""
+    gain = float(after.mean() - before.mean())
+    half = 1.96 * float(np.hypot(before.std() / np.sqrt(len(before)), after.std() / np.sqrt(len(after))))
+    return gain, gain - half, gain + half
 
 
 @dataclass(eq=False)
@@ -243,6 +310,19 @@ class TrainingEvidence:
             for entry in effective_hyperparameters(self.run.program, self.run.record.total_timesteps)
         }
 
+    @cached_property
+    def usual_settings(self) -> Mapping[str, Any]:
+        """The hyperparameters that the training would take if the scenario gave none, by name."""
+        program, training = self.run.program, self.run.program.agent.training
+        if training is None:
+            return {}
+        bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
+        unset = program.with_agent(training=bare)
+        return {
+            entry.name: entry.value
+            for entry in effective_hyperparameters(unset, self.run.record.total_timesteps)
+        }
+
     def number_setting(self, name: str) -> float | None:
         """Return a hyperparameter as a number, of a schedule its first number; None if it is not a number."""
         value = self.settings.get(name)
@@ -285,6 +365,36 @@ class TrainingEvidence:
         logged_steps = int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
         return max(logged_steps, result.steps if result is not None else 0)
 
+    @property
+    def late(self) -> Any:
+        """The episodes of the last quarter of the present stage."""
+        return self.episodes_between(0.75, 1.0)
+
+    @property
+    def late_training_success(self) -> float:
+        """The success rate of the late episodes of the training, which explore; 0 without any."""
+        return float(self.late.successes.mean()) if len(self.late) else 0.0
+
+    def length(self, planned: int = 0) -> dict[str, Any]:
+        """Return the length of the training as numbers of a cause, and the way to continue it: to the
+        `planned` steps if they are more than 1.1 times as many, else further."""
+        record, command = self.run.record, f"deepbots resume {quote(display_path(self.run.path))}"
+        more = planned if planned > 1.1 * self.steps else max(self.planned, longer_goal(self.steps))
+        # An interrupted training goes on to its own total.
+        if record.state(self.run.path) != "interrupted" or more != record.total_timesteps:
+            command += f" --timesteps {more:_}"
+        wait = f"Let it run: {self.steps:,} of {record.total_timesteps:,} steps have been made."
+        return {
+            "steps": self.steps,
+            "episodes": len(self.all_episodes),
+            "planned": self.planned,
+            "share": Percentage(self.steps / self.planned),
+            "more": more,
+            "advice": wait if self.is_running else f"Continue the training with `{command}`.",
+            "settings": {} if self.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
+            "command": command,
+        }
+
     # What was learned
 
     @property
@@ -299,6 +409,92 @@ class TrainingEvidence:
             logged_episodes_meet(solved, evaluation["returns"], evaluation["successes"])
             for evaluation in evaluations
         )
+
+    @cached_property
+    def learned(self) -> Literal["exploring", "evaluated"] | None:
+        """Where the policy has learned the task: in the episodes of the training, or only in evaluations,
+        which do not explore.
+
+        The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an
+        evaluation after the training excludes it. In a scenario without `solved`, the task is learned at a
+        success rate of 80 %.
+        """
+        solved, succeeds = self.run.program.agent.solved, self.run.program.defines_success
+        required = 0.8 if solved is None else solved.success_rate or 0.0
+
+        def suffices(successes: Sequence[float]) -> bool:
+            """Return whether successes suffice in a scenario without `solved`."""
+            return (
+                solved is None
+                and succeeds
+                and len(successes) >= MIN_EPISODES
+                and fmean(successes) >= required
+            )
+
+        final = SuccessRate.of(self.final_episodes)
+        excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
+        is_learned = self.is_last_stage and suffices(self.episodes.successes[-100:])
+        if not excluded and (is_learned or self._solved_while_exploring):
+            return "exploring"
+        evaluated = [episode.is_success for episode in self.final_episodes]
+        if self.is_last_stage:
+            is_defined = self.evaluations and self.program.defines_success
+            evaluated = self.evaluations[-1]["successes"] if is_defined else []
+        return "evaluated" if self.solved or suffices(evaluated) else None
+
+    @property
+    def _solved_while_exploring(self) -> bool:
+        """Whether episodes of the training, which explore, met `solved`."""
+        solved, result = self.run.program.agent.solved, self.run.record.result
+        if result is None or result.solved_at is None:
+            return False
+        if solved is None:
+            return True
+        recent = self.episodes[-solved.episodes :] if self.is_last_stage else self.episodes[:0]
+        return logged_episodes_meet(solved, recent.returns, recent.successes)
+
+    @cached_property
+    def policy_rate(self) -> SuccessRate:
+        """The success rate of the policy: in the quoted evaluation, else in the last quarter of the
+        training."""
+        final = [episode.is_success for episode in self.final_episodes] if self.is_last_stage else []
+        return SuccessRate(final or self.late.successes)
+
+    @property
+    def script_rates(self) -> dict[str, SuccessRate]:
+        """The success rates of the scripts, of enough episodes each."""
+        rates = {name: SuccessRate.of(traces) for name, traces in self.scripts.items()}
+        return {name: rate for name, rate in rates.items() if rate.episodes >= MIN_EPISODES}
+
+    @property
+    def teacher(self) -> str | None:
+        """The script that teaches the policy."""
+        training = self.program.agent.training
+        return training.teacher.script if training is not None and training.teacher is not None else None
+
+    @property
+    def is_taught(self) -> bool:
+        return self.teacher is not None or self.run.demonstrations.exists() or self.run.teacher.exists()
+
+    @cached_property
+    def return_trend(self) -> Trend:
+        """The trend of the returns in the present stage."""
+        return trend_of(self._progress(self.episodes.steps), self.episodes.returns, MIN_EPISODES // 2)
+
+    @cached_property
+    def success_trend(self) -> Trend:
+        """The trend of the success rate in the present stage: that of the evaluations, which do not explore,
+        if it rises, or else that of the episodes of the training."""
+        rows = [(row["steps"], won) for row in self.evaluations for won in row["successes"] if "steps" in row]
+        steps, successes = np.array(rows, float).reshape(-1, 2).T
+        evaluated = trend_of(self._progress(steps), successes, MIN_QUARTER)
+        if evaluated.direction == "rises":
+            return evaluated
+        return trend_of(self._progress(self.episodes.steps), self.episodes.successes, MIN_QUARTER)
+
+    def _progress(self, steps: Array) -> Array:
+        """Return which share of the steps of the present stage was made after these steps."""
+        return (steps - self.first_step) / max(1, self.stage_steps)
 
     def curve(self, tag: str) -> Array:
         """Return the values of a curve in the present stage, or of `train/...` in all stages; empty if
@@ -323,103 +519,6 @@ def last_quarter(curve: Array) -> Array:
 def mean_return(evidence: TrainingEvidence, first: float, last: float) -> float:
     """Return the mean return of `TrainingEvidence.episodes_between`."""
     return float(evidence.episodes_between(first, last).returns.mean())
-
-
-@dataclass(frozen=True)
-class Trend:
-    """Whether a mean of episodes rises in the present stage.
-
-    Attributes:
-        direction: "rises", "no longer rises", "falls", or "" if the episodes do not show which.
-        before: The mean of the second quarter of the steps of the stage.
-        late: The mean of the last quarter.
-        gain: `late` - `before`, with its 95 % interval from `low` to `high`.
-    """
-
-    direction: Literal["rises", "no longer rises", "falls", ""] = ""
-    before: float = 0.0
-    late: float = 0.0
-    gain: float = 0.0
-    low: float = -np.inf
-    high: float = np.inf
-
-
-def trend_of(progress: Array, values: Array, least: int) -> Trend:
-    """Return the trend of values of episodes, at their progress in a stage from 0 to 1. Each quarter needs at
-    least so many episodes.
-
-    The values rise if their gain since the second quarter, or from one half to the other, exceeds chance, and
-    they have not leveled off: an interval ends below half of what a steady rise would gain. They no longer
-    rise if they have leveled off, or if their interval excludes a gain of a tenth of their mean; where both
-    gains are below 0, the interval may be wider. In 300 simulated trainings each of 400 to 20,000 episodes,
-    rates that rose from 1 to 6 % were called flat in at most 4 %.
-    """
-    shares = [(0.0, 0.1), *((quarter / 4, (quarter + 1) / 4) for quarter in range(4))]
-    start, *quarters = (values[(progress > low) & (progress <= high)] for low, high in shares)
-    if min(map(len, quarters)) < least:
-        return Trend()
-    start, last = start if len(start) else quarters[0], quarters[3]
-    gain, low, high = _gain(quarters[1], last)
-    _, recent_low, recent_high = _gain(quarters[2], last)
-    of_halves, low_of_halves, _ = _gain(np.concatenate(quarters[:2]), np.concatenate(quarters[2:]))
-    is_clear = low > 0 or low_of_halves > of_halves / 4  # 99 % for halves, of which one has the start
-    whole, level = float(last.mean() - start.mean()), abs(float(last.mean()))
-    # A steady rise gains 0.6 of the whole since the second quarter, and 0.3 since the third.
-    leveled = high < 0.3 * whole or recent_high < 0.15 * whole or (gain <= 0 and high < 0.6 * whole)
-    margin = min(0.4 * float(last.std()), level) if max(gain, of_halves) <= 0 else 0.1 * level
-    direction: Literal["rises", "no longer rises", "falls", ""] = ""
-    if high < 0:
-        direction = "falls"
-    elif leveled:
-        direction = "" if recent_low > 0 else "no longer rises"
-    elif low > 0 or low_of_halves > 0:
-        direction = "rises" if gain > 0 and is_clear else ""
-    elif high <= margin:
-        direction = "no longer rises"
-    return Trend(direction, float(quarters[1].mean()), float(last.mean()), gain, low, high)
-
-
-def _gain(before: Array, after: Array) -> tuple[float, float, float]:
-    """Return the difference of two means, and the ends of its 95 % interval."""
-    gain = float(after.mean() - before.mean())
-    half = 1.96 * float(np.hypot(before.std() / np.sqrt(len(before)), after.std() / np.sqrt(len(after))))
-    return gain, gain - half, gain + half
-
-
-def return_trend(evidence: TrainingEvidence) -> Trend:
-    """Return the trend of the returns in the present stage."""
-    episodes = evidence.episodes
-    return trend_of(_progress(evidence, episodes.steps), episodes.returns, MIN_EPISODES // 2)
-
-
-def success_trend(evidence: TrainingEvidence) -> Trend:
-    """Return the trend of the success rate in the present stage: that of the evaluations, which do not
-    explore, if it rises, or else that of the episodes of the training."""
-    rows = [(row["steps"], won) for row in evidence.evaluations for won in row["successes"] if "steps" in row]
-    steps, successes = np.array(rows, float).reshape(-1, 2).T
-    evaluated = trend_of(_progress(evidence, steps), successes, MIN_QUARTER)
-    if evaluated.direction == "rises":
-        return evaluated
-    return trend_of(_progress(evidence, evidence.episodes.steps), evidence.episodes.successes, MIN_QUARTER)
-
-
-def _progress(evidence: TrainingEvidence, steps: Array) -> Array:
-    """Return which share of the steps of the present stage was made after these steps."""
-    return (steps - evidence.first_step) / max(1, evidence.stage_steps)
-
-
-def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
-    """Return the hyperparameters that the training would take if the scenario gave none, by name."""
-    program = evidence.run.program
-    training = program.agent.training
-    if training is None:
-        return {}
-    bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
-    unset = program.with_agent(training=bare)
-    return {
-        entry.name: entry.value
-        for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)
-    }
 
 
 def commonest_ending(episodes: Any) -> tuple[str, float]:
