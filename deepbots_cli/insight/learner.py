@@ -10,7 +10,7 @@ named.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from deepbots_cli.insight.training import (
     mean_return,
 )
 from deepbots_cli.learning.runs.verdict import Decline
-from deepbots_cli.program.task import Schedule
+from deepbots_cli.program.task import Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import number_text, rate_text
 
@@ -103,8 +103,7 @@ def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
             **numbers,
             "likelihood": 0.5,
             "reasons": f"Meanwhile the mean return rose from {number_text(before)} to {number_text(after)}:"
-            f" the"
-            f" reward pays for something other than success{_paying_term(evidence)}.",
+            f" the reward pays for something other than success{_paying_term(evidence)}.",
             "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
             " lint` and `lint --exploits` look for such payments.",
             "suspects": [],
@@ -146,22 +145,23 @@ def _returns_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float
 def _paying_term(evidence: TrainingEvidence) -> str:
     """Return the reward term that rose most, in words; empty where none rose."""
     rise = rising_term(evidence)
-    return (
-        ""
-        if rise is None
-        else f". The term '{rise[0]}' rose most, from {number_text(rise[1])} to {number_text(rise[2])} per"
-        " episode"
-    )
+    if rise is None:
+        return ""
+    before, after = (number_text(value) for value in rise[1:])
+    return f". The term '{rise[0]}' rose most, from {before} to {after} per episode"
 
 
 def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
     """Return the settings that explain a fall, the most likely first, and only those whose value is not the
     advised one."""
-    if evidence.program.agent.training is None:
+    training = evidence.program.agent.training
+    if training is None:
         return []
-    scales = _OFF_POLICY if "buffer_size" in evidence.settings else _ON_POLICY
+    is_off_policy = "buffer_size" in evidence.settings
+    scales = _OFF_POLICY if is_off_policy else _ON_POLICY
     causes = [_of_scale(evidence, fall, name, scale) for name, scale in scales.items()]
-    causes += [rule(evidence, fall) for rule in _RULES]
+    further = _off_policy_suspects if is_off_policy else _on_policy_suspects
+    causes += [*_shared_suspects(evidence, fall, training), *further(evidence, fall, training)]
     by_path: dict[str, Suspect] = {}  # the strongest of several reasons for a change of one setting
     for suspect in sorted(filter(None, causes), key=lambda suspect: -suspect.weight):
         if suspect.weight >= SUSPECTED and suspect.now != suspect.advised:
@@ -215,125 +215,75 @@ def _advised(evidence: TrainingEvidence, name: str, usual: float, default: Any) 
     return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
 
 
-def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect returns that are too large for a critic."""
-    training = evidence.program.agent.training
+def _shared_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    """Yield settings of any algorithm that need more than a scale."""
     high = max((abs(value) for row in evidence.evaluations for value in row["returns"]), default=0.0)
-    if training is None or training.normalize == "reward" or high <= 0:
-        return None
-    weight = math.log(high / _USUAL_RETURN) / math.log(_BREAKING_RETURNS)
-    reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
-    explained = _part(evidence, "train/explained_variance", fall.best_steps)
-    if len(explained):
-        median = float(np.median(explained))
-        weight += 0.3 if median < 0.3 else 0.0
-        reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
-    return Suspect("train.normalize", "", "reward", reason, weight)
-
-
-def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
-    rewards."""
+    if training.normalize != "reward" and high > 0:  # returns that are too large for a critic
+        weight = math.log(high / _USUAL_RETURN) / math.log(_BREAKING_RETURNS)
+        reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
+        explained = _part(evidence, "train/explained_variance", fall.best_steps)
+        if len(explained):
+            median = float(np.median(explained))
+            weight += 0.3 if median < 0.3 else 0.0
+            reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
+        yield Suspect("train.normalize", "", "reward", reason, weight)
     gamma, length = evidence.number_setting("gamma"), evidence.longest
-    if gamma is None:
-        return None
-    # A horizon 1 / (1 - gamma) of a quarter of the longest episode.
-    advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
-    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
-    if gamma >= 1:
-        reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
-        return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, 0.9)
-    # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
-    ratio, verb = (usual / horizon, "count") if horizon < usual else (horizon / usual, "add up")
-    weight = math.log(ratio) / math.log(8 if horizon < usual else 30)
-    reason = f"`gamma` is {gamma:g}: rewards {verb} over about {horizon:.0f} of {length:,} steps"
-    return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
+    if gamma is not None:
+        # A horizon 1 / (1 - gamma) of a quarter of the longest episode. A third of it is common; a tenth
+        # hides the end of an episode.
+        advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
+        horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
+        ratio, verb = (usual / horizon, "count") if horizon < usual else (horizon / usual, "add up")
+        weight = math.log(ratio) / math.log(8 if horizon < usual else 30)
+        reason = f"`gamma` is {gamma:g}: rewards {verb} over about {horizon:.0f} of {length:,} steps"
+        if gamma >= 1:
+            weight, reason = 0.9, "`gamma` is 1, so errors of the critic about later rewards do not fade"
+        yield Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
+    if (sigma := _noise_of(evidence)) is not None:  # that hides the actions of the policy, or is absent
+        value = sigma.at(evidence.progress(fall.since_steps))
+        weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
+        path, written = evidence.noise_setting("0.3 -> 0.1")
+        reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
+        yield Suspect(path, sigma.text, written, reason, weight)
+    # A policy that was better while it imitated than after it learned by itself.
+    steps, values = evidence.scalars.get("teacher/weight", (np.zeros(0), np.zeros(0)))
+    alone, rate = steps[values < 1.0], _value_at(evidence, "learning_rate", fall.since_steps)
+    if len(alone) and fall.since_steps >= alone[0] and rate is not None:
+        reason = (
+            f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm"
+            " undo what was imitated"
+        )
+        yield Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
 
 
-def _trace(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a `gae_lambda` of 1, which gives noisy advantages, or a small one, whose advantages depend on an
-    inaccurate critic."""
-    trace, training = evidence.number_setting("gae_lambda"), evidence.program.agent.training
-    algorithm = ALGORITHMS.get(training.algorithm) if training is not None else None
+def _on_policy_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    trace, algorithm = evidence.number_setting("gae_lambda"), ALGORITHMS.get(training.algorithm)
     is_a2c = algorithm is not None and algorithm.base() == "A2C"
-    if trace is None or is_a2c or 0.6 <= trace < 0.995:
-        return None
-    reason = f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual"
-    return Suspect("train.gae_lambda", f"{trace:g}", "0.9", reason, 0.8)
-
-
-def _small_rollouts(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect updates from too few steps."""
+    # A `gae_lambda` of 1 gives noisy advantages, those of a small one depend on an inaccurate critic.
+    if trace is not None and not is_a2c and not 0.6 <= trace < 0.995:
+        reason = f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual"
+        yield Suspect("train.gae_lambda", f"{trace:g}", "0.9", reason, 0.8)
     rows, steps = _rows(evidence), evidence.number_setting("n_steps")
-    if not rows or not steps or "n_epochs" not in evidence.settings:
-        return None
-    usual = max(32.0, 256 / rows * steps)
-    reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
-    return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
+    if rows and steps and "n_epochs" in evidence.settings:
+        usual, weight = max(32.0, 256 / rows * steps), math.log(256 / rows) / math.log(8)
+        reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
+        yield Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, weight)
+    if "n_epochs" in evidence.settings and evidence.settings.get("normalize_advantage") is False:
+        reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
+        yield Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
 
 
-def _updates_per_step(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect too many gradient steps of an off-policy algorithm for each new step."""
-    training, often = evidence.program.agent.training, evidence.number_setting("train_freq")
-    updates = evidence.number_setting("gradient_steps")
-    if training is None or not updates or not often or "buffer_size" not in evidence.settings:
-        return None
-    ratio = updates / (often * training.environments)
-    if ratio <= 1:
-        return None
-    reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
-    return Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
-
-
-def _noise(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect action noise that hides the actions of the policy, or no noise."""
-    sigma = _noise_of(evidence)
-    if sigma is None:
-        return None
-    value = sigma.at(evidence.progress(fall.since_steps))
-    weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
-    path, advised = evidence.noise_setting("0.3 -> 0.1")
-    reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
-    return Suspect(path, sigma.text, advised, reason, weight)
+def _off_policy_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    updates, often = (evidence.number_setting(name) for name in ("gradient_steps", "train_freq"))
+    ratio = updates / (often * training.environments) if updates and often else 0.0
+    if ratio > 1:
+        reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
+        yield Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
 
 
 def _noise_of(evidence: TrainingEvidence) -> Schedule | None:
     """Return the standard deviation of the action noise."""
     return getattr(evidence.settings.get("action_noise"), "sigma", None)
-
-
-def _advantages(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect advantages as large as the rewards."""
-    if "n_epochs" not in evidence.settings or evidence.settings.get("normalize_advantage") is not False:
-        return None
-    reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
-    return Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
-
-
-def _after_teacher(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a policy that was better while it imitated than after it learned by itself."""
-    steps, values = evidence.scalars.get("teacher/weight", (np.zeros(0), np.zeros(0)))
-    alone, rate = steps[values < 1.0], _value_at(evidence, "learning_rate", fall.since_steps)
-    if not len(alone) or fall.since_steps < alone[0] or rate is None:
-        return None
-    reason = (
-        f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm undo"
-        " what was imitated"
-    )
-    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
-
-
-_RULES: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
-    _reward_scale,
-    _discount,
-    _trace,
-    _small_rollouts,
-    _updates_per_step,
-    _noise,
-    _advantages,
-    _after_teacher,
-)
-"""The settings that need more than a scale."""
 
 
 def _fallback(evidence: TrainingEvidence) -> dict[str, str]:

@@ -672,6 +672,15 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
 
+def test_an_interrupted_training_goes_on_to_its_own_total(carriage: Path) -> None:
+    training = with_logs(carriage, **lasting(outcomes(400, 0, 0.2, 0.4, 0.7)))
+    changes = {"status": "interrupted", "total_timesteps": training.length()["more"]}
+    training.run.record = training.run.record.model_copy(update=changes)
+    (statement,) = diagnose(training)
+    assert (statement.cause, statement.command) == ("too_few_steps", f"deepbots resume {carriage}")
+    assert statement.advice == f"Continue the training with `deepbots resume {carriage}`."
+
+
 def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_training(tmp_path: Path) -> None:
     """A confirmation does not explore, and it was taken for episodes of the training."""
     run = train_shuttle(tmp_path, "solved=success_rate >= 90 % over 100 episodes")
