@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -18,7 +18,7 @@ from itertools import islice
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -150,11 +150,11 @@ class TrainingEvidence:
     final_episodes: Sequence[Episode] = ()
     verdict: RunVerdict = RunVerdict(None, None)
     is_running: bool = False
-    policy: Sequence[Trace] = ()
-    random: Sequence[Trace] = ()
-    idle: Sequence[Trace] = ()
-    constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
-    scripts: dict[str, Sequence[Trace]] = field(default_factory=dict)
+    policy: list[Trace] = field(default_factory=list)
+    random: list[Trace] = field(default_factory=list)
+    idle: list[Trace] = field(default_factory=list)
+    constant_actions: dict[str, dict[str, Trace]] = field(default_factory=dict)
+    scripts: dict[str, list[Trace]] = field(default_factory=dict)
     failed: Sequence[Trace] = ()
     agent: str = ""
     rivals: Mapping[str, Array] = field(default_factory=dict)
@@ -633,110 +633,84 @@ def run_probes(
     evidence: TrainingEvidence,
     *,
     permissions: Permissions = Permissions(),
-    on_episode: Callable[[int, int], object] | None = None,
+    on_episode: Callable[[int, int], object] = lambda count, total: None,
     seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts, and put them into its evidence. No
-    episode continues after `seconds`."""
-    from deepbots_cli.learning.sb3.algorithms import torch_settings
-
-    probes = _Probes(evidence, time.monotonic() + seconds, permissions, on_episode)
-    with torch_settings(), closing(probes.world):
-        probes.play()
-    evidence.failed = _repeat_failed(evidence, probes.deadline, permissions)
-
-
-class _Probes:
-    """The short episodes of a training.
+    """Run the short episodes of a training, all from the same starts, and put them into its evidence.
 
     Args:
-        evidence: Takes their traces.
-        deadline: The end by the monotonic clock, in s; no episode continues after it.
         permissions: The permissions of the scenario.
         on_episode: Called after each episode with the number so far and in total.
+        seconds: The time after which no episode continues.
     """
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
 
-    def __init__(
-        self,
-        evidence: TrainingEvidence,
-        deadline: float,
-        permissions: Permissions,
-        on_episode: Callable[[int, int], object] | None,
-    ) -> None:
-        self._evidence, self.deadline, self._on_episode = evidence, deadline, on_episode
-        run, watch = evidence.run, instrument_program(evidence.program, include_observation=True)
-        program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
-        self.world = TraceRecorder(program, watch, run.compiled.units)
-        self._done, self._total = 0, 0
+    deadline, run = time.monotonic() + seconds, evidence.run
+    watch = instrument_program(evidence.program, include_observation=True)
+    program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
+    with torch_settings(), closing(TraceRecorder(program, watch, run.compiled.units)) as world:
+        probes = [*_probes(evidence, world)]
+        for number, probe in enumerate(probes, 1):
+            if time.monotonic() > deadline:
+                break
+            error = ""
+            try:
+                for _ in islice(steps(world, probe.driver(), Start(probe.seed)), probe.steps + 1):
+                    if time.monotonic() > deadline:
+                        break
+            except DeepbotsError as failed:
+                error = str(failed)
+            probe.keep(world.trace("a short episode", error=error))
+            on_episode(number, len(probes))
+    for name, traces in evidence.scripts.items():  # without episodes that the deadline has cut
+        evidence.scripts[name] = [trace for trace in traces if trace.outcome != "not ended"]
+    evidence.failed = _repeat_failed(evidence, deadline, permissions)
 
-    def play(self) -> None:
-        evidence, world = self._evidence, self.world
-        constant, idle = _constant_actions(world.world), self._idle_action()
-        policy, scripts = self._policy_driver(), _scripts_to_play(evidence)
-        kinds = 1 + (idle is not None) + (policy is not None)
-        self._total = _PROBE_EPISODES * kinds + sum(map(len, constant.values()))
-        self._total += _SCRIPT_EPISODES * len(scripts)
-        seeds = self._seeds(_PROBE_EPISODES)
-        random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        # One of each kind in turn, so that there are some of every kind after a few seconds.
+
+class _Probe(NamedTuple):
+    """A short episode to run: what keeps its trace, its seed, its driver and its largest number of steps."""
+
+    keep: Callable[[Trace], object]
+    seed: int
+    driver: Callable[[], Driver]
+    steps: int = _PROBE_STEPS
+
+
+def _probes(evidence: TrainingEvidence, world: TraceRecorder) -> Iterator[_Probe]:
+    """Yield the short episodes of a training. Episodes of the three drivers come in turn, so that there are
+    some of each after a few seconds."""
+    agent, seed = evidence.program.agent, evidence.run.record.seed
+    seeds = [derive_seed(seed, "diagnosis", number) for number in range(_SCRIPT_EPISODES)]
+    evidence.random, evidence.policy, evidence.idle = [], [], []
+    drivers: list[tuple[list[Trace], Callable[[], Driver] | None]] = [
+        (evidence.random, partial(random_driver, world)),
+        (evidence.policy, _policy_driver(evidence, world)),
+    ]
+    idle = idle_action(agent.action)
+    # Zeros can be commanded.
+    if idle is not None and all(interval.low <= 0.0 <= interval.high for interval in agent.ranges):
+        drivers.append((evidence.idle, partial(constant_driver, world.world.make_action(*idle))))
+    for seed in seeds[:_PROBE_EPISODES]:
+        yield from (_Probe(traces.append, seed, driver) for traces, driver in drivers if driver is not None)
+    for part, actions in _constant_actions(world.world).items():
+        traces_by_name = evidence.constant_actions[part] = {}
+        for name, action in actions.items():
+            keep, driver = partial(traces_by_name.__setitem__, name), partial(constant_driver, action)
+            yield _Probe(keep, seeds[0], driver, _CONSTANT_ACTION_STEPS)
+    for name in _scripts_to_play(evidence):
+        played = evidence.scripts[name] = []
         for seed in seeds:
-            random += self._episode(seed, random_driver(world))
-            if policy is not None:
-                played += self._episode(seed, policy())
-            if idle is not None:
-                still += self._episode(seed, constant_driver(world.world.make_action(*idle)))
-        evidence.random, evidence.policy, evidence.idle = random, played, still
-        for part, actions in constant.items():
-            traces = {
-                name: self._episode(seeds[0], constant_driver(action), _CONSTANT_ACTION_STEPS)
-                for name, action in actions.items()
-            }
-            evidence.constant_actions[part] = {
-                name: action_traces[0] for name, action_traces in traces.items() if action_traces
-            }
-        for name in scripts:
-            episodes = [
-                trace
-                for seed in self._seeds(_SCRIPT_EPISODES)
-                for trace in self._episode(seed, named_driver(world, name), evidence.longest)
-            ]
-            # Episodes that the deadline has cut are left out.
-            evidence.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]
+            yield _Probe(played.append, seed, partial(named_driver, world, name), evidence.longest)
 
-    def _seeds(self, count: int) -> list[int]:
-        seed = self._evidence.run.record.seed
-        return [derive_seed(seed, "diagnosis", number) for number in range(count)]
 
-    def _idle_action(self) -> Any:
-        """Return the action that commands zeros; None where a range has no zero."""
-        agent = self._evidence.program.agent
-        has_zeros = all(interval.low <= 0.0 <= interval.high for interval in agent.ranges)
-        return idle_action(agent.action) if has_zeros else None
+def _policy_driver(evidence: TrainingEvidence, world: TraceRecorder) -> Callable[[], Driver] | None:
+    """Return what makes a driver of the last policy; None before there is one."""
+    from deepbots_cli.learning.policy import load_model
+    from deepbots_cli.rollout.policies import PolicyDriver
 
-    def _policy_driver(self) -> Callable[[], Driver] | None:
-        """Make a driver of the last policy; None before there is one."""
-        from deepbots_cli.learning.policy import load_model
-        from deepbots_cli.rollout.policies import PolicyDriver
-
-        run = self._evidence.run
-        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
-
-    def _episode(self, seed: int, driver: Driver, count: int = _PROBE_STEPS) -> list[Trace]:
-        """Return the trace of an episode of at most `count` steps, in a list; empty after the deadline."""
-        if time.monotonic() > self.deadline:
-            return []
-        error = ""
-        try:
-            for _ in islice(steps(self.world, driver, Start(seed)), count + 1):
-                if time.monotonic() > self.deadline:
-                    break
-        except DeepbotsError as failed:
-            error = str(failed)
-        self._done += 1
-        if self._on_episode is not None:
-            self._on_episode(self._done, self._total)
-        return [self.world.trace("a short episode", error=error)]
+    run = evidence.run
+    name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
+    return None if name is None else partial(PolicyDriver, load_model(run, name, world), world)
 
 
 def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
