@@ -527,8 +527,7 @@ CAUSES: tuple[Cause, ...] = (
         text="Changed since {earlier}, which was solved: {changed}.",
         advice="Set {them} back and train again: the task is solved once more if this value is the reason. To"
         " keep a value, adapt what depends on it, such as endings, ranges of the observation, or the length"
-        " of"
-        " the training.",
+        " of the training.",
         command="diff {earlier} {run}",
     ),
     # Nothing to learn
@@ -539,8 +538,7 @@ CAUSES: tuple[Cause, ...] = (
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure)},
         text="An episode cannot start after {steps} steps of training: {error}.",
         advice="Change the start under `reset` or the threshold of the ending. `deepbots lint --deep"
-        " SCENARIO`"
-        " counts the starts that end at once.",
+        " SCENARIO` counts the starts that end at once.",
         command="lint --deep {run}/resolved.yaml",
     ),
     Cause(
@@ -565,11 +563,9 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.98,
         numbers=action_without_effect,
         text="{count} of {of} action parts have no effect ({parts}): from the same start, all tested values"
-        " give the"
-        " same observations for {steps} steps.",
-        advice="Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the"
-        " wheels or"
-        " joints that it drives.",
+        " give the same observations for {steps} steps.",
+        advice="Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels"
+        " or joints that it drives.",
         command="inspect {run}",
     ),
     Cause(
@@ -588,8 +584,7 @@ CAUSES: tuple[Cause, ...] = (
             "longest": e.longest,
         },
         text="Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes"
-        " end"
-        " within {length} steps and 90% within {long}, of {longest} possible steps.",
+        " end within {length} steps and 90% within {long}, of {longest} possible steps.",
         advice="Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN"
         " --episode failed` shows the value and the threshold.",
     ),
@@ -599,8 +594,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.929,
         numbers=rewards.reward_exploited,
         text="The reward pays for something other than the success: the mean return of {what} is {gained},"
-        " more than"
-        " the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}",
+        " more than the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}",
         advice="{remedy}",
         explains=("reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"),
     ),
@@ -642,8 +636,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.95,
         numbers=lambda e: hardly_changing(e, 0.0, SAME_OBSERVATION),
         text="{count} of {of} measured numbers of the observation never changed in {moments} moments"
-        " ({values}):"
-        " {guess}.",
+        " ({values}): {guess}.",
         advice="Check the position and direction of these sensors, and that something is in their range:"
         " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
         command="view {run}",
@@ -653,11 +646,9 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.95,
         numbers=lambda e: hardly_changing(e, SAME_OBSERVATION, _MAX_CONSTANT_SPAN),
         text="{count} of {of} measured numbers of the observation hardly change ({names}): in {moments}"
-        " moments, after"
-        " mapping to [-1, 1], they vary by at most {span}.",
+        " moments, after mapping to [-1, 1], they vary by at most {span}.",
         advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN`"
-        " lists"
-        " the ranges.",
+        " lists the ranges.",
         command="inspect {run}",
     ),
     Cause(
@@ -666,8 +657,7 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.probe_moments >= 2 * MIN_EPISODES,
         numbers=saturated_observation,
         text="{count} of {of} clipped numbers of the observation are outside their range in {share} of the"
-        " moments"
-        " ({names}). The clipped values differ by up to {lost} times the range.",
+        " moments ({names}). The clipped values differ by up to {lost} times the range.",
         advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a"
         " range.",
         command="inspect {run}",
@@ -678,8 +668,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.94,
         numbers=rewards.term_dominates,
         text="The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives"
-        " {mean}"
-        " per step, and all other terms together give {others}.",
+        " {mean} per step, and all other terms together give {others}.",
         advice="Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.",
         command="try {scenario}",
     ),
@@ -705,8 +694,7 @@ CAUSES: tuple[Cause, ...] = (
             "progress": rewards.progress_advice(e),
         },
         text="Standing still pays: zero actions earn {still} per step, {others} {policy}, and {rate} of the"
-        " late"
-        " episodes succeed.",
+        " late episodes succeed.",
         advice="{progress}, and make each step cost something instead of earning something.",
         command="try {scenario} --driver zero",
     ),
@@ -715,11 +703,9 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.935,
         when=lambda e: e.program.defines_success and e.is_mature and e.policy,
         numbers=rewards.loitering,
-        text="Staying near success pays more than success: {share} of the late episodes reach the time"
-        " limit. In the"
-        " second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for {steps}"
-        " steps."
-        " {compared}",
+        text="Staying near success pays more than success: {share} of the late episodes reach the time limit."
+        " In the second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for"
+        " {steps} steps. {compared}",
         advice="{nearer}nd the episode where it pays, or scale it down until an episode of it earns less than"
         " success.",
     ),
@@ -729,11 +715,10 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.stage_index and e.program.defines_success and e.is_mature,
         numbers=stages.stage_too_hard,
         text="Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy"
-        " succeeded in"
-        " {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in {success}.",
+        " succeeded in {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in"
+        " {success}.",
         advice="Add a stage between the two, with values between theirs{changes}, or let episodes of"
-        " '{stage}'"
-        " start nearer to success.",
+        " '{stage}' start nearer to success.",
         command="eval {run} --details",
     ),
     Cause(
@@ -742,8 +727,7 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: not e.is_running and (e.steps >= 0.5 * e.planned or e.final_episodes),
         numbers=stages.easy_stage_counted,
         text="The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of"
-        " {count})."
-        " In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
+        " {count}). In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
         advice="{remedy}",
         command="eval {run} --details",
     ),
@@ -752,11 +736,10 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.55,
         numbers=stages.some_starts_fail,
         text="{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with"
-        " `{drawn}`"
-        " {best}, it succeeds in {succeeding} ({source}; by value: {parts}).",
+        " `{drawn}` {best}, it succeeds in {succeeding} ({source}; by value: {parts}).",
         advice="Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}."
-        " Then"
-        " train more on these starts, for example with a curriculum that draws them more often at first.",
+        " Then train more on these starts, for example with a curriculum that draws them more often at"
+        " first.",
         command="eval {run} --details",
     ),
     Cause(
@@ -766,8 +749,7 @@ CAUSES: tuple[Cause, ...] = (
         numbers=rewards.reward_apart_from_success,
         text="A higher return does not mean more success: {how}.{rising}",
         advice="Make a success earn more than an episode without success can collect, and scale down the"
-        " terms"
-        " that reward something else.",
+        " terms that reward something else.",
     ),
     # Starts, stages and teachers
     Cause(
@@ -775,10 +757,8 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.75,
         numbers=stages.stuck_in_stage,
         text="The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}:"
-        " the"
-        " {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the"
-        " stage"
-        " ends at {threshold}.",
+        " the {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the"
+        " stage ends at {threshold}.",
         advice="{remedy}. Also check the causes below: they apply to this stage.",
         command="eval {run} --details",
     ),
@@ -788,8 +768,7 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: len(e.late) >= MIN_EPISODES,
         numbers=stages.levels_stay_lowest,
         text="All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the"
-        " training,"
-        " {share} ended by {up}, which raises the level.",
+        " training, {share} ended by {up}, which raises the level.",
         advice="Make level 0 easier, or name under `curriculum.up` an ending that a policy reaches earlier.",
     ),
     Cause(
@@ -818,9 +797,8 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.teacher is not None and e.scripts.get(e.teacher),
         numbers=teacher_sees_more,
         text="The teacher sees more than the policy: '{script}' reads {names}, which the policy does not"
-        " observe, so"
-        " it acts differently in states that look the same to the policy. It succeeds in {by_script}, and the"
-        " policy in {by_policy}.",
+        " observe, so it acts differently in states that look the same to the policy. It succeeds in"
+        " {by_script}, and the policy in {by_policy}.",
         advice="Add what the teacher reads to `observation`. If a robot could not measure it, show the policy"
         " more of the past: {past} for the sensors that change with it.",
     ),
@@ -830,8 +808,7 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.program.defines_success and len(e.episodes) >= MIN_EPISODES and is_rare(e),
         numbers=stages.success_never_seen,
         text="{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns"
-        " differ by"
-        " {spread} (standard deviation).",
+        " differ by {spread} (standard deviation).",
         advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter"
         " two.",
         is_provisional=True,
@@ -842,12 +819,11 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.94,
         numbers=rival_too_strong,
         text="The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and"
-        " `{rival}`"
-        " in {other}. Where nothing that it does succeeds, `{agent}` does not learn what is better.",
+        " `{rival}` in {other}. Where nothing that it does succeeds, `{agent}` does not learn what is"
+        " better.",
         advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}`"
         " against a weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with"
-        " this"
-        " policy (--initialize-from); or pay for what leads to a success.",
+        " this policy (--initialize-from); or pay for what leads to a success.",
         explains=("success_never_seen", "one_ending", "rival_improved"),
     ),
     Cause(
@@ -855,34 +831,29 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.7,
         numbers=rival_improved,
         text="The rival got better: `{agent}` succeeded in {own_before} of the episodes from {begin} to"
-        " {since} steps,"
-        " and in {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival"
-        " that"
-        " also learns, less success does not show that `{agent}` acts worse than before.",
+        " {since} steps, and in {own} of the last quarter; `{rival}` went from {other_before} to {other}."
+        " Against a rival that also learns, less success does not show that `{agent}` acts worse than"
+        " before.",
         advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no"
-        " better"
-        " than these, let one learn while the other keeps its policy, with `turns` under `train`.",
+        " better than these, let one learn while the other keeps its policy, with `turns` under `train`.",
         explains=("one_ending",),
     ),
     Cause(
         name="strategies_cycle",
         likelihood=0.9,
         numbers=strategies_cycle,
-        text="The strategies go round in a circle: the newest policy wins {lost} of its decided games"
-        " against the"
-        " version of {old} steps, but {won} against the later version of {late} steps.",
+        text="The strategies go round in a circle: the newest policy wins {lost} of its decided games against"
+        " the version of {old} steps, but {won} against the later version of {late} steps.",
         advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play"
-        " the"
-        " newest version against itself (`newest`), so that the policy meets the old strategies again.",
+        " the newest version against itself (`newest`), so that the policy meets the old strategies again.",
     ),
     # The learner
     Cause(
         name="learning_rate_too_high",
         likelihood=0.93,
         numbers=learner.learning_rate_too_high,
-        text="The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples"
-        " of an"
-        " update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to"
+        text="The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of"
+        " an update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to"
         " {last}.",
         advice="Set `train.learning_rate` to {usual}.",
     ),
@@ -892,8 +863,7 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
         numbers=learner.learning_rate_too_low,
         text="The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps,"
-        " the mean"
-        " return went only from {first} to {last}{divergence}.",
+        " the mean return went only from {first} to {last}{divergence}.",
         advice="Set `train.learning_rate` to {usual}.",
     ),
     Cause(
@@ -902,10 +872,8 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
         numbers=learner.rewards_too_large,
         text="The rewards are too large for the critic: the mean return of late episodes is {late}, and the"
-        " critic"
-        " explains {explained} of the variance of the returns. The norm of a gradient is limited, and the"
-        " part of"
-        " the critic leaves hardly any for the policy.",
+        " critic explains {explained} of the variance of the returns. The norm of a gradient is limited, and"
+        " the part of the critic leaves hardly any for the policy.",
         advice="Set `train.normalize` to `reward`, which divides rewards by their standard deviation for"
         " learning only, or scale all terms down.",
     ),
@@ -914,8 +882,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.45,
         numbers=learner.horizon_too_short,
         text="The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has"
-        " {weight} of"
-        " its weight.",
+        " {weight} of its weight.",
         advice="Set `train.gamma` to {wanted}.",
     ),
     Cause(
@@ -925,18 +892,15 @@ CAUSES: tuple[Cause, ...] = (
         text="Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
         " exploration, it succeeds in {with}. Exploration prevents success.",
         advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots"
-        " view`,"
-        " `eval` and `export` run it without exploration.",
+        " view`, `eval` and `export` run it without exploration.",
     ),
     Cause(
         name="success_needs_exploration",
         likelihood=0.923,
         numbers=learner.success_needs_exploration,
         text="With exploration, the policy succeeds in {with} at the end of the training. Without it, it"
-        " succeeds in"
-        " {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise"
-        " on its"
-        " actions leads out of them.",
+        " succeeds in {without}{where}: it seems to stand still or to repeat itself in some states, and only"
+        " the noise on its actions leads out of them.",
         advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",
     ),
     Cause(
@@ -944,8 +908,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.93,
         numbers=learner.exploration_too_large,
         text="The policy is still random: after {updates} updates it has {randomness} its initial randomness"
-        " (entropy"
-        " {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is"
+        " (entropy {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is"
         " {late}{evaluated}.",
         advice="Lower `train.ent_coef` from {weight} to {wanted}.",
         is_provisional=True,
@@ -955,8 +918,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.6,
         numbers=learner.exploration_collapsed,
         text="The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy"
-        " finds"
-        " hardly anything new.",
+        " finds hardly anything new.",
         advice="{remedy}.",
     ),
     # The end
@@ -966,11 +928,9 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.is_mature,
         numbers=stages.missed_condition,
         text="Episodes without success miss the same condition of '{ending}': in {episodes} of {of},"
-        " `{condition}` is"
-        " true least often, in {true} of {moments} moments{nearest}. {others}.",
+        " `{condition}` is true least often, in {true} of {moments} moments{nearest}. {others}.",
         advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of"
-        " these"
-        " episodes.",
+        " these episodes.",
         explains=("success_plateau",),
         is_symptom=True,
     ),
@@ -979,8 +939,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.6,
         numbers=stages.success_plateau,
         text="{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which"
-        " is"
-        " {change}. In the second half of {whole}, the policy succeeds in {success}.",
+        " is {change}. In the second half of {whole}, the policy succeeds in {success}.",
         advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
         " diagnose RUN --episode failed` shows which condition they miss.{more}",
         is_symptom=True,
@@ -1020,8 +979,7 @@ CAUSES: tuple[Cause, ...] = (
         likelihood=0.5,
         numbers=too_few_steps,
         text="{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets"
-        " {planned}"
-        " steps.",
+        " {planned} steps.",
         advice="{advice}",
         is_symptom=True,
     ),

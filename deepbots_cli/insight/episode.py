@@ -372,8 +372,7 @@ ROWS: tuple[Row, ...] = (
         name="approach",
         numbers=_approach,
         text="Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each"
-        " of the"
-        " last {steps} steps.",
+        " of the last {steps} steps.",
     ),
     Row(
         name="nearest",
@@ -416,8 +415,7 @@ ROWS: tuple[Row, ...] = (
             "last": float(_critic_values(trace)[-1]),
         },
         text="The critic did not predict this failure: its value did not fall in any of {steps} steps, and"
-        " rose from"
-        " {first} to {last}.",
+        " rose from {first} to {last}.",
     ),
     Row(
         name="saturation",

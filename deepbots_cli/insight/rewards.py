@@ -298,8 +298,7 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
         gained = float(evidence.episodes.returns[won].mean())
         compared = (
             f"The mean return of {wins:,} episodes with success is {number_text(gained, 3)}, that of late"
-            f" ones"
-            f" without {number_text(stayed, 3)}."
+            f" ones without {number_text(stayed, 3)}."
         )
         if gained > stayed + 0.1 * abs(stayed):
             return None
@@ -370,10 +369,8 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
         return None
     how = (
         f"the mean return of the last quarter is {number_text(returns.late, 3)},"
-        f" {number_text(returns.gain, 3)}"
-        f" above that of the second, and the success rate went from {first} in the first quarter to {last}"
-        f" in the"
-        " last one"
+        f" {number_text(returns.gain, 3)} above that of the second, and the success rate went from {first} in"
+        f" the first quarter to {last} in the last one"
     )
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
 
@@ -419,8 +416,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
     )
     remedy = (
         "Pay more for what the policy should still improve, or accept the policy: more steps cannot raise"
-        " this"
-        " return."
+        " this return."
     )
     if solved is not None and required is not None:
         remedy = (

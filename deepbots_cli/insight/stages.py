@@ -238,8 +238,7 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
     if until.metric == "mean_return" or target >= 0.2:
         remedy = (
             f"Lower the criterion to a value that the stage reaches, such as {_until(until, target)}; or put"
-            f" an"
-            " easier stage before it"
+            " an easier stage before it"
         )
     return {
         "stage": evidence.stage,
@@ -434,8 +433,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
     if share >= 0.8 and evidence.return_trend.direction != "rises":
         though = (
             f", and '{name}' gives {rate_text(share)} of the positive reward of late episodes: the policy is"
-            f" in a"
-            " local optimum of this term"
+            " in a local optimum of this term"
         )
         text = next(term.text for term in evidence.program.agent.reward if term.name == name)
         straight = "for example with path_distance instead of a straight distance"
