@@ -34,6 +34,13 @@ def beside(value: float, bar: float, digits: int = 4) -> tuple[str, str]:
     return next(apart, number_text(value, 12)), number_text(bar, 12)
 
 
+def rate_beside(rate: float, bar: float) -> str:
+    """Return a rate in percent beside the bar that it should reach: `89.6%` where 90% is needed, so that
+    rounding shows no other side of the bar."""
+    is_same_side = (rate < bar) == (round(rate, 2) < bar)
+    return rate_text(rate) if is_same_side else f"{beside(100 * rate, 100 * bar)[0]}%"
+
+
 def printable(text: str, kept: str = "") -> str:
     """Return a text, which may quote a file, with control and invisible characters escaped, but for those in
     `kept`."""

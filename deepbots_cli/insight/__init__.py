@@ -6,11 +6,12 @@ statements.py  sentences with their evidence: the form of every row in the two t
 episode.py     the table that explains an episode
 training.py    the evidence about a training: its logs and evaluations, and its short episodes
 scenario_facts.py  what a scenario has already, what lint says of it, and the command that trains it again
-diagnosis.py   why a training does not learn: `CAUSES`, the table of all causes, and causes in faults
-rewards.py     causes in the reward
-stages.py      causes in stages, starts and missing success
-learner.py     causes in the learner, and the settings of a training that fell apart
-causes.py      causes in the observation, scripts, the other agents, the end, and what was changed
+causes.py      why a training does not learn: `CAUSES`, the table of all causes, with the numbers of faults,
+               the observation, teachers, other agents and the end of the training
+rewards.py     the numbers of causes in the reward
+stages.py      those in stages, starts and missing success
+learner.py     those in the learner, and the settings of a training that fell apart
+diagnosis.py   the causes of a training in their order, each with the next command
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    a policy in another world: what differs, and which changes explain it; recorded_worlds.py the
                values of both worlds, and the changes

@@ -1,37 +1,157 @@
-"""Causes beside the reward, the learner and the stages: the observation, scripts that teach, the other
-agents, the end of the training, and what changed since a run that was solved."""
+"""`CAUSES`, the table of reasons why a policy does not learn, each with its condition, evidence and advice.
+
+A row applies to the evidence of a training, its logs and short episodes, or does not. Numbers that need more
+than an expression are computed by functions: here, in `rewards.py`, `stages.py` or `learner.py`. `likelihood`
+orders the rows: observed causes that make learning impossible come before those that often do, and both come
+before possible symptoms.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from pathlib import Path
+from pathlib import Path, PurePath
 from shlex import quote
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepbots_cli.analysis import unobserved_reads
+from deepbots_cli.compiler.inputs import ELSEWHERE
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document.files import display_path
 from deepbots_cli.document.nodes import follow_dotted
-from deepbots_cli.insight.stages import needs_exploration, plateau
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
-from deepbots_cli.insight.trace import Array
-from deepbots_cli.insight.training import (
-    MIN_EPISODES,
-    TrainingEvidence,
-    Trend,
-    commonest_ending,
-    return_trend,
-    success_trend,
-    usual_settings,
+from deepbots_cli.insight import learner, rewards, stages
+from deepbots_cli.insight.rewards import per_step
+from deepbots_cli.insight.stages import is_rare, needs_exploration, plateau
+from deepbots_cli.insight.statements import (
+    Numbers,
+    Percentage,
+    StatementRule,
+    SuccessRate,
+    list_text,
+    sentence,
 )
-from deepbots_cli.learning.report import longer_goal
+from deepbots_cli.insight.trace import Array, Trace
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, Trend, commonest_ending
+from deepbots_cli.learning.environments import Failure
 from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.statistics import wilson
 from deepbots_cli.learning.runs.verdict import SEED, ChangedValue
 from deepbots_cli.program.task import SAME_OBSERVATION, Observation
 from deepbots_cli.words import number_text, rate_text
+
+# Faults
+
+
+def _error(failure: Failure | None) -> str:
+    """Return the error of an episode, within a sentence."""
+    if failure is None:
+        return "the last value in its log is not a number (NaN)"
+    return f"episode {failure.episode:,}, {failure.error}".rstrip(".")
+
+
+def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
+    indices = [
+        index
+        for index, number in enumerate(evidence.program.agent.numbers)
+        if number.name != "previous_action"
+    ]
+    tested = {part: [*traces.values()] for part, traces in evidence.constant_actions.items()}
+    dead = {
+        part: min(trace.steps for trace in traces)
+        for part, traces in tested.items()
+        if len(traces) > 1 and all(_is_same(*pair, indices) for pair in combinations(traces, 2))
+    }
+    if not any(dead.values()):
+        return None
+    return {
+        "likelihood": 0.98 if len(dead) == len(tested) else 0.8,
+        "parts": list_text([*dead]),
+        "count": len(dead),
+        "of": len(tested),
+        "steps": min(dead.values()),
+        "difference": 0.0,
+    }
+
+
+def _is_same(first: Trace, second: Trace, numbers: Sequence[int]) -> bool:
+    """Return whether these numbers of the observation and the values that the endings compare are the
+    same."""
+    if first.steps != second.steps:
+        return False
+    pairs = zip(first.values, second.values, strict=True)
+    differences = [abs(a - b) for x, y in pairs for key in x for a, b in zip(x[key], y[key], strict=True)]
+    largest = np.abs(first.observations[:, numbers] - second.observations[:, numbers]).max(initial=0.0)
+    return bool(max(largest, *differences, 0.0) < SAME_OBSERVATION)
+
+
+# Lint
+
+_UNLEARNABLE = {
+    "DB705": "Failing early pays",
+    "DB708": "Avoiding the success pays more than the success",
+    "DB711": "Every policy earns the same",
+    "DB807": "The success is out of reach",
+    "DB810": "`solved` asks for what no policy can miss or reach",
+}
+"""The meaning of findings of lint for a training that cannot learn its task."""
+_EXPLOITS = {"DB708", "DB717"}
+"""Findings of payments that a policy can collect without success."""
+
+
+def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
+    linted, refuted = evidence.linted, _refuted(evidence)
+    meanings = {code: text for code, text in _UNLEARNABLE.items() if not refuted.get(code)}
+    # If the training continues, a policy that has learned the task may still discover a reward without
+    # success.
+    concerned = [
+        finding
+        for finding in linted.findings
+        if finding.code in _EXPLOITS or not (evidence.learned or _is_of_foreign_robot(finding))
+    ]
+    if not concerned:
+        return None
+    first, *others = sorted(concerned, key=lambda finding: finding.code not in meanings)
+    reported = list_text([f"{finding.headline} ({finding.code})" for finding in others], 2)
+    changed = linted.changed_source
+    copy = f" It is the copy that the training read: {changed} was changed since then." if changed else ""
+    return {
+        "likelihood": 0.91 if first.code in meanings else 0.3,
+        "meaning": meanings.get(first.code) or f"Lint warns about {RULES[first.code].summary}",
+        "finding": first.headline,
+        "code": first.code,
+        "count": len(concerned),
+        "others": f" Lint also reports: {reported}." if others else "",
+        "help": sentence(first.help or "Change what the finding names"),
+        "codes": [finding.code for finding in (first, *others)],
+        "path": linted.arguments,
+        "copy": copy,
+    }
+
+
+def _refuted(evidence: TrainingEvidence) -> Mapping[str, bool]:
+    """Return whether the episodes of a training refute findings of lint, by their codes."""
+    late, episodes = evidence.late, evidence.episodes
+    won, lost = late.returns[late.successes > 0], late.returns[late.successes == 0]
+    return {
+        # Successes at the end of the training have the higher mean return.
+        "DB708": min(len(won), len(lost)) >= MIN_EPISODES and bool(won.mean() > lost.mean()),
+        "DB711": len(episodes) > 1 and float(np.ptp(episodes.returns)) > 0.0,
+        "DB807": bool(episodes.successes.any()),
+    }
+
+
+def _is_of_foreign_robot(finding: Finding) -> bool:
+    """Return whether a finding is in the copy of a robot file outside the project, such as one of a package.
+    Lint leaves out warnings about files of packages, which a copy no longer names."""
+    path = PurePath(finding.span.source.name)
+    return path.suffix == ".urdf" and any(name.startswith(ELSEWHERE) for name in path.parts)
+
+
+# The observation
 
 _MOST, _MOST_LIKELIHOOD = 0.75, 0.95
 """The share of the numbers that counts as most of them, and the likelihood of a cause that concerns most."""
@@ -52,102 +172,50 @@ def _likelihood(share: float, per_share: float) -> float:
     return _MOST_LIKELIHOOD if share >= _MOST else per_share * share
 
 
-@statement(
-    "sensor_without_reading",
-    "{count} of {of} measured numbers of the observation never changed in {moments} moments ({values}):"
-    " {guess}.",
-    advice="Check the position and direction of these sensors, and that something is in their range:"
-    " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
-)
-def sensor_without_reading(evidence: TrainingEvidence) -> Numbers | None:
-    spans = _spans(evidence)
-    still = [name for name, (span, _) in spans.items() if span < SAME_OBSERVATION]
-    if not still:
-        return None
-    at_end = [name for name in still if abs(spans[name][1]) > 1 - SAME_OBSERVATION]
-    guess = "these sensors detect nothing, or nothing changes these values"
-    if len(at_end) == len(still):
-        guess = "they are always at an end of their range, like a sensor that detects nothing"
-    share = len(still) / len(spans)
-    values = list_text([f"{name} always {_unscaled(evidence, name, spans[name][1])}" for name in still])
-    return {
-        "likelihood": _likelihood(share, _PER_CONSTANT_SHARE),
-        "count": len(still),
-        "of": len(spans),
-        "moments": evidence.probe_moments,
-        "names": still,
-        "values": values,
-        "guess": guess,
-    }
-
-
-def _spans(evidence: TrainingEvidence) -> dict[str, tuple[float, float]]:
-    """Return, for each number of the observation, the range that it spans in the short episodes, and its
-    first value.
+def hardly_changing(evidence: TrainingEvidence, low: float, high: float) -> Numbers | None:
+    """Return the numbers of the observation that span from `low` to less than `high` in the short episodes.
 
     The previous action is left out, and so are parameters and values that depend on parameters alone: no
     sensor measures them.
     """
     if evidence.probe_moments < 2 * MIN_EPISODES:
-        return {}
+        return None
     rows = np.concatenate([trace.observations for trace in evidence.probes])
-    spans = zip(np.ptp(rows, axis=0), rows[0], strict=True)
-    return {
-        number.full_name: (float(span), float(first))
-        for number, (span, first) in zip(evidence.program.agent.numbers, spans, strict=True)
+    columns = [
+        (number, float(span), float(first))
+        for number, span, first in zip(
+            evidence.program.agent.numbers, np.ptp(rows, axis=0), rows[0], strict=True
+        )
         if number.name != "previous_action" and evidence.facts.is_measured(number)
-    }
-
-
-def _unscaled(evidence: TrainingEvidence, name: str, value: float) -> str:
-    """Return a number of the observation, from -1 to 1, as the value that it represents."""
-    number = next(entry for entry in evidence.program.agent.numbers if entry.full_name == name)
-    if number.is_truth:
-        return "true" if value else "false"
-    return evidence.facts.range_text(number, number.low + (value + 1) / 2 * (number.high - number.low))
-
-
-@statement(
-    "constant_observation",
-    "{count} of {of} measured numbers of the observation hardly change ({names}): in {moments} moments, after"
-    " mapping to [-1, 1], they vary by at most {span}.",
-    advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists"
-    " the ranges.",
-)
-def constant_observation(evidence: TrainingEvidence) -> Numbers | None:
-    spans = _spans(evidence)
-    names = [name for name, (span, _) in spans.items() if SAME_OBSERVATION <= span < _MAX_CONSTANT_SPAN]
-    if not names:
+    ]
+    still = [column for column in columns if low <= column[1] < high]
+    if not still:
         return None
-    share = len(names) / len(spans)
     return {
-        "likelihood": _likelihood(share, _PER_CONSTANT_SHARE),
-        "count": len(names),
-        "of": len(spans),
+        "likelihood": _likelihood(len(still) / len(columns), _PER_CONSTANT_SHARE),
+        "count": len(still),
+        "of": len(columns),
         "moments": evidence.probe_moments,
-        "names": list_text(names),
-        "span": max(spans[name][0] for name in names),
+        "names": list_text([number.full_name for number, _, _ in still]),
+        "span": max(span for _, span, _ in still),
+        "values": list_text(
+            [
+                f"{number.full_name} always {evidence.facts.seen_text(number, first)}"
+                for number, _, first in still
+            ]
+        ),
+        "guess": "they are always at an end of their range, like a sensor that detects nothing"
+        if all(abs(first) > 1 - SAME_OBSERVATION for _, _, first in still)
+        else "these sensors detect nothing, or nothing changes these values",
     }
 
 
-@statement(
-    "saturated_observation",
-    "{count} of {of} clipped numbers of the observation are outside their range in {share} of the moments"
-    " ({names}). The clipped values differ by up to {lost} times the range.",
-    advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a range.",
-)
 def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
-    if evidence.probe_moments < 2 * MIN_EPISODES:
-        return None
-    beyond = {
-        entry.name: _beyond(evidence, entry)
+    cut = {
+        number.full_name: excess
         for entry in evidence.program.agent.observation
         if entry.clip and entry.name != "previous_action"
-    }
-    cut = {
-        n.full_name: excess
-        for e in evidence.program.agent.observation
-        for n, excess in zip(e.numbers, beyond.get(e.name, ()), strict=False)
+        for number, excess in zip(entry.numbers, _beyond(evidence, entry), strict=False)
     }
     shares = {name: float((excess != 0).mean()) for name, excess in cut.items()}
     # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if
@@ -155,28 +223,22 @@ def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
     spreads = {
         name: max(_spread(excess[excess > 0]), _spread(excess[excess < 0])) for name, excess in cut.items()
     }
-    worst = sorted(
-        (
-            name
-            for name, share in shares.items()
-            if share >= _MIN_CLIPPED_SHARE and spreads[name] >= _MIN_LOST_SPREAD
-        ),
-        key=lambda name: -shares[name],
-    )
-    if not worst:
+    clipped = [
+        name for name in cut if shares[name] >= _MIN_CLIPPED_SHARE and spreads[name] >= _MIN_LOST_SPREAD
+    ]
+    if not clipped:
         return None
-    clipped_share, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
-    likelihood = _likelihood(clipped_share, _PER_CLIPPED_SHARE)
+    mean = float(np.mean([shares[name] for name in clipped]))
+    likelihood = _likelihood(len(clipped) / len(shares), _PER_CLIPPED_SHARE)
     # Numbers that are almost always beyond an end come before the length of the training.
-    if mean >= _ALMOST_ALWAYS:
-        likelihood = max(likelihood, _ALMOST_ALWAYS_LIKELIHOOD)
+    at_least = _ALMOST_ALWAYS_LIKELIHOOD if mean >= _ALMOST_ALWAYS else 0.0
     return {
-        "likelihood": likelihood,
-        "count": len(worst),
+        "likelihood": max(likelihood, at_least),
+        "count": len(clipped),
         "of": len(shares),
-        "names": list_text(worst),
+        "names": list_text(sorted(clipped, key=lambda name: -shares[name])),
         "share": Percentage(mean),
-        "lost": max(spreads[name] for name in worst),
+        "lost": max(spreads[name] for name in clipped),
         "shares": shares,
     }
 
@@ -199,121 +261,66 @@ def _spread(values: Array) -> float:
     return float(np.subtract(*np.quantile(values, (0.9, 0.1)))) if len(values) else 0.0
 
 
+# Teachers
+
 _GOOD_TEACHER = 0.8
 """The success rate below which a teacher is named, if `solved` has none."""
 _AS_GOOD = 0.85
 """The share of the teacher's success rate from which a pupil is as good as its teacher."""
 
 
-@statement(
-    "script_succeeds",
-    "A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.",
-    advice="Let the script teach the policy, with `teacher: {script}` under `train`.",
-)
 def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
-    policy = policy_rate(evidence)
-    rates = {name: SuccessRate.of(traces) for name, traces in evidence.scripts.items() if traces}
-    if not rates or policy.episodes < MIN_EPISODES or _has_teacher(evidence):
-        return None
+    rates, policy = evidence.script_rates, evidence.policy_rate
     name = max(rates, key=lambda script: rates[script].rate)
     # A script of less than 70 % hardly teaches what the policy cannot find itself.
-    if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
+    if policy.episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
         return None
-    return {
-        "likelihood": 0.89,
-        "script": name,
-        "by_script": rates[name],
-        "by_policy": policy,
-        "settings": {"train.teacher": name},
-    }
+    settings = {"train.teacher": name}
+    return {"script": name, "by_script": rates[name], "by_policy": policy, "settings": settings}
 
 
-def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
-    """Return the success rate of the policy: in the quoted evaluation, else in the last quarter of the
-    training."""
-    final = [episode.is_success for episode in evidence.final_episodes] if evidence.is_last_stage else []
-    return SuccessRate(final or evidence.episodes_between(0.75, 1.0).successes)
-
-
-def _teacher(evidence: TrainingEvidence) -> str | None:
-    """Return the script that teaches the policy."""
-    training = evidence.program.agent.training
-    return training.teacher.script if training is not None and training.teacher is not None else None
-
-
-def _has_teacher(evidence: TrainingEvidence) -> bool:
-    taught_by_file = evidence.run.demonstrations.exists() or evidence.run.teacher.exists()
-    return taught_by_file or _teacher(evidence) is not None
-
-
-def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
-    """Return the success rate of the script that teaches: from the starts of the evaluations, as the training
-    logged it, else in short episodes."""
-    teacher, logged = _teacher(evidence), evidence.curve("teacher/success_rate")
-    if teacher is None:
-        return None
-    sizes = [len(evaluation["successes"]) for evaluation in evidence.evaluations if "steps" in evaluation]
-    if len(logged) and sizes:
-        return SuccessRate.counted(round(float(logged[-1]) * sizes[-1]), sizes[-1])
-    played = evidence.scripts.get(teacher, ())
-    return SuccessRate.of(played) if played else None
-
-
-@statement(
-    "teacher_fails",
-    "The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in"
-    " {by_policy}. A policy hardly learns from a teacher what the teacher cannot do.",
-    advice="Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its"
-    " endings. Or train without it.",
-)
 def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
-    script, policy = teacher_rate(evidence), policy_rate(evidence)
-    if script is None:
-        return None
-    solved = evidence.program.agent.solved
+    script, policy, solved = _teacher_rate(evidence), evidence.policy_rate, evidence.program.agent.solved
     required = _GOOD_TEACHER if solved is None or solved.success_rate is None else solved.success_rate
     if min(script.episodes, policy.episodes) < MIN_EPISODES or script.high >= max(required, _GOOD_TEACHER):
         return None
     if policy.rate < _AS_GOOD * script.rate or policy.rate >= required:
         return None
-    return {
-        "likelihood": 0.895,
-        "script": _teacher(evidence),
-        "by_script": script,
-        "by_policy": policy,
-        "scenario": evidence.scenario_argument,
-    }
+    numbers = {"script": evidence.teacher, "by_script": script, "by_policy": policy}
+    return {**numbers, "scenario": evidence.scenario_argument}
 
 
-@statement(
-    "teacher_sees_more",
-    "The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so"
-    " it acts differently in states that look the same to the policy. It succeeds in {by_script}, and the"
-    " policy in {by_policy}.",
-    advice="Add what the teacher reads to `observation`. If a robot could not measure it, show the policy"
-    " more of the past: {past} for the sensors that change with it.",
-)
+def _teacher_rate(evidence: TrainingEvidence) -> SuccessRate:
+    """Return the success rate of the script that teaches: from the starts of the evaluations, as the training
+    logged it, else in short episodes."""
+    logged = evidence.curve("teacher/success_rate")
+    sizes = [len(evaluation["successes"]) for evaluation in evidence.evaluations if "steps" in evaluation]
+    if len(logged) and sizes:
+        return SuccessRate.counted(round(float(logged[-1]) * sizes[-1]), sizes[-1])
+    return SuccessRate.of(evidence.scripts.get(evidence.teacher or "", ()))
+
+
 def teacher_sees_more(evidence: TrainingEvidence) -> Numbers | None:
-    teacher = _teacher(evidence)
-    if teacher is None or not (played := evidence.scripts.get(teacher)):
-        return None
-    script = SuccessRate.of(played)
-    policy = SuccessRate.of(evidence.final_episodes) if evidence.final_episodes else evidence.late_success
-    hidden = unobserved_reads(evidence.program, teacher)
+    teacher, final = evidence.teacher or "", SuccessRate.of(evidence.final_episodes)
+    script, policy = (
+        SuccessRate.of(evidence.scripts[teacher]),
+        final if final.episodes else evidence.late_success,
+    )
+    hidden, longer = unobserved_reads(evidence.program, teacher), evidence.facts.history
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None
-    longer = evidence.facts.history
-    past = "`history: 4`" if longer == 1 else f"a `history` of more than the {longer} steps that it has"
+    past = f"a `history` of more than the {longer} steps that it has"
     return {
-        "likelihood": 0.88,
         "script": teacher,
         "names": " and ".join(f"`{text}`" for text in hidden[:3]),
         "by_script": script,
         "by_policy": policy,
         "hidden": hidden,
-        "past": past,
+        "past": "`history: 4`" if longer == 1 else past,
     }
 
+
+# Other agents
 
 _HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
 """The success rates at and below which an agent hardly succeeds, and from which a rival nearly always
@@ -327,226 +334,147 @@ _PARTS = 3
 """The number of parts of this rest; the rival must be too strong in each."""
 
 
-@statement(
-    "rival_too_strong",
-    "The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and `{rival}`"
-    " in {other}. Where nothing that it does succeeds, `{agent}` does not learn what is better.",
-    advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}`"
-    " against a weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with this"
-    " policy (--initialize-from); or pay for what leads to a success.",
-)
 def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
     episodes = evidence.all_episodes
-    late = episodes.steps > _EARLY * evidence.steps
-    late_indices = np.array_split(np.flatnonzero(late), _PARTS)
-    if min(map(len, late_indices)) < MIN_EPISODES:
-        return None
-    for name, successes in evidence.rivals.items():
-        if all(
-            episodes.successes[indices].mean() <= _HARDLY and successes[indices].mean() >= _NEARLY_ALWAYS
-            for indices in late_indices
-        ):
+    late = np.flatnonzero(episodes.steps > _EARLY * evidence.steps)
+    parts = np.array_split(late, _PARTS)
+    for name, successes in evidence.rivals.items() if len(parts[-1]) >= MIN_EPISODES else ():
+        ends = [(episodes.successes[part].mean(), successes[part].mean()) for part in parts]
+        if all(own <= _HARDLY and other >= _NEARLY_ALWAYS for own, other in ends):
             return {
-                "likelihood": 0.94,
                 "agent": evidence.agent,
                 "rival": name,
-                "since": int(episodes.steps[late_indices[0][0]]),
+                "since": int(episodes.steps[late[0]]),
                 "own": Percentage(episodes.successes[late].mean()),
                 "other": Percentage(successes[late].mean()),
             }
     return None
 
 
-@statement(
-    "rival_improved",
-    "The rival got better: `{agent}` succeeded in {own_before} of the episodes from {begin} to {since} steps,"
-    " and in {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival that"
-    " also learns, less success does not show that `{agent}` acts worse than before.",
-    advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no better"
-    " than these, let one learn while the other keeps its policy, with `turns` under `train`.",
-)
 def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
     quarters = np.array_split(np.arange(len(evidence.all_episodes.steps)), 4)
-    if min(map(len, quarters)) < MIN_EPISODES:
-        return None
-    rates = [float(evidence.all_episodes.successes[quarter].mean()) for quarter in quarters]
-    best = int(np.argmax(rates[:-1]))
-    for name, successes in evidence.rivals.items():
-        rival_rates = [float(successes[quarter].mean()) for quarter in quarters]
-        if rates[best] - rates[-1] >= _CHANGE and rival_rates[-1] - rival_rates[best] >= _CHANGE:
+    for name, successes in evidence.rivals.items() if len(quarters[-1]) >= MIN_EPISODES else ():
+        own, other = (
+            [Percentage(values[quarter].mean()) for quarter in quarters]
+            for values in (evidence.all_episodes.successes, successes)
+        )
+        best = int(np.argmax(own[:-1]))
+        if own[best] - own[-1] >= _CHANGE and other[-1] - other[best] >= _CHANGE:
+            begin, since = (int(evidence.all_episodes.steps[quarters[best][end]]) for end in (0, -1))
             return {
-                "likelihood": 0.7,
                 "agent": evidence.agent,
                 "rival": name,
-                "begin": int(evidence.all_episodes.steps[quarters[best][0]]),
-                "since": int(evidence.all_episodes.steps[quarters[best][-1]]),
-                "own_before": Percentage(rates[best]),
-                "own": Percentage(rates[-1]),
-                "other_before": Percentage(rival_rates[best]),
-                "other": Percentage(rival_rates[-1]),
+                "begin": begin,
+                "since": since,
+                "own_before": own[best],
+                "own": own[-1],
+                "other_before": other[best],
+                "other": other[-1],
                 "run": quote(str(evidence.run.path)),
             }
     return None
 
 
-class _Record(NamedTuple):
+class _Games(NamedTuple):
     """The games of the newest policy against a past version: the share of the wins, and its interval."""
 
     steps: int
     share: Percentage
     low: float
     high: float
-    games: int
-
-    @classmethod
-    def of(cls, games: PoolGames) -> _Record | None:
-        """Return the record of enough games, else None."""
-        count = games.wins + games.losses
-        if count < 2 * MIN_EPISODES:
-            return None
-        wins, decided = round(games.wins), round(count)
-        low, high = wilson(min(wins, decided), decided)
-        return cls(games.steps, Percentage(games.wins / count), low, high, decided)
+    decided: int
 
 
-@statement(
-    "strategies_cycle",
-    "The strategies go round in a circle: the newest policy wins {lost} of its decided games against the"
-    " version of {old} steps, but {won} against the later version of {late} steps.",
-    advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play the"
-    " newest version against itself (`newest`), so that the policy meets the old strategies again.",
-)
+def _games(games: PoolGames) -> _Games:
+    decided = round(games.wins + games.losses)
+    interval = wilson(min(round(games.wins), decided), decided)
+    return _Games(games.steps, Percentage(games.wins / (games.wins + games.losses)), *interval, decided)
+
+
 def strategies_cycle(evidence: TrainingEvidence) -> Numbers | None:
     result = evidence.run.record.result
-    records = [] if result is None else [_Record.of(games) for games in result.pool_games]
-    pairs = combinations([record for record in records if record is not None], 2)
-    lost = [(old, late) for old, late in pairs if old.high < 0.5 < late.low]
+    games = [] if result is None else result.pool_games
+    records = [_games(row) for row in games if row.wins + row.losses >= 2 * MIN_EPISODES]
+    lost = [(old, late) for old, late in combinations(records, 2) if old.high < 0.5 < late.low]
     if not lost:
         return None
     old, late = min(lost, key=lambda pair: pair[0].share)
     return {
-        "likelihood": 0.9,
         "old": old.steps,
         "late": late.steps,
         "lost": old.share,
         "won": late.share,
-        "games": [old.games, late.games],
+        "games": [old.decided, late.decided],
     }
 
 
-TOTAL_TIMESTEPS = "train.total_timesteps"
-"""The setting whose new value continues a training. A new value of another setting begins another
-training."""
+# The end of the training
+
 _FAR = 10
 """The number of trainings from which a longer training is not the first advice."""
-_SHORTER_LIKELIHOOD = 0.895
-"""The likelihood of a training that is shorter than a solved one: before all else that has changed since."""
 
 
-@statement(
-    "one_ending",
-    "'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.",
-    advice="Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this"
-    " ending in one of these episodes.",
-)
-def one_ending(evidence: TrainingEvidence) -> Numbers | None:
-    late = evidence.episodes_between(0.75, 1.0)
-    if len(late) < MIN_EPISODES:
-        return None
-    name, share = commonest_ending(late)
-    if (
-        name not in evidence.program.failures
-        or share < 0.9
-        or len(evidence.program.endings) < 2
-        or return_trend(evidence).direction == "rises"
-    ):
-        return None
-    return {
-        "likelihood": 0.25,
-        "ending": name,
-        "share": Percentage(share),
-        "episodes": len(late),
-        "length": float(late.lengths.mean()),
-    }
-
-
-@statement(
-    "stopped_early",
-    "The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.",
-    advice="{advice}",
-)
 def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
-    result, evaluation = evidence.run.record.result, evidence.verdict.evaluation
-    if (
-        result is None
-        or result.solved_at is None
-        or evidence.is_running
-        or evidence.verdict.solved is not False
-        or evaluation is None
-    ):
-        return None
-    if evidence.steps > 0.95 * evidence.run.record.total_timesteps or needs_exploration(evidence) is not None:
+    record, evaluation = evidence.run.record, evidence.verdict.evaluation
+    was_solved = record.result is not None and record.result.solved_at is not None
+    is_early = evidence.steps <= 0.95 * record.total_timesteps and needs_exploration(evidence) is None
+    if evaluation is None or not was_solved or not is_early:
         return None
     return {
-        **training_length(evidence, evidence.run.record.total_timesteps),
-        "likelihood": 0.9,
-        "planned": evidence.run.record.total_timesteps,
+        **evidence.length(record.total_timesteps),
+        "planned": record.total_timesteps,
         "reason": "because a confirmation, of new episodes without exploration, met `solved`",
         "verdict": f"An evaluation of {evaluation.episodes:,} episodes does not meet it",
         "result": evaluation.text,
     }
 
 
-@statement(
-    "too_few_steps",
-    "{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned}"
-    " steps.",
-    advice="{advice}",
-)
 def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
-    length, success, trend = training_length(evidence), success_trend(evidence), return_trend(evidence)
+    length, trend = evidence.length(), evidence.return_trend
     measure, form = "mean return", partial(number_text, digits=3)
-    if success.direction == "rises":
-        measure, form, trend = "success rate", partial(rate_text, decimals=1), success
+    if evidence.success_trend.direction == "rises":
+        measure, form, trend = "success rate", partial(rate_text, decimals=1), evidence.success_trend
     elif plateau(evidence) is not None:
         return None
     if trend.direction == "rises":
-        numbers = {**length, "first": trend.before, "last": trend.late, "gain": trend.gain}
-        if measure == "mean return" and (too_slow := _too_slow(evidence, trend)) is not None:
-            return {**numbers, **too_slow}
-        before, late = (form(value) for value in (trend.before, trend.late))
         whole = f"stage '{evidence.stage}'" if evidence.stage else "the training"
         return {
-            **numbers,
+            **length,
+            "first": trend.before,
+            "last": trend.late,
+            "gain": trend.gain,
             "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
-            "finding": f"The policy still learns: the {measure} rises from {before} in the second quarter of"
-            f" {whole} to {late} in the last one",
+            "finding": f"The policy still learns: the {measure} rises from {form(trend.before)} in the second"
+            f" quarter of {whole} to {form(trend.late)} in the last one",
+            **(_too_slow(evidence, trend) if measure == "mean return" else {}),
         }
     if length["share"] >= 0.5 or evidence.is_running:
         return None
-    result = None if evidence.earlier_solved is None else evidence.earlier_solved[0].record.result
-    if evidence.earlier_solved is None or result is None:
-        return {**length, "likelihood": 0.5, "finding": "The training is short"}
-    if result.steps <= evidence.steps:  # then the length is not a cause
+    if evidence.earlier_solved is None:
+        return {**length, "finding": "The training is short"}
+    earlier, _ = evidence.earlier_solved
+    steps = earlier.record.result.steps if earlier.record.result is not None else 0
+    if steps <= evidence.steps:  # then the length is not a cause
         return None
-    earlier = display_path(evidence.earlier_solved[0].path)
-    finding = f"The training is shorter than {earlier}, which made {result.steps:,} steps and was solved"
-    return {**length, "likelihood": _SHORTER_LIKELIHOOD, "finding": finding}
+    place = display_path(earlier.path)
+    finding = f"The training is shorter than {place}, which made {steps:,} steps and was solved"
+    # Before all else that has changed since the solved training.
+    return {**length, "likelihood": 0.895, "finding": finding}
 
 
-def _too_slow(evidence: TrainingEvidence, trend: Trend) -> dict[str, Any] | None:
-    """Return what to change if the mean return of `solved` is many trainings away; None if it is not.
+def _too_slow(evidence: TrainingEvidence, trend: Trend) -> dict[str, Any]:
+    """Return what to change if the mean return of `solved` is many trainings away; nothing if it is not.
 
     The return is extrapolated: it goes on to rise as from the second quarter of the training to its last one.
     """
     solved = evidence.program.agent.solved
     if solved is None or solved.mean_return is None or not evidence.is_last_stage:
-        return None
+        return {}
     steps = (solved.mean_return - trend.late) * 0.5 * evidence.stage_steps / trend.gain
     if steps <= _FAR * max(evidence.planned, evidence.steps):
-        return None
+        return {}
     settings, change = {}, "reward progress towards the task in small steps, or let a script teach the policy"
-    rate, usual = evidence.number_setting("learning_rate"), usual_settings(evidence).get("learning_rate")
+    rate, usual = evidence.number_setting("learning_rate"), evidence.usual_settings.get("learning_rate")
     if rate and isinstance(usual, int | float) and rate < usual:
         settings = {"train.learning_rate": f"{usual:g}"}
         change = f"raise `train.learning_rate` from {rate:g} to {usual:g}"
@@ -554,60 +482,23 @@ def _too_slow(evidence: TrainingEvidence, trend: Trend) -> dict[str, Any] | None
         "likelihood": 0.6,
         "finding": "The policy learns too slowly: the mean return of the last quarter of the training is"
         f" {number_text(trend.late, 3)}, {number_text(trend.gain, 3)} above that of the second. At this rate,"
-        f" {solved.mean_return:g}"
-        f" is about {float(f'{steps:.2g}'):,.0f} steps away",
+        f" {solved.mean_return:g} is about {float(f'{steps:.2g}'):,.0f} steps away",
         "left": steps,
         "advice": f"Change something before you train longer: {change}.",
         "settings": {} if evidence.is_running else settings,
     }
 
 
-def training_length(evidence: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
-    """Return the length of a training, and the way to continue it: to the `planned` steps if they are more
-    than 1.1 times as many, else further."""
-    more = planned if planned > 1.1 * evidence.steps else max(evidence.planned, longer_goal(evidence.steps))
-    command = f"deepbots resume {quote(display_path(evidence.run.path))} --timesteps {more:_}"
-    advice = f"Continue the training with `{command}`."
-    if evidence.is_running:
-        advice = (
-            f"Let it run: {evidence.steps:,} of {evidence.run.record.total_timesteps:,} steps have been made."
-        )
-    return {
-        "steps": evidence.steps,
-        "episodes": len(evidence.all_episodes),
-        "planned": evidence.planned,
-        "share": Percentage(evidence.steps / evidence.planned),
-        "more": more,
-        "advice": advice,
-        "settings": {} if evidence.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
-    }
-
-
-_MAX_SHOWN = 4
-_LIKELIHOOD = 0.89
-"""The likelihood that orders this fact: after certain causes (0.9), and before all others."""
-
-
-@statement(
-    "changed_since_solved",
-    "Changed since {earlier}, which was solved: {changed}.",
-    advice="Set {them} back and train again: the task is solved once more if this value is the reason. To"
-    " keep a value, adapt what depends on it, such as endings, ranges of the observation, or the length of"
-    " the training.",
-)
 def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
-    if evidence.verdict.solved or evidence.earlier_solved is None:
-        return None
-    earlier, values = evidence.earlier_solved
+    earlier, values = evidence.earlier_solved or (evidence.run, [])
     if all(value.path == SEED for value in values):
         return None
     changes = [_change(value, evidence) for value in values]
+    places = [f" ({change['place']})" if "place" in change else "" for change in changes]
+    texts = [f"{value}{place}" for value, place in zip(values, places, strict=True)]
     return {
-        "likelihood": _LIKELIHOOD,
         "earlier": display_path(earlier.path),
-        "changed": list_text(
-            [_text(change, value) for change, value in zip(changes, values, strict=True)], _MAX_SHOWN
-        ),
+        "changed": list_text(texts),
         "changes": changes,
         "them": "one of them" if len(changes) > 1 else "it",
     }
@@ -617,17 +508,481 @@ def _change(value: ChangedValue, evidence: TrainingEvidence) -> dict[str, Any]:
     """Return a changed value as JSON; `place` is its file and line."""
     root = evidence.linted.root
     _, node, unresolved = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
-    location = ""
+    row = {"path": value.path, "before": value.before, "after": value.after, "is_written": value.is_written}
     if node is not None and not unresolved:
-        location = f"{display_path(Path(node.span.source.name))}:{node.span.start_position.line}"
-    return {
-        "path": value.path,
-        "before": value.before,
-        "after": value.after,
-        **({"place": location} if location else {}),
-        "is_written": value.is_written,
-    }
+        file = display_path(Path(node.span.source.name))
+        row["place"] = f"{file}:{node.span.start_position.line}"
+    return row
 
 
-def _text(change: dict[str, Any], value: ChangedValue) -> str:
-    return f"{value} ({change['place']})" if "place" in change else str(value)
+Cause = StatementRule[TrainingEvidence]
+
+CAUSES: tuple[Cause, ...] = (
+    # A fact, after certain causes and before all others
+    Cause(
+        name="changed_since_solved",
+        likelihood=0.89,
+        when=lambda e: not e.verdict.solved and e.earlier_solved is not None,
+        numbers=changed_since_solved,
+        text="Changed since {earlier}, which was solved: {changed}.",
+        advice="Set {them} back and train again: the task is solved once more if this value is the reason. To"
+        " keep a value, adapt what depends on it, such as endings, ranges of the observation, or the length"
+        " of the training.",
+        command="diff {earlier} {run}",
+    ),
+    # Nothing to learn
+    Cause(
+        name="ending_at_reset",
+        likelihood=1.0,
+        when=lambda e: e.failure is not None and e.failure.ends_at_reset,
+        numbers=lambda e: {"steps": e.steps, "error": _error(e.failure)},
+        text="An episode cannot start after {steps} steps of training: {error}.",
+        advice="Change the start under `reset` or the threshold of the ending. `deepbots lint --deep"
+        " SCENARIO` counts the starts that end at once.",
+        command="lint --deep {run}/resolved.yaml",
+    ),
+    Cause(
+        name="not_finite",
+        likelihood=1.0,
+        when=lambda e: e.has_failed and not (e.failure is not None and e.failure.ends_at_reset),
+        numbers=lambda e: {"steps": e.steps, "error": _error(e.failure), "episodes": len(e.episodes)},
+        text="The training stopped with an error after {steps} steps: {error}.",
+        advice="Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower"
+        " `train.learning_rate`. `deepbots diagnose RUN/failures/NNNN.json` explains the episode.",
+    ),
+    Cause(
+        name="fell_apart",
+        likelihood=0.9,
+        numbers=learner.fell_apart,
+        text="{fall}. {reasons}",
+        advice="{advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use"
+        " it.",
+    ),
+    Cause(
+        name="action_without_effect",
+        likelihood=0.98,
+        numbers=action_without_effect,
+        text="{count} of {of} action parts have no effect ({parts}): from the same start, all tested values"
+        " give the same observations for {steps} steps.",
+        advice="Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels"
+        " or joints that it drives.",
+        command="inspect {run}",
+    ),
+    Cause(
+        name="ending_at_once",
+        likelihood=0.96,
+        when=lambda e: (
+            len(e.episodes) >= MIN_EPISODES
+            and np.quantile(e.episodes.lengths, 0.9) <= min(12, 0.2 * e.longest)
+            and commonest_ending(e.episodes)[0] in e.program.failures
+        ),
+        numbers=lambda e: {
+            "ending": commonest_ending(e.episodes)[0],
+            "share": Percentage(commonest_ending(e.episodes)[1]),
+            "length": float(np.median(e.episodes.lengths)),
+            "long": float(np.quantile(e.episodes.lengths, 0.9)),
+            "longest": e.longest,
+        },
+        text="Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes"
+        " end within {length} steps and 90% within {long}, of {longest} possible steps.",
+        advice="Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN"
+        " --episode failed` shows the value and the threshold.",
+    ),
+    # What pays is not the task
+    Cause(
+        name="reward_exploited",
+        likelihood=0.929,
+        numbers=rewards.reward_exploited,
+        text="The reward pays for something other than the success: the mean return of {what} is {gained},"
+        " more than the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}",
+        advice="{remedy}",
+        explains=("reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"),
+    ),
+    Cause(
+        name="ending_early_pays",
+        likelihood=0.93,
+        when=lambda e: len(e.late) >= MIN_EPISODES and np.ptp(e.episodes.lengths) > 0,
+        numbers=rewards.ending_early_pays,
+        text="Failing early pays: a step earns {reward} on average, {failed} of the late episodes"
+        " fail{correlated}.{sooner}{saving}{going_on}",
+        advice="Make good steps earn a positive reward (check the signs of the terms), or {price}.",
+        explains=("exploration_collapsed", "success_never_seen"),
+    ),
+    Cause(
+        name="return_at_ceiling",
+        likelihood=0.952,
+        when=lambda e: (
+            len(e.episodes) >= 4 * MIN_EPISODES
+            and e.is_last_stage
+            and (e.run.program.agent.solved is None or e.run.program.agent.solved.mean_return is not None)
+        ),
+        numbers=rewards.return_at_ceiling,
+        text="The return is at its ceiling: it is {mean} {spread} {episodes} {what} (from {low} to {high}),"
+        " {grown}and no episode of the training returned more than {most}.{bounded}{asked}",
+        advice="{remedy}",
+        explains=("exploration_collapsed", "learning_rate_too_low", "too_few_steps"),
+    ),
+    Cause(
+        name="lint_warns",
+        likelihood=0.3,
+        numbers=lint_warns,
+        text="{meaning}: {finding} ({code}).{others}",
+        advice="{help}: `deepbots lint {path}` shows the lines.{copy}",
+        command="lint {path}",
+    ),
+    # The observation
+    Cause(
+        name="sensor_without_reading",
+        likelihood=0.95,
+        numbers=lambda e: hardly_changing(e, 0.0, SAME_OBSERVATION),
+        text="{count} of {of} measured numbers of the observation never changed in {moments} moments"
+        " ({values}): {guess}.",
+        advice="Check the position and direction of these sensors, and that something is in their range:"
+        " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
+        command="view {run}",
+    ),
+    Cause(
+        name="constant_observation",
+        likelihood=0.95,
+        numbers=lambda e: hardly_changing(e, SAME_OBSERVATION, _MAX_CONSTANT_SPAN),
+        text="{count} of {of} measured numbers of the observation hardly change ({names}): in {moments}"
+        " moments, after mapping to [-1, 1], they vary by at most {span}.",
+        advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN`"
+        " lists the ranges.",
+        command="inspect {run}",
+    ),
+    Cause(
+        name="saturated_observation",
+        likelihood=0.95,
+        when=lambda e: e.probe_moments >= 2 * MIN_EPISODES,
+        numbers=saturated_observation,
+        text="{count} of {of} clipped numbers of the observation are outside their range in {share} of the"
+        " moments ({names}). The clipped values differ by up to {lost} times the range.",
+        advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a"
+        " range.",
+        command="inspect {run}",
+    ),
+    # The reward
+    Cause(
+        name="term_dominates",
+        likelihood=0.94,
+        numbers=rewards.term_dominates,
+        text="The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives"
+        " {mean} per step, and all other terms together give {others}.",
+        advice="Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.",
+        command="try {scenario}",
+    ),
+    Cause(
+        name="standing_still_pays",
+        likelihood=0.93,
+        when=lambda e: (
+            e.idle
+            and e.program.defines_success
+            and e.late_training_success < 0.5
+            and 0 < per_step(e.idle) >= 0.8 * per_step(e.policy or e.random)
+            # Where standing still fails soon, it pays until then only.
+            and not any(trace.outcome == "success" for trace in e.idle)
+            and 2 * sum(trace.outcome == "failure" for trace in e.idle) <= len(e.idle)
+        ),
+        numbers=lambda e: {
+            "still": per_step(e.idle),
+            "policy": per_step(e.policy or e.random),
+            "others": "the policy earns" if e.policy else "random actions earn",
+            "random": per_step(e.random),
+            "episodes": len(e.idle),
+            "rate": Percentage(e.late_training_success),
+            "progress": rewards.progress_advice(e),
+        },
+        text="Standing still pays: zero actions earn {still} per step, {others} {policy}, and {rate} of the"
+        " late episodes succeed.",
+        advice="{progress}, and make each step cost something instead of earning something.",
+        command="try {scenario} --driver zero",
+    ),
+    Cause(
+        name="loitering",
+        likelihood=0.935,
+        when=lambda e: e.program.defines_success and e.is_mature and e.policy,
+        numbers=rewards.loitering,
+        text="Staying near success pays more than success: {share} of the late episodes reach the time limit."
+        " In the second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for"
+        " {steps} steps. {compared}",
+        advice="{nearer}nd the episode where it pays, or scale it down until an episode of it earns less than"
+        " success.",
+    ),
+    Cause(
+        name="stage_too_hard",
+        likelihood=0.935,
+        when=lambda e: e.stage_index and e.program.defines_success and e.is_mature,
+        numbers=stages.stage_too_hard,
+        text="Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy"
+        " succeeded in {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in"
+        " {success}.",
+        advice="Add a stage between the two, with values between theirs{changes}, or let episodes of"
+        " '{stage}' start nearer to success.",
+        command="eval {run} --details",
+    ),
+    Cause(
+        name="easy_stage_counted",
+        likelihood=0.93,
+        when=lambda e: not e.is_running and (e.steps >= 0.5 * e.planned or e.final_episodes),
+        numbers=stages.easy_stage_counted,
+        text="The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of"
+        " {count}). In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
+        advice="{remedy}",
+        command="eval {run} --details",
+    ),
+    Cause(
+        name="some_starts_fail",
+        likelihood=0.55,
+        numbers=stages.some_starts_fail,
+        text="{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with"
+        " `{drawn}` {best}, it succeeds in {succeeding} ({source}; by value: {parts}).",
+        advice="Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}."
+        " Then train more on these starts, for example with a curriculum that draws them more often at"
+        " first.",
+        command="eval {run} --details",
+    ),
+    Cause(
+        name="reward_apart_from_success",
+        likelihood=0.72,
+        when=lambda e: e.program.defines_success and e.is_mature,
+        numbers=rewards.reward_apart_from_success,
+        text="A higher return does not mean more success: {how}.{rising}",
+        advice="Make a success earn more than an episode without success can collect, and scale down the"
+        " terms that reward something else.",
+    ),
+    # Starts, stages and teachers
+    Cause(
+        name="stuck_in_stage",
+        likelihood=0.75,
+        numbers=stages.stuck_in_stage,
+        text="The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}:"
+        " the {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the"
+        " stage ends at {threshold}.",
+        advice="{remedy}. Also check the causes below: they apply to this stage.",
+        command="eval {run} --details",
+    ),
+    Cause(
+        name="levels_stay_lowest",
+        likelihood=0.7,
+        when=lambda e: len(e.late) >= MIN_EPISODES,
+        numbers=stages.levels_stay_lowest,
+        text="All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the"
+        " training, {share} ended by {up}, which raises the level.",
+        advice="Make level 0 easier, or name under `curriculum.up` an ending that a policy reaches earlier.",
+    ),
+    Cause(
+        name="script_succeeds",
+        likelihood=0.89,
+        when=lambda e: e.script_rates and not e.is_taught,
+        numbers=script_succeeds,
+        text="A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in"
+        " {by_policy}.",
+        advice="Let the script teach the policy, with `teacher: {script}` under `train`.",
+    ),
+    Cause(
+        name="teacher_fails",
+        likelihood=0.895,
+        when=lambda e: e.teacher is not None,
+        numbers=teacher_fails,
+        text="The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in"
+        " {by_policy}. A policy hardly learns from a teacher what the teacher cannot do.",
+        advice="Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its"
+        " endings. Or train without it.",
+        command="try {scenario} --driver {script} --episodes 20",
+    ),
+    Cause(
+        name="teacher_sees_more",
+        likelihood=0.88,
+        when=lambda e: e.teacher is not None and e.scripts.get(e.teacher),
+        numbers=teacher_sees_more,
+        text="The teacher sees more than the policy: '{script}' reads {names}, which the policy does not"
+        " observe, so it acts differently in states that look the same to the policy. It succeeds in"
+        " {by_script}, and the policy in {by_policy}.",
+        advice="Add what the teacher reads to `observation`. If a robot could not measure it, show the policy"
+        " more of the past: {past} for the sensors that change with it.",
+    ),
+    Cause(
+        name="success_never_seen",
+        likelihood=0.7,
+        when=lambda e: e.program.defines_success and len(e.episodes) >= MIN_EPISODES and is_rare(e),
+        numbers=stages.success_never_seen,
+        text="{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns"
+        " differ by {spread} (standard deviation).",
+        advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter"
+        " two.",
+        is_provisional=True,
+    ),
+    # Other agents
+    Cause(
+        name="rival_too_strong",
+        likelihood=0.94,
+        numbers=rival_too_strong,
+        text="The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and"
+        " `{rival}` in {other}. Where nothing that it does succeeds, `{agent}` does not learn what is"
+        " better.",
+        advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}`"
+        " against a weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with"
+        " this policy (--initialize-from); or pay for what leads to a success.",
+        explains=("success_never_seen", "one_ending", "rival_improved"),
+    ),
+    Cause(
+        name="rival_improved",
+        likelihood=0.7,
+        numbers=rival_improved,
+        text="The rival got better: `{agent}` succeeded in {own_before} of the episodes from {begin} to"
+        " {since} steps, and in {own} of the last quarter; `{rival}` went from {other_before} to {other}."
+        " Against a rival that also learns, less success does not show that `{agent}` acts worse than"
+        " before.",
+        advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no"
+        " better than these, let one learn while the other keeps its policy, with `turns` under `train`.",
+        explains=("one_ending",),
+    ),
+    Cause(
+        name="strategies_cycle",
+        likelihood=0.9,
+        numbers=strategies_cycle,
+        text="The strategies go round in a circle: the newest policy wins {lost} of its decided games against"
+        " the version of {old} steps, but {won} against the later version of {late} steps.",
+        advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play"
+        " the newest version against itself (`newest`), so that the policy meets the old strategies again.",
+    ),
+    # The learner
+    Cause(
+        name="learning_rate_too_high",
+        likelihood=0.93,
+        numbers=learner.learning_rate_too_high,
+        text="The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of"
+        " an update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to"
+        " {last}.",
+        advice="Set `train.learning_rate` to {usual}.",
+    ),
+    Cause(
+        name="learning_rate_too_low",
+        likelihood=0.93,
+        when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
+        numbers=learner.learning_rate_too_low,
+        text="The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps,"
+        " the mean return went only from {first} to {last}{divergence}.",
+        advice="Set `train.learning_rate` to {usual}.",
+    ),
+    Cause(
+        name="rewards_too_large",
+        likelihood=0.91,
+        when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
+        numbers=learner.rewards_too_large,
+        text="The rewards are too large for the critic: the mean return of late episodes is {late}, and the"
+        " critic explains {explained} of the variance of the returns. The norm of a gradient is limited, and"
+        " the part of the critic leaves hardly any for the policy.",
+        advice="Set `train.normalize` to `reward`, which divides rewards by their standard deviation for"
+        " learning only, or scale all terms down.",
+    ),
+    Cause(
+        name="horizon_too_short",
+        likelihood=0.45,
+        numbers=learner.horizon_too_short,
+        text="The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has"
+        " {weight} of its weight.",
+        advice="Set `train.gamma` to {wanted}.",
+    ),
+    Cause(
+        name="exploration_hides_success",
+        likelihood=0.923,
+        numbers=learner.exploration_hides_success,
+        text="Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
+        " exploration, it succeeds in {with}. Exploration prevents success.",
+        advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots"
+        " view`, `eval` and `export` run it without exploration.",
+    ),
+    Cause(
+        name="success_needs_exploration",
+        likelihood=0.923,
+        numbers=learner.success_needs_exploration,
+        text="With exploration, the policy succeeds in {with} at the end of the training. Without it, it"
+        " succeeds in {without}{where}: it seems to stand still or to repeat itself in some states, and only"
+        " the noise on its actions leads out of them.",
+        advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",
+    ),
+    Cause(
+        name="exploration_too_large",
+        likelihood=0.93,
+        numbers=learner.exploration_too_large,
+        text="The policy is still random: after {updates} updates it has {randomness} its initial randomness"
+        " (entropy {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is"
+        " {late}{evaluated}.",
+        advice="Lower `train.ent_coef` from {weight} to {wanted}.",
+        is_provisional=True,
+    ),
+    Cause(
+        name="exploration_collapsed",
+        likelihood=0.6,
+        numbers=learner.exploration_collapsed,
+        text="The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy"
+        " finds hardly anything new.",
+        advice="{remedy}.",
+    ),
+    # The end
+    Cause(
+        name="missed_condition",
+        likelihood=0.69,
+        when=lambda e: e.is_mature,
+        numbers=stages.missed_condition,
+        text="Episodes without success miss the same condition of '{ending}': in {episodes} of {of},"
+        " `{condition}` is true least often, in {true} of {moments} moments{nearest}. {others}.",
+        advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of"
+        " these episodes.",
+        explains=("success_plateau",),
+        is_symptom=True,
+    ),
+    Cause(
+        name="success_plateau",
+        likelihood=0.6,
+        numbers=stages.success_plateau,
+        text="{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which"
+        " is {change}. In the second half of {whole}, the policy succeeds in {success}.",
+        advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
+        " diagnose RUN --episode failed` shows which condition they miss.{more}",
+        is_symptom=True,
+    ),
+    Cause(
+        name="one_ending",
+        likelihood=0.25,
+        when=lambda e: (
+            len(e.late) >= MIN_EPISODES
+            and commonest_ending(e.late)[0] in e.program.failures
+            and commonest_ending(e.late)[1] >= 0.9
+            and len(e.program.endings) > 1
+            and e.return_trend.direction != "rises"
+        ),
+        numbers=lambda e: {
+            "ending": commonest_ending(e.late)[0],
+            "share": Percentage(commonest_ending(e.late)[1]),
+            "episodes": len(e.late),
+            "length": float(e.late.lengths.mean()),
+        },
+        text="'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.",
+        advice="Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this"
+        " ending in one of these episodes.",
+        is_symptom=True,
+        is_provisional=True,
+    ),
+    Cause(
+        name="stopped_early",
+        likelihood=0.9,
+        when=lambda e: e.verdict.solved is False and not e.is_running,
+        numbers=stopped_early,
+        text="The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.",
+        advice="{advice}",
+    ),
+    Cause(
+        name="too_few_steps",
+        likelihood=0.5,
+        numbers=too_few_steps,
+        text="{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets"
+        " {planned} steps.",
+        advice="{advice}",
+        is_symptom=True,
+    ),
+)
+"""The causes of a training that does not learn. Among causes that are as likely, the first one of this list
+comes first."""

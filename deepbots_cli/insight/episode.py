@@ -17,11 +17,12 @@ from deepbots_cli.insight.statements import (
     StatementRule,
     list_text,
     quantity_text,
-    statement,
+    sentence,
     statements_about,
 )
 from deepbots_cli.insight.trace import (
     SIGN_OF_OPERATOR,
+    Array,
     Comparison,
     Trace,
     comparisons_in,
@@ -75,16 +76,12 @@ def _seconds(time: float) -> str:
 _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached its time limit"}
 
 
-@statement("ending", "{what} {outcome}: '{ending}' ended it after {length}, at {seconds}.")
-def ending(trace: Trace) -> Numbers | None:
-    if trace.outcome not in _WORDS:
-        return None
-    suffix = f" (agent {trace.agent})" if trace.agent else ""
-    outcome = _WORDS[trace.outcome]
+def _ending(trace: Trace) -> Numbers:
+    suffix, outcome = f" (agent {trace.agent})" if trace.agent else "", _WORDS[trace.outcome]
     if trace.succeeded and trace.outcome != "success":
         outcome = f"was a success of {list_text(trace.succeeded, len(trace.succeeded))}"
     return {
-        "what": f"{trace.title[0].upper()}{trace.title[1:]}{suffix}",
+        "what": f"{sentence(trace.title)}{suffix}",
         "outcome": outcome,
         "ending": trace.ended_by or "",
         "steps": trace.steps,
@@ -92,19 +89,6 @@ def ending(trace: Trace) -> Numbers | None:
         "time": trace.time,
         "seconds": _seconds(trace.time),
     }
-
-
-@statement("error", "After {length}, at {seconds}, {what} stopped with an error: {error}.")
-def error(trace: Trace) -> Numbers | None:
-    return {"error": trace.error, **_length(trace)} if trace.error else None
-
-
-@statement(
-    "not_ended",
-    "The actions of {what} end after {length} ({seconds}), but the episode has not ended.",
-)
-def not_ended(trace: Trace) -> Numbers | None:
-    return _length(trace) if trace.outcome == "not ended" else None
 
 
 def _length(trace: Trace) -> dict[str, Any]:
@@ -116,68 +100,39 @@ def _length(trace: Trace) -> dict[str, Any]:
     }
 
 
-@statement("margin", "At the end, {side} was {shown}: {by} {where} the threshold of {limit}.")
-def margin(trace: Trace) -> Numbers | None:
+def _margin(trace: Trace) -> Numbers | None:
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
     value, bound = end.condition.sides
-    suffix = f" ({bound})" if end.condition.is_bound_named else ""
-    if end.value > end.bound:
-        where = "over"
-    elif end.value < end.bound:
-        where = "under"
-    else:
-        where = "away from"
+    where = {True: "over", False: "under"}[end.value > end.bound] if end.value != end.bound else "away from"
     return {
         **end.as_json(),
         "side": value,
         "shown": _value_text(trace, end.condition, end.value),
-        "limit": _value_text(trace, end.condition, end.bound) + suffix,
+        "limit": _value_text(trace, end.condition, end.bound)
+        + (f" ({bound})" if end.condition.is_bound_named else ""),
         "by": _value_text(trace, end.condition, abs(end.margin), 3),
         "where": where,
     }
 
 
-@statement(
-    "truth_ending",
-    "`{condition}` became true in step {step}. It is true or false, so there is no margin.",
-)
-def truth_ending(trace: Trace) -> Numbers | None:
-    end = trace.end
-    if end is None or end.bound is not None:
-        return None
-    return {**end.as_json(), "step": trace.steps}
-
-
-@statement("truncation_limit", "The episode reached {shown} of at most {limit} ({condition}).")
-def truncation_limit(trace: Trace) -> Numbers | None:
-    limits = trace.program.truncation
-    if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
-        return None
-    value, bound, si = (
-        (trace.steps, limits.max_steps, "")
-        if trace.ended_by == "max_steps"
-        else (trace.time, limits.max_time, "s")
-    )
-    unit = unit_named(si)
+def _truncation_limit(trace: Trace) -> Numbers:
+    limits, is_steps = trace.program.truncation, trace.ended_by == "max_steps"
+    value, bound = (trace.steps, limits.max_steps) if is_steps else (trace.time, limits.max_time)
+    unit = "" if is_steps else "s"
     return {
         "condition": trace.ended_by,
         "value": value,
         "bound": bound,
         "margin": value - (bound or 0),
-        "unit": si,
-        "shown": quantity_text(value, unit),
-        "limit": quantity_text(bound or 0, unit),
+        "unit": unit,
+        "shown": quantity_text(value, unit_named(unit)),
+        "limit": quantity_text(bound or 0, unit_named(unit)),
     }
 
 
-@statement(
-    "approach",
-    "Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the"
-    " last {steps} steps.",
-)
-def approach(trace: Trace) -> Numbers | None:
+def _approach(trace: Trace) -> Numbers | None:
     if trace.end is None or trace.end.bound is None:
         return None
     leaf = trace.end.condition
@@ -198,8 +153,7 @@ def approach(trace: Trace) -> Numbers | None:
     }
 
 
-@statement("nearest", "'{ending}' requires {needed}; {best}, at {seconds} (step {step}).")
-def nearest(trace: Trace) -> Numbers | None:
+def _nearest(trace: Trace) -> Numbers | None:
     name, condition = missed_success(trace)
     if condition is None or not any(leaf.bound is not None for leaf in comparisons_in(condition)):
         return None
@@ -230,8 +184,7 @@ def nearest(trace: Trace) -> Numbers | None:
     }
 
 
-@statement("conditions", "Of the conditions in '{ending}', {parts}.")
-def conditions(trace: Trace) -> Numbers | None:
+def _conditions(trace: Trace) -> Numbers | None:
     name, missed = missed_success(trace)
     outer, inner = ([], []) if missed is None else (comparisons_in(missed), inner_comparisons(missed))
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
@@ -265,10 +218,7 @@ def conditions(trace: Trace) -> Numbers | None:
     return {"ending": name, "conditions": measured, "parts": "; ".join(texts)}
 
 
-@statement("terms", "{total}: {parts}. Percentages are shares of the sum of absolute values.")
-def terms(trace: Trace) -> Numbers | None:
-    if not trace.steps:
-        return None
+def _terms(trace: Trace) -> Numbers:
     sums = {name: float(np.nansum(values)) for name, values in trace.terms.items()}
     whole = sum(map(abs, sums.values()))
     shares = {
@@ -297,11 +247,7 @@ def _total(trace: Trace, sums: Mapping[str, float]) -> str:
     return f"The returns are {list_text([f'{name} {number_text(value)}' for name, value in returns.items()])}"
 
 
-@statement(
-    "concentrated_rewards",
-    "At least 80% of a large reward term came from a part of the episode: {parts}.",
-)
-def concentrated_rewards(trace: Trace) -> Numbers | None:
+def _concentrated_rewards(trace: Trace) -> Numbers | None:
     whole, concentrated = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
     for name, values in trace.terms.items():
         total = float(np.nansum(values))
@@ -317,16 +263,14 @@ def concentrated_rewards(trace: Trace) -> Numbers | None:
     return {"spans": concentrated, "parts": list_text(parts)} if concentrated else None
 
 
-@statement(
-    "critic",
-    "The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {distance}"
-    " before the end.",
-)
-def critic(trace: Trace) -> Numbers | None:
-    if trace.critic is None or len(trace.critic) < 2 or np.diff(trace.critic).min() >= 0:
-        return None
-    step = int(np.argmin(np.diff(trace.critic))) + 1
-    before, after = (float(trace.critic[index]) for index in (step - 1, step))
+def _critic_values(trace: Trace) -> Array:
+    return np.zeros(0) if trace.critic is None else trace.critic
+
+
+def _critic(trace: Trace) -> Numbers:
+    values = _critic_values(trace)
+    step = int(np.argmin(np.diff(values))) + 1
+    before, after = (float(values[index]) for index in (step - 1, step))
     return {
         "step": step,
         "at": trace.time_at(step),
@@ -339,39 +283,6 @@ def critic(trace: Trace) -> Numbers | None:
     }
 
 
-@statement(
-    "unforeseen",
-    "The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from"
-    " {first} to {last}.",
-)
-def unforeseen(trace: Trace) -> Numbers | None:
-    critic = trace.critic
-    if trace.outcome != "failure" or critic is None or len(critic) < 2 or np.diff(critic).min() < 0:
-        return None
-    return {"steps": trace.steps, "first": float(critic[0]), "last": float(critic[-1])}
-
-
-@statement("saturation", "Observations at an end of their range, as a fraction of steps: {parts}.")
-def saturation(trace: Trace) -> Numbers | None:
-    numbers = trace.program.agent.numbers
-    at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
-    return _shares(
-        {n.full_name: float(at_end[index]) for index, n in enumerate(numbers) if n.clip and not n.is_truth}
-    )
-
-
-@statement("action_limits", "Actions at an end of their range, as a fraction of steps: {parts}.")
-def action_limits(trace: Trace) -> Numbers | None:
-    at_limit = np.abs(trace.action_array("ranges")) >= 0.999
-    return _shares(
-        {
-            name: float(at_limit[:, index].mean())
-            for index, name in enumerate(trace.program.agent.range_names)
-            if trace.steps
-        }
-    )
-
-
 def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     """Return shares by name, the largest first. The sentence shows those that are not 0 %."""
     if not by_name:
@@ -381,11 +292,8 @@ def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     return {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"}
 
 
-@statement("choices", "Actions, as a fraction of steps: {parts}.")
-def choices(trace: Trace) -> Numbers | None:
+def _choices(trace: Trace) -> Numbers:
     parts = trace.program.agent.choices
-    if not parts or not trace.steps:
-        return None
     counts = [
         Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T
     ]
@@ -401,38 +309,141 @@ def choices(trace: Trace) -> Numbers | None:
     return {"options": options, "parts": list_text(sentences, len(sentences))}
 
 
-@statement("further_endings", "Further endings that were also true in step {step} ({count}): {names}.")
-def further_endings(trace: Trace) -> Numbers | None:
+def _further_endings(trace: Trace) -> list[str]:
+    """Return further endings that are true at the end."""
+    conditions = trace.instrumented.conditions.items()
     names = [
-        name
-        for name, condition in trace.instrumented.conditions.items()
-        if condition is not None and holds(condition, trace.values[-1])
+        name for name, condition in conditions if condition is not None and holds(condition, trace.values[-1])
     ]
-    also = [name for name in names if name not in (trace.ended_by, "goal_reached")]
-    return (
-        {"names": list_text(also, len(also)), "count": len(also), "step": trace.steps}
-        if also and trace.end is not None
-        else None
-    )
+    return [name for name in names if name not in (trace.ended_by, "goal_reached")]
 
 
-ROWS: tuple[StatementRule[Trace], ...] = (
-    ending,
-    error,
-    not_ended,
-    margin,
-    truth_ending,
-    truncation_limit,
-    further_endings,
-    approach,
-    nearest,
-    conditions,
-    terms,
-    concentrated_rewards,
-    critic,
-    unforeseen,
-    saturation,
-    choices,
-    action_limits,
+Row = StatementRule[Trace]
+
+ROWS: tuple[Row, ...] = (
+    Row(
+        name="ending",
+        when=lambda trace: trace.outcome in _WORDS,
+        numbers=_ending,
+        text="{what} {outcome}: '{ending}' ended it after {length}, at {seconds}.",
+    ),
+    Row(
+        name="error",
+        when=lambda trace: trace.error,
+        numbers=lambda trace: {"error": trace.error, **_length(trace)},
+        text="After {length}, at {seconds}, {what} stopped with an error: {error}.",
+    ),
+    Row(
+        name="not_ended",
+        when=lambda trace: trace.outcome == "not ended",
+        numbers=_length,
+        text="The actions of {what} end after {length} ({seconds}), but the episode has not ended.",
+    ),
+    Row(
+        name="margin",
+        numbers=_margin,
+        text="At the end, {side} was {shown}: {by} {where} the threshold of {limit}.",
+    ),
+    Row(
+        name="truth_ending",
+        when=lambda trace: trace.end is not None and trace.end.bound is None,
+        numbers=lambda trace: {**(trace.end.as_json() if trace.end else {}), "step": trace.steps},
+        text="`{condition}` became true in step {step}. It is true or false, so there is no margin.",
+    ),
+    Row(
+        name="truncation_limit",
+        when=lambda trace: (
+            trace.outcome in ("time limit", "success") and trace.ended_by in ("max_steps", "max_time")
+        ),
+        numbers=_truncation_limit,
+        text="The episode reached {shown} of at most {limit} ({condition}).",
+    ),
+    Row(
+        name="further_endings",
+        when=lambda trace: trace.end is not None and _further_endings(trace),
+        numbers=lambda trace: {
+            "names": list_text(_further_endings(trace), len(_further_endings(trace))),
+            "count": len(_further_endings(trace)),
+            "step": trace.steps,
+        },
+        text="Further endings that were also true in step {step} ({count}): {names}.",
+    ),
+    Row(
+        name="approach",
+        numbers=_approach,
+        text="Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each"
+        " of the last {steps} steps.",
+    ),
+    Row(
+        name="nearest",
+        numbers=_nearest,
+        text="'{ending}' requires {needed}; {best}, at {seconds} (step {step}).",
+    ),
+    Row(
+        name="conditions",
+        numbers=_conditions,
+        text="Of the conditions in '{ending}', {parts}.",
+    ),
+    Row(
+        name="terms",
+        when=lambda trace: trace.steps,
+        numbers=_terms,
+        text="{total}: {parts}. Percentages are shares of the sum of absolute values.",
+    ),
+    Row(
+        name="concentrated_rewards",
+        numbers=_concentrated_rewards,
+        text="At least 80% of a large reward term came from a part of the episode: {parts}.",
+    ),
+    Row(
+        name="critic",
+        when=lambda trace: np.diff(_critic_values(trace)).min(initial=0.0) < 0,
+        numbers=_critic,
+        text="The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {distance}"
+        " before the end.",
+    ),
+    Row(
+        name="unforeseen",
+        when=lambda trace: (
+            trace.outcome == "failure"
+            and len(_critic_values(trace)) > 1
+            and np.diff(_critic_values(trace)).min() >= 0
+        ),
+        numbers=lambda trace: {
+            "steps": trace.steps,
+            "first": float(_critic_values(trace)[0]),
+            "last": float(_critic_values(trace)[-1]),
+        },
+        text="The critic did not predict this failure: its value did not fall in any of {steps} steps, and"
+        " rose from {first} to {last}.",
+    ),
+    Row(
+        name="saturation",
+        numbers=lambda trace: _shares(
+            {
+                number.full_name: float((np.abs(trace.observations[:, index]) >= 1.0).mean())
+                for index, number in enumerate(trace.program.agent.numbers)
+                if number.clip and not number.is_truth
+            }
+        ),
+        text="Observations at an end of their range, as a fraction of steps: {parts}.",
+    ),
+    Row(
+        name="choices",
+        when=lambda trace: trace.program.agent.choices and trace.steps,
+        numbers=_choices,
+        text="Actions, as a fraction of steps: {parts}.",
+    ),
+    Row(
+        name="action_limits",
+        when=lambda trace: trace.steps,
+        numbers=lambda trace: _shares(
+            {
+                name: float((np.abs(trace.action_array("ranges")[:, index]) >= 0.999).mean())
+                for index, name in enumerate(trace.program.agent.range_names)
+            }
+        ),
+        text="Actions at an end of their range, as a fraction of steps: {parts}.",
+    ),
 )
 """The statements about an episode, in this order."""

@@ -579,35 +579,11 @@ def _message(layout: MessageLayout, format: str) -> Row:
 def message_size(layout: MessageLayout, format: str) -> int | None:
     """Return the number of bytes of a message: the stamp and the values; None if it depends on the digits of
     the values."""
-    sizes = [_size(field) for field in layout.fields for _ in field.components or (None,)]
-    if format == "struct":
-        return 4 + sum(sizes)
-    if format == "msgpack":
-        head = 1 if len(sizes) < 15 else 3
-        stamp = next(
-            size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.layout_hash < end
-        )
-        return head + stamp + sum(size + _msgpack_head(size) for size in sizes)
-    return None
+    if format not in ("struct", "msgpack"):
+        return None
+    from deepbots_cli.runtime.messages import codec, zero_values
 
-
-def _msgpack_head(size: int) -> int:
-    """Return the number of bytes before a truth value (1 byte, which is its own head), a number (8), or a
-    picture."""
-    if size == 1:
-        return 0
-    if size == 8:
-        return 1
-    if size < 2**8:
-        return 2
-    if size < 2**16:
-        return 3
-    return 5
-
-
-def _size(field: MessageField) -> int:
-    """Return the number of bytes of one value."""
-    return {"bool": 1, "float64": 8}.get(field.dtype) or math.prod(field.shape)
+    return len(codec(layout, format).encode(*zero_values(layout)))
 
 
 def _field(layout: MessageLayout, field: MessageField) -> Row:

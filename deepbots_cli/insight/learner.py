@@ -10,26 +10,23 @@ named.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.insight.causes import training_length
 from deepbots_cli.insight.rewards import rising_term
 from deepbots_cli.insight.stages import criterion, hides_success, needs_exploration
-from deepbots_cli.insight.statements import Numbers, Percentage, sentence, statement
+from deepbots_cli.insight.statements import Numbers, Percentage, sentence
 from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     last_quarter,
     mean_return,
-    return_trend,
-    usual_settings,
 )
 from deepbots_cli.learning.runs.verdict import Decline
-from deepbots_cli.program.task import Schedule
+from deepbots_cli.program.task import Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import number_text, rate_text
 
@@ -94,77 +91,64 @@ _OFF_POLICY: Mapping[str, _Scale] = {
 }
 
 
-@statement(
-    "fell_apart",
-    "{fall}. {reasons}",
-    advice="{advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.",
-)
 def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
     fall = evidence.decline
     if fall is None or evidence.rivals:  # less success against a rival is its gain: `rival_improved`
         return None
-    text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
-    if (paid := _return_meanwhile(evidence, fall)) is not None and paid[1] >= paid[0]:
-        before, after = paid
+    numbers = {name: value for name, value in fall.as_json().items() if name != "text"}
+    numbers["fall"] = sentence(fall.text)
+    before, after = _returns_meanwhile(evidence, fall)
+    if after >= before:
         return {
             **numbers,
             "likelihood": 0.5,
-            "fall": sentence(text),
             "reasons": f"Meanwhile the mean return rose from {number_text(before)} to {number_text(after)}:"
-            " the reward pays"
-            " for something other than"
-            f" success{_paying_term(evidence)}.",
+            f" the reward pays for something other than success{_paying_term(evidence)}.",
             "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
-            " lint` and"
-            " `lint --exploits` look for such payments.",
+            " lint` and `lint --exploits` look for such payments.",
             "suspects": [],
         }
     causes = suspects(evidence, fall)[:MAX_SUSPECTS]
-    reasons = " ".join(
-        f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), causes, strict=False)
+    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback(evidence)
+    reasons = ". Or ".join(suspect.reason for suspect in causes) or (
+        "no setting is unusual: later updates may still be too large for a policy that has learned"
     )
-    if not reasons:
-        reasons = "No setting is unusual: later updates may still be too large for a policy that has learned."
-    advice = (
-        _fallback(evidence) if not causes else f"Write {', or '.join(suspect.advice for suspect in causes)}."
-    )
-    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback_settings(evidence)
+    advice = f"Write {', or '.join(suspect.advice for suspect in causes)}."
+    if not causes:
+        change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
+        smaller = f"Write {change}, so that updates become smaller."
+        advice = smaller if change else "Train with further seeds: `--seeds 0..4`."
     return {
         **numbers,
         # Before the rows of single settings; after faults of the reward if no setting is far from usual.
         "likelihood": 0.945 if causes and causes[0].weight >= 1.0 else 0.9,
-        "fall": sentence(text),
-        "reasons": sentence(reasons),
+        "reasons": sentence(f"{reasons}."),
         "advice": advice,
         "suspects": [suspect._asdict() for suspect in causes],
         "settings": settings,
     }
 
 
-def _return_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
-    """Return the mean return of the evaluations at the best model and of the last ones; None for a fall of
-    the return."""
-    if fall.measure != "success_rate":
-        return None
+def _returns_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float, float]:
+    """Return the mean return of the evaluations at the best model and of the last ones; NaN for a fall of the
+    return."""
     points = [
         (evaluation["steps"], fmean(evaluation["returns"]))
         for evaluation in evidence.evaluations
-        if "steps" in evaluation
+        if "steps" in evaluation and fall.measure == "success_rate"
     ]
     best = [value for steps, value in points if steps == fall.best_steps]
     late = [value for steps, value in points if steps >= fall.last_steps]
-    return (best[0], fmean(late)) if best and late else None
+    return (best[0], fmean(late)) if best and late else (math.nan, math.nan)
 
 
 def _paying_term(evidence: TrainingEvidence) -> str:
     """Return the reward term that rose most, in words; empty where none rose."""
     rise = rising_term(evidence)
-    return (
-        ""
-        if rise is None
-        else f". The term '{rise[0]}' rose most, from {number_text(rise[1])} to {number_text(rise[2])} per"
-        " episode"
-    )
+    if rise is None:
+        return ""
+    before, after = (number_text(value) for value in rise[1:])
+    return f". The term '{rise[0]}' rose most, from {before} to {after} per episode"
 
 
 def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
@@ -176,31 +160,18 @@ def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
     is_off_policy = "buffer_size" in evidence.settings
     scales = _OFF_POLICY if is_off_policy else _ON_POLICY
     causes = [_of_scale(evidence, fall, name, scale) for name, scale in scales.items()]
-    rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
-        _reward_scale,
-        _discount,
-        _trace,
-        _small_rollouts,
-        _updates_per_step,
-        _noise,
-        _advantages,
-        _after_teacher,
-    )
-    causes += [rule(evidence, fall) for rule in rules]
-    candidates = [
-        suspect
-        for suspect in causes
-        if suspect is not None and suspect.weight >= SUSPECTED and suspect.now != suspect.advised
-    ]
+    further = _off_policy_suspects if is_off_policy else _on_policy_suspects
+    causes += [*_shared_suspects(evidence, fall, training), *further(evidence, fall, training)]
     by_path: dict[str, Suspect] = {}  # the strongest of several reasons for a change of one setting
-    for suspect in sorted(candidates, key=lambda suspect: -suspect.weight):
-        by_path.setdefault(suspect.path, suspect)
+    for suspect in sorted(filter(None, causes), key=lambda suspect: -suspect.weight):
+        if suspect.weight >= SUSPECTED and suspect.now != suspect.advised:
+            by_path.setdefault(suspect.path, suspect)
     return list(by_path.values())
 
 
 def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
     """Detect a number that is too large or too small."""
-    value, default = _value_at(evidence, name, fall.since_steps), usual_settings(evidence).get(name)
+    value, default = _value_at(evidence, name, fall.since_steps), evidence.usual_settings.get(name)
     usual = scale.usual
     if usual is None:
         usual = default if isinstance(default, int | float) else 3e-4
@@ -211,7 +182,7 @@ def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scal
     size = f"{times:.2g} times" if scale.times > 1 else f"{times:.2g} times smaller than"
     reason = f"`{name}` is {value:g}, {size} the usual {usual:g}"
     if scale.acts_by_updates:
-        divergence = _since(evidence, "train/approx_kl", fall.best_steps)
+        divergence = _part(evidence, "train/approx_kl", fall.best_steps)
         if len(divergence):
             high = float(np.quantile(divergence, 0.9))
             weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
@@ -221,7 +192,8 @@ def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scal
                 f" {fall.best_steps:,} steps"
             )
     if name == "ent_coef":
-        before, after = (-_part(evidence, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
+        ends = (0.5 * fall.best_steps, fall.best_steps), (fall.since_steps, math.inf)
+        before, after = (-_part(evidence, "train/entropy_loss", *part) for part in ends)
         if len(before) and len(after):
             rise = float(after.mean() - before.mean())
             weight *= 1.2 if rise > 0 else 0.8
@@ -243,146 +215,79 @@ def _advised(evidence: TrainingEvidence, name: str, usual: float, default: Any) 
     return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
 
 
-def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect returns that are too large for a critic."""
-    training = evidence.program.agent.training
-    if training is None or training.normalize == "reward" or not evidence.evaluations:
-        return None
-    size = float(
-        np.mean([abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"]])
-    )
-    high = max(abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"])
-    if size <= 0:
-        return None
-    weight = math.log(high / _USUAL_RETURN) / math.log(_BREAKING_RETURNS) if high > 0 else 0.0
-    reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
-    explained = _since(evidence, "train/explained_variance", fall.best_steps)
-    if len(explained):
-        median = float(np.median(explained))
-        weight += 0.3 if median < 0.3 else 0.0
-        reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
-    return Suspect("train.normalize", "", "reward", reason, weight)
+def _shared_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    """Yield settings of any algorithm that need more than a scale."""
+    high = max((abs(value) for row in evidence.evaluations for value in row["returns"]), default=0.0)
+    if training.normalize != "reward" and high > 0:  # returns that are too large for a critic
+        weight = math.log(high / _USUAL_RETURN) / math.log(_BREAKING_RETURNS)
+        reason = f"the rewards are large: the returns of evaluations are up to {number_text(high)}"
+        explained = _part(evidence, "train/explained_variance", fall.best_steps)
+        if len(explained):
+            median = float(np.median(explained))
+            weight += 0.3 if median < 0.3 else 0.0
+            reason += f", and the critic explains {rate_text(max(0.0, median))} of their variance"
+        yield Suspect("train.normalize", "", "reward", reason, weight)
+    gamma, length = evidence.number_setting("gamma"), evidence.longest
+    if gamma is not None:
+        # A horizon 1 / (1 - gamma) of a quarter of the longest episode. A third of it is common; a tenth
+        # hides the end of an episode.
+        advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
+        horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
+        ratio, verb = (usual / horizon, "count") if horizon < usual else (horizon / usual, "add up")
+        weight = math.log(ratio) / math.log(8 if horizon < usual else 30)
+        reason = f"`gamma` is {gamma:g}: rewards {verb} over about {horizon:.0f} of {length:,} steps"
+        if gamma >= 1:
+            weight, reason = 0.9, "`gamma` is 1, so errors of the critic about later rewards do not fade"
+        yield Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
+    if (sigma := _noise_of(evidence)) is not None:  # that hides the actions of the policy, or is absent
+        value = sigma.at(evidence.progress(fall.since_steps))
+        weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
+        path, written = evidence.noise_setting("0.3 -> 0.1")
+        reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
+        yield Suspect(path, sigma.text, written, reason, weight)
+    # A policy that was better while it imitated than after it learned by itself.
+    steps, values = evidence.scalars.get("teacher/weight", (np.zeros(0), np.zeros(0)))
+    alone, rate = steps[values < 1.0], _value_at(evidence, "learning_rate", fall.since_steps)
+    if len(alone) and fall.since_steps >= alone[0] and rate is not None:
+        reason = (
+            f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm"
+            " undo what was imitated"
+        )
+        yield Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
 
 
-def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
-    rewards."""
-    gamma = evidence.number_setting("gamma")
-    length = evidence.longest
-    if gamma is None:
-        return None
-    # A horizon 1 / (1 - gamma) of a quarter of the longest episode.
-    advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
-    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
-    if gamma >= 1:
-        reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
-        return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, 0.9)
-    # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
-    weight = (
-        math.log(usual / horizon) / math.log(8)
-        if horizon < usual
-        else math.log(horizon / usual) / math.log(30)
-    )
-    reason = (
-        f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about"
-        f" {horizon:.0f} of {length:,} steps"
-    )
-    return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
-
-
-def _trace(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a `gae_lambda` of 1, which gives noisy advantages, or a small one, whose advantages depend on an
-    inaccurate critic."""
-    trace = evidence.number_setting("gae_lambda")
-    if trace is None or _base(evidence) == "A2C" or 0.6 <= trace < 0.995:
-        return None
-    return Suspect(
-        "train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8
-    )
-
-
-def _small_rollouts(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect updates from too few steps."""
+def _on_policy_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    trace, algorithm = evidence.number_setting("gae_lambda"), ALGORITHMS.get(training.algorithm)
+    is_a2c = algorithm is not None and algorithm.base() == "A2C"
+    # A `gae_lambda` of 1 gives noisy advantages, those of a small one depend on an inaccurate critic.
+    if trace is not None and not is_a2c and not 0.6 <= trace < 0.995:
+        reason = f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual"
+        yield Suspect("train.gae_lambda", f"{trace:g}", "0.9", reason, 0.8)
     rows, steps = _rows(evidence), evidence.number_setting("n_steps")
-    if not rows or not steps or "n_epochs" not in evidence.settings:
-        return None
-    usual = max(32.0, 256 / rows * steps)
-    reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
-    return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
+    if rows and steps and "n_epochs" in evidence.settings:
+        usual, weight = max(32.0, 256 / rows * steps), math.log(256 / rows) / math.log(8)
+        reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
+        yield Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, weight)
+    if "n_epochs" in evidence.settings and evidence.settings.get("normalize_advantage") is False:
+        reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
+        yield Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
 
 
-def _updates_per_step(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect too many gradient steps of an off-policy algorithm for each new step."""
-    training = evidence.program.agent.training
-    updates = evidence.number_setting("gradient_steps")
-    often = evidence.number_setting("train_freq")
-    if (
-        training is None
-        or updates is None
-        or often is None
-        or "buffer_size" not in evidence.settings
-        or updates <= 0
-    ):
-        return None
-    ratio = updates / (often * training.environments)
-    if ratio <= 1:
-        return None
-    reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
-    return Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
+def _off_policy_suspects(evidence: TrainingEvidence, fall: Decline, training: Training) -> Iterator[Suspect]:
+    updates, often = (evidence.number_setting(name) for name in ("gradient_steps", "train_freq"))
+    ratio = updates / (often * training.environments) if updates and often else 0.0
+    if ratio > 1:
+        reason = f"`gradient_steps` makes {ratio:.2g} updates for each step of a world, and 1 is usual"
+        yield Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
 
 
-def _noise(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect action noise that hides the actions of the policy, or no noise."""
-    noise = evidence.settings.get("action_noise")
-    sigma = getattr(noise, "sigma", None)
-    if sigma is None:
-        return None
-    value = sigma.at(evidence.progress(fall.since_steps))
-    weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
-    path, advised = evidence.noise_setting("0.3 -> 0.1")
-    reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
-    return Suspect(path, sigma.text, advised, reason, weight)
+def _noise_of(evidence: TrainingEvidence) -> Schedule | None:
+    """Return the standard deviation of the action noise."""
+    return getattr(evidence.settings.get("action_noise"), "sigma", None)
 
 
-def _advantages(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect advantages as large as the rewards."""
-    if "n_epochs" not in evidence.settings or evidence.settings.get("normalize_advantage") is not False:
-        return None
-    reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
-    return Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
-
-
-def _after_teacher(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Detect a policy that was better while it imitated than after it learned by itself."""
-    weights = _part(evidence, "teacher/weight", 0.0, math.inf)
-    if not len(weights):
-        return None
-    steps, values = evidence.scalars["teacher/weight"]
-    alone = steps[values < 1.0]
-    if not len(alone) or fall.since_steps < alone[0]:
-        return None
-    rate = _value_at(evidence, "learning_rate", fall.since_steps)
-    if rate is None:
-        return None
-    reason = (
-        f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm"
-        " undo what was imitated"
-    )
-    return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
-
-
-def _fallback(evidence: TrainingEvidence) -> str:
-    """Return the advice if no setting is unusual."""
-    settings = _fallback_settings(evidence)
-    change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
-    return (
-        f"Write {change}, so that updates become smaller."
-        if change
-        else "Train with further seeds: `--seeds 0..4`."
-    )
-
-
-def _fallback_settings(evidence: TrainingEvidence) -> dict[str, str]:
+def _fallback(evidence: TrainingEvidence) -> dict[str, str]:
+    """Return what to change if no setting is unusual."""
     rate = evidence.settings.get("learning_rate")
     if isinstance(rate, int | float) and rate > 0:
         return {"train.learning_rate": f"{rate:g} -> {rate / 10:g}"}
@@ -392,12 +297,6 @@ def _fallback_settings(evidence: TrainingEvidence) -> dict[str, str]:
 
 
 # Numbers
-
-
-def _base(evidence: TrainingEvidence) -> str:
-    training = evidence.program.agent.training
-    algorithm = None if training is None else ALGORITHMS.get(training.algorithm)
-    return "" if algorithm is None else algorithm.base()
 
 
 def _rows(evidence: TrainingEvidence) -> int:
@@ -417,20 +316,10 @@ def _value_at(evidence: TrainingEvidence, name: str, steps: float) -> float | No
     return evidence.number_setting(name)
 
 
-def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (0.5 * fall.best_steps, float(fall.best_steps)), (float(fall.since_steps), math.inf)
-
-
-def _part(evidence: TrainingEvidence, tag: str, first: float, last: float) -> Any:
+def _part(evidence: TrainingEvidence, tag: str, first: float, last: float = math.inf) -> Any:
     """Return the finite values of a scalar between two numbers of steps."""
-    if tag not in evidence.scalars:
-        return np.zeros(0)
-    steps, values = evidence.scalars[tag]
+    steps, values = evidence.scalars.get(tag, (np.zeros(0), np.zeros(0)))
     return values[(steps >= first) & (steps <= last) & np.isfinite(values)]
-
-
-def _since(evidence: TrainingEvidence, tag: str, first: float) -> Any:
-    return _part(evidence, tag, first, math.inf)
 
 
 _LARGE_RETURN = 1000.0
@@ -441,130 +330,80 @@ _HIDDEN = 6.0
 weight."""
 
 
-@statement(
-    "learning_rate_too_high",
-    "The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an"
-    " update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to"
-    " {last}.",
-    advice="Set `train.learning_rate` to {usual}.",
-)
+def usual_rate(evidence: TrainingEvidence) -> float:
+    """Return the default learning rate, of deepbots or the library."""
+    rate = evidence.usual_settings.get("learning_rate")
+    return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
+
+
 def learning_rate_too_high(evidence: TrainingEvidence) -> Numbers | None:
-    rate, usual = evidence.number_setting("learning_rate"), _usual_rate(evidence)
-    if rate is None or _names_rate(evidence):
+    rate, usual = evidence.number_setting("learning_rate"), usual_rate(evidence)
+    causes = suspects(evidence, evidence.decline) if evidence.decline is not None else ()
+    if rate is None or "train.learning_rate" in {suspect.path for suspect in causes}:
         return None
     clipped, kl = (
         float(evidence.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl")
     )
     times = rate / usual
-    if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
+    if times < 20 and (times <= 2 or (clipped < 0.5 and kl < 0.3)):
         return None
-    first, last = mean_return(evidence, 0.0, 0.25), mean_return(evidence, 0.75, 1.0)
     unlikely = 0.75 if times > 5 else 0.5
     return {
         "likelihood": 0.93 if times >= 20 else unlikely,
-        "rate": rate,
-        "usual": usual,
-        "times": times,
+        **_rate_numbers(evidence, rate, rate / usual),
         "clipped": Percentage(clipped),
         "kl": kl,
-        "first": first,
-        "last": last,
-        "settings": {"train.learning_rate": f"{usual:g}"},
     }
 
 
-def _names_rate(evidence: TrainingEvidence) -> bool:
-    """Return whether the cause of a fall names the learning rate."""
-    return evidence.decline is not None and any(
-        suspect.path == "train.learning_rate" for suspect in suspects(evidence, evidence.decline)
-    )
-
-
-def _usual_rate(evidence: TrainingEvidence) -> float:
-    """Return the default learning rate, of deepbots or the library."""
-    rate = usual_settings(evidence).get("learning_rate")
-    return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
-
-
-@statement(
-    "learning_rate_too_low",
-    "The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean"
-    " return went only from {first} to {last}{divergence}.",
-    advice="Set `train.learning_rate` to {usual}.",
-)
 def learning_rate_too_low(evidence: TrainingEvidence) -> Numbers | None:
-    rate, usual = evidence.number_setting("learning_rate"), _usual_rate(evidence)
-    kl = evidence.curve("train/approx_kl")
-    if not rate or len(evidence.episodes) < 2 * MIN_EPISODES or return_trend(evidence).direction == "rises":
+    rate, usual = evidence.number_setting("learning_rate"), usual_rate(evidence)
+    kl, numbers = evidence.curve("train/approx_kl"), ""
+    if not rate or evidence.return_trend.direction == "rises":
         return None
     # In an update of PPO with a usual rate, the KL divergence is about 0.01.
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
         return None
-    first, last = mean_return(evidence, 0.0, 0.25), mean_return(evidence, 0.75, 1.0)
-    divergence = (
-        f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}"
-        if len(kl)
-        else ""
-    )
+    if len(kl):
+        numbers = f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}"
+    return {**_rate_numbers(evidence, rate, usual / rate), "steps": evidence.steps, "divergence": numbers}
+
+
+def _rate_numbers(evidence: TrainingEvidence, rate: float, times: float) -> dict[str, Any]:
+    usual = usual_rate(evidence)
     return {
-        "likelihood": 0.93,
         "rate": rate,
         "usual": usual,
-        "times": usual / rate,
-        "steps": evidence.steps,
-        "first": first,
-        "last": last,
-        "divergence": divergence,
+        "times": times,
+        "first": mean_return(evidence, 0.0, 0.25),
+        "last": mean_return(evidence, 0.75, 1.0),
         "settings": {"train.learning_rate": f"{usual:g}"},
     }
 
 
-@statement(
-    "rewards_too_large",
-    "The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic"
-    " explains {explained} of the variance of the returns. The norm of a gradient is limited, and the part of"
-    " the critic leaves hardly any for the policy.",
-    advice="Set `train.normalize` to `reward`, which divides rewards by their standard deviation for"
-    " learning only, or scale all terms down.",
-)
 def rewards_too_large(evidence: TrainingEvidence) -> Numbers | None:
     training, explained = evidence.program.agent.training, evidence.curve("train/explained_variance")
-    if (
-        training is None
-        or training.normalize == "reward"
-        or len(explained) < MIN_EPISODES
-        or len(evidence.episodes) < 2 * MIN_EPISODES
-    ):
+    if training is None or training.normalize == "reward" or len(explained) < MIN_EPISODES:
         return None
-    late = evidence.episodes_between(0.75, 1.0).returns
-    median = float(np.median(last_quarter(explained)))
-    if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
+    returns, median = evidence.late.returns, float(np.median(last_quarter(explained)))
+    if median > 0.3 or np.abs(returns).mean() < _LARGE_RETURN:
         return None
-    return {"likelihood": 0.91, "late": float(late.mean()), "explained": Percentage(max(0.0, median)),
-            "settings": {"train.normalize": "reward"}}  # fmt: skip
+    numbers = {"late": float(returns.mean()), "explained": Percentage(max(0.0, median))}
+    return {**numbers, "settings": {"train.normalize": "reward"}}
 
 
-@statement(
-    "horizon_too_short",
-    "The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of"
-    " its weight.",
-    advice="Set `train.gamma` to {wanted}.",
-)
 def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     gamma, won = evidence.number_setting("gamma"), evidence.episodes.lengths[evidence.episodes.successes > 0]
-    if gamma is None or gamma >= 1.0:
-        return None
     has_successes = len(won) >= MIN_EPISODES
     length = float(np.median(won)) if has_successes else float(evidence.longest)
-    if length * (1.0 - gamma) < _HIDDEN:
+    if gamma is None or gamma >= 1.0 or length * (1.0 - gamma) < _HIDDEN:
         return None
-    is_far = length * (1.0 - gamma) > 5 * _HIDDEN
-    if not is_far and evidence.facts.pays_in_ordinary_steps_only:
+    is_far, facts = length * (1.0 - gamma) > 5 * _HIDDEN, evidence.facts
+    pays_on_the_way = not has_successes and (
+        facts.terms_towards_success or not evidence.program.defines_success
+    )
+    if not is_far and (facts.pays_in_ordinary_steps_only or pays_on_the_way):
         return None
-    if not (has_successes or is_far) and (
-        evidence.facts.terms_towards_success or not evidence.program.defines_success
-    ):
-        return None  # rewards on the way do
     advised = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
     if advised <= gamma:
         return None
@@ -580,50 +419,35 @@ def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     }
 
 
-@statement(
-    "exploration_hides_success",
-    "Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
-    " exploration, it succeeds in {with}. Exploration prevents success.",
-    advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`,"
-    " `eval` and `export` run it without exploration.",
-)
 def exploration_hides_success(evidence: TrainingEvidence) -> Numbers | None:
     hidden, until = hides_success(evidence), criterion(evidence)
     if hidden is None:
         return None
     counts = until is not None and until.episodes is not None and until.metric != "steps"
     by_evaluation = ["let evaluations end the stage, with `in evaluation` in its `until`"] if counts else []
-    shorten = "shorten the time for which the success condition must be true"
     less = _exploration_changes(evidence, 0.1)
-    remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
+    shorten = "shorten the time for which the success condition must be true"
     return {
-        "likelihood": 0.923,
         "without": hidden[0],
         "with": hidden[1],
         "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
-        "remedy": sentence(remedy),
+        "remedy": sentence(" and ".join([*by_evaluation, *map(str, less)]) or shorten),
         "settings": _settings(less),
     }
 
 
-@statement(
-    "success_needs_exploration",
-    "With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in"
-    " {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its"
-    " actions leads out of them.",
-    advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",
-)
 def success_needs_exploration(evidence: TrainingEvidence) -> Numbers | None:
-    needed = needs_exploration(evidence)
+    needed, otherwise = (
+        needs_exploration(evidence),
+        "If it still needs the noise then, let no action be standing still",
+    )
     if needed is None:
         return None
-    otherwise = "If it still needs the noise then, let no action be standing still"
     if not evidence.facts.shows_previous_action:
         otherwise += ", or show the policy its previous action (`previous_action: auto` under `observation`)"
     return {
-        **training_length(evidence),
+        **evidence.length(),
         "otherwise": f"{otherwise}.",
-        "likelihood": 0.923,
         "with": needed[0],
         "without": needed[1],
         "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
@@ -652,36 +476,22 @@ def _exploration_changes(evidence: TrainingEvidence, factor: float) -> list[Chan
     """Return changes of the options for exploration that the algorithm has."""
     changes, settings, verb = list[Change](), evidence.settings, "raise" if factor > 1 else "lower"
     weight, chance = evidence.number_setting("ent_coef"), evidence.number_setting("exploration_final_eps")
-    noise = getattr(settings.get("action_noise"), "sigma", None)
+    noise = _noise_of(evidence)
     if weight is not None and (weight or factor > 1):
         changes.append(Change("train.ent_coef", f"{weight:g}", f"{weight * factor or 0.01:.2g}", verb))
     elif isinstance(settings.get("ent_coef"), str):
-        size = len(evidence.program.agent.range_names)
-        changes.append(
-            Change(
-                "train.target_entropy",
-                f"{settings.get('target_entropy')}",
-                f"{-size * (0.5 if factor > 1 else 2):g}",
-            )
-        )
+        target = -len(evidence.program.agent.range_names) * (0.5 if factor > 1 else 2)
+        changes.append(Change("train.target_entropy", f"{settings.get('target_entropy')}", f"{target:g}"))
     if noise is not None and (noise.end or factor > 1):
-        advised = (
-            f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
-        )
-        path, value = evidence.noise_setting(advised)
+        less, more = f"{noise.start:g} -> {0.1 * noise.end:.2g}", f"{max(0.3, 2 * noise.start):.2g}"
+        path, value = evidence.noise_setting(more if factor > 1 else less)
         changes.append(Change(path, noise.text, value, verb))
     if chance is not None and (chance or factor > 1):
-        wanted_chance = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance
-        changes.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))
+        wanted = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance
+        changes.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted:.2g}", verb))
     return [change for change in changes if change.after != change.before]
 
 
-@statement(
-    "exploration_too_large",
-    "The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy"
-    " {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is {late}{evaluated}.",
-    advice="Lower `train.ent_coef` from {weight} to {wanted}.",
-)
 def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
     weight, random = evidence.number_setting("ent_coef"), _random_entropy(evidence)
     entropy, spread = -evidence.curve("train/entropy_loss"), evidence.curve("train/std")
@@ -691,7 +501,9 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
     share = float(spread[-1] / spread[0]) if random is None else late / random
     if share < (1.2 if random is None else 0.97):
         return None
-    last = fmean(evidence.evaluations[-1]["returns"]) if evidence.evaluations else None
+    last, evaluated = fmean(evidence.evaluations[-1]["returns"]) if evidence.evaluations else None, ""
+    if last is not None:
+        evaluated = f", and that of the last evaluation, without exploration, {number_text(last, 3)}"
     return {
         "likelihood": 0.93 if weight >= 0.1 else 0.5,
         "weight": weight,
@@ -701,9 +513,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
         "updates": len(entropy),
         "late": mean_return(evidence, 0.75, 1.0),
         "last_evaluation": last,
-        "evaluated": ""
-        if last is None
-        else f", and that of the last evaluation, without exploration, {number_text(last, 3)}",
+        "evaluated": evaluated,
         "wanted": min(0.01, 0.1 * weight),
         "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"},
     }
@@ -715,40 +525,38 @@ def _random_entropy(evidence: TrainingEvidence) -> float | None:
     return None if agent.ranges else float(np.log([len(choice.options) for choice in agent.choices]).sum())
 
 
-@statement(
-    "exploration_collapsed",
-    "The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds"
-    " hardly anything new.",
-    advice="{remedy}.",
-)
 def exploration_collapsed(evidence: TrainingEvidence) -> Numbers | None:
-    rate, more = evidence.number_setting("learning_rate"), _exploration_changes(evidence, 10.0)
-    slower = (
-        []
-        if rate is None
-        else [
-            Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(evidence)):.1g}", "lower")
-        ]
+    rate, random, sigma = (
+        evidence.number_setting("learning_rate"),
+        _random_entropy(evidence),
+        _noise_of(evidence),
     )
-    remedy = sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm")
-    settings = _settings(more or slower)
-    sigma = getattr(getattr(evidence.settings.get("action_noise"), "sigma", None), "start", None)
-    if sigma == 0:
-        numbers = {"measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1}
-        return {
-            **numbers,
-            "likelihood": 0.85,
-            "steps": evidence.steps,
-            "remedy": remedy,
-            "settings": settings,
-        }
-    random = _random_entropy(evidence)
-    least_entropy = -math.inf if random is None else 0.05 * random
-    for measure, curve, least in (
-        ("the entropy of the policy", -evidence.curve("train/entropy_loss"), least_entropy),
-        ("the standard deviation of the actions", evidence.curve("train/std"), 0.05),
-    ):
-        if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            numbers = {"measure": measure, "value": value, "least": least, "steps": evidence.steps // 2}
-            return {**numbers, "likelihood": 0.6, "remedy": remedy, "settings": settings}
-    return None
+    measures: list[tuple[float, str, Any, float]] = [
+        (
+            0.6,
+            "the entropy of the policy",
+            -evidence.curve("train/entropy_loss"),
+            0.05 * (random or -math.inf),
+        ),
+        (0.6, "the standard deviation of the actions", evidence.curve("train/std"), 0.05),
+    ]
+    if sigma is not None and sigma.start == 0:
+        measures.insert(0, (0.85, "the standard deviation of the action noise", np.zeros(MIN_EPISODES), 0.1))
+    collapsed = (row for row in measures if len(row[2]) >= MIN_EPISODES and row[2][len(row[2]) // 2] < row[3])
+    row = next(collapsed, None)
+    if row is None:
+        return None
+    likelihood, measure, curve, least = row
+    more, slower = _exploration_changes(evidence, 10.0), list[Change]()
+    if rate is not None:
+        slow = f"{min(rate / 3, usual_rate(evidence)):.1g}"
+        slower = [Change("train.learning_rate", f"{rate:g}", slow, "lower")]
+    return {
+        "likelihood": likelihood,
+        "measure": measure,
+        "value": float(curve[len(curve) // 2]),
+        "least": least,
+        "steps": evidence.steps // (1 if likelihood > 0.6 else 2),
+        "remedy": sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm"),
+        "settings": _settings(more or slower),
+    }

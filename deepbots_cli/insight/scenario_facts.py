@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +17,6 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import ConditionComparison, comparisons
 from deepbots_cli.analysis.returns import total_range, uses_earlier_values
 from deepbots_cli.analysis.shown_units import ShownUnits
-from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.findings import Source as Text
@@ -171,10 +171,13 @@ class ScenarioFacts:
 
     # Units
 
-    def range_text(self, number: ObservedNumber, value: float) -> str:
-        """Return the text of a value of an observed number, given in SI units, in the unit of its range in
-        the file."""
-        return quantity_text(value, self.units.of_entry(number.full_name, number.unit))
+    def seen_text(self, number: ObservedNumber, value: float) -> str:
+        """Return a number of the observation, from -1 to 1, as the value that it represents, in the unit of
+        its range in the file."""
+        if number.is_truth:
+            return "true" if value else "false"
+        shown = number.low + (value + 1) / 2 * (number.high - number.low)
+        return quantity_text(shown, self.units.of_entry(number.full_name, number.unit))
 
 
 _CODE = Permissions(code=True)
@@ -214,38 +217,31 @@ def linted_scenario(run: Run) -> LintedScenario:
     overrides = changed_settings(record.command)
     further = [f"--set={text}" for text in overrides]
     name = next(iter(record.inputs), RESOLVED_NAME)
-    original, copy = Path(record.source), folder / name
-    source = named_source(record.source)
+    original, copy, source = Path(record.source), folder / name, named_source(record.source)
     is_same = _digest(original) == record.inputs.get(name)
-    if is_same and (
-        compiled := _compiled(run, Source(SourceKind.SCENARIO, source, original, original, _CODE), overrides)
-    ):
-        return _linted(compiled, [source, *further])
-    changed = source if original.is_file() and not is_same else ""
-    alone = Source(SourceKind.SCENARIO, str(copy), copy, copy, _CODE)
-    if compiled := _compiled(run, alone, overrides):
-        return replace(_linted(compiled, [str(copy), *further]), changed_source=changed)
-    if compiled := _compiled(run, replace(Source.kept(folder), scenario=copy), overrides):
-        arguments = [str(copy), "--allow-path", str(folder), *further]
-        return replace(_linted(compiled, arguments), changed_source=changed)
-    return replace(_linted(run.compiled, [str(run.path / RESOLVED_NAME)]), changed_source=changed)
-
-
-def _linted(compiled: Compiled, arguments: Sequence[str]) -> LintedScenario:
+    places = [
+        (Source(SourceKind.SCENARIO, str(copy), copy, copy, _CODE), [str(copy), *further]),
+        (replace(Source.kept(folder), scenario=copy), [str(copy), "--allow-path", str(folder), *further]),
+    ]
+    if is_same:
+        own = Source(SourceKind.SCENARIO, source, original, original, _CODE)
+        places.insert(0, (own, [source, *further]))
+    compiled, arguments = run.compiled, [str(run.path / RESOLVED_NAME)]
+    for place, words in places:
+        with suppress(DeepbotsError):
+            candidate = api.compile(place, overrides=with_engine(overrides, record.engine))
+            if candidate.digest == run.digest:
+                compiled, arguments = candidate, words
+                break
     document = compiled.document
-    text = None if document is None else document.source
-    is_whole = document is not None and len(document.files) < 2 and len(arguments) == 1
-    root = None if document is None else document.root
-    return LintedScenario(join(arguments), compiled.findings, text, is_whole, root=root)
-
-
-def _compiled(run: Run, source: Source, overrides: Sequence[str]) -> Compiled | None:
-    """Compile a scenario, if it is that of the run."""
-    try:
-        compiled = api.compile(source, overrides=with_engine(overrides, run.record.engine))
-    except DeepbotsError:
-        return None
-    return compiled if compiled.digest == run.digest else None
+    return LintedScenario(
+        join(arguments),
+        compiled.findings,
+        None if document is None else document.source,
+        is_whole=document is not None and len(document.files) < 2 and len(arguments) == 1,
+        changed_source=source if original.is_file() and not is_same else "",
+        root=None if document is None else document.root,
+    )
 
 
 def _digest(path: Path) -> str | None:

@@ -7,9 +7,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean, median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import (
     Numbers,
     Percentage,
+    StatementRule,
     SuccessRate,
     list_text,
     quantity_text,
-    statement,
 )
 from deepbots_cli.insight.trace import (
     SIGN_OF_OPERATOR,
@@ -38,18 +38,12 @@ from deepbots_cli.insight.training import (
     TrainingEvidence,
     Trend,
     last_quarter,
-    return_trend,
-    success_trend,
 )
 from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.program.task import SUCCESS, Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.words import number_text, rate_text
-
-if TYPE_CHECKING:
-    pass
-
 
 _RARE = 0.03  # a success rate that is as good as none
 _MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
@@ -58,21 +52,13 @@ _CHANCE = 1e-4  # of a value that has nothing to do with success to be named, ov
 # The present stage
 
 
-@statement(
-    "present_stage",
-    "The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}."
-    " {evaluated}{ends}",
-)
-def present_stage(evidence: TrainingEvidence) -> Numbers | None:
-    if not evidence.stages:
-        return None
+def _present(evidence: TrainingEvidence) -> Numbers:
     late = evidence.late_success
     evaluated = "" if evidence.evaluations else "It was not evaluated in this stage yet. "
     if late.episodes:
         evaluated = f"At the end of this stage, the policy succeeds in {late}. "
     until, value = criterion(evidence), criterion_value(evidence)
     now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
-    ends = f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage."
     return {
         "stage": evidence.stage,
         "number": evidence.stage_index + 1,
@@ -81,9 +67,18 @@ def present_stage(evidence: TrainingEvidence) -> Numbers | None:
         "steps": evidence.steps,
         "success": late if late.episodes else None,
         "evaluated": evaluated,
-        "ends": ends,
+        "ends": f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage.",
         "value": value,
     }
+
+
+PRESENT_STAGE = StatementRule[TrainingEvidence](
+    name="present_stage",
+    when=lambda evidence: evidence.stages,
+    numbers=_present,
+    text="The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}."
+    " {evaluated}{ends}",
+)
 
 
 def criterion(evidence: TrainingEvidence) -> Criterion | None:
@@ -146,48 +141,28 @@ def stage_changes(evidence: TrainingEvidence) -> str:
         root = Source.kept(evidence.run.path).document().root
     except DeepbotsError:
         return ""
-    sets: list[dict[str, str]] = []
-    for index in (evidence.stage_index - 1, evidence.stage_index):
-        sets.append(
-            {
-                name: inline_text(entry.value)
-                for name, entry in entries_at(root, "curriculum", index, "set").items()
-            }
-        )
-    before, now = sets
+    before, now = (
+        {
+            name: inline_text(entry.value)
+            for name, entry in entries_at(root, "curriculum", index, "set").items()
+        }
+        for index in (evidence.stage_index - 1, evidence.stage_index)
+    )
     usual = "the value of the scenario"
     changed = {name: (before.get(name, usual), now.get(name, usual)) for name in {**before, **now}}
-    return list_text(
-        [f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new] or [""]
-    )
+    return list_text([f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new])
 
 
-@statement(
-    "stage_too_hard",
-    "Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in"
-    " {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in {success}.",
-    advice="Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}'"
-    " start nearer to success.",
-)
 def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:
-    if not evidence.stage_index or not evidence.program.defines_success or not evidence.is_mature:
-        return None
     before = evidence.stages[evidence.stage_index - 1].name
     was = SuccessRate(evidence.episodes_of(before).successes[-100:])
     now = SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes)
-    if (
-        min(was.episodes, now.episodes) < MIN_EPISODES
-        or was.rate < 0.5
-        or now.rate > 0.1
-        or now.high > 0.6 * was.low
-        or success_trend(evidence).direction == "rises"
-    ):
-        return None
-    if evidence.late_success.rate > 0.3:
+    is_much_lower = was.rate >= 0.5 and now.rate <= 0.1 and now.high <= 0.6 * was.low
+    rises = evidence.success_trend.direction == "rises" or evidence.late_success.rate > 0.3
+    if min(was.episodes, now.episodes) < MIN_EPISODES or not is_much_lower or rises:
         return None
     changes = stage_changes(evidence)
     return {
-        "likelihood": 0.935,
         "stage": evidence.stage,
         "before": before,
         "success_before": was,
@@ -197,54 +172,27 @@ def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:
     }
 
 
-@statement(
-    "easy_stage_counted",
-    "The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count})."
-    " In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
-    advice="{remedy}",
-)
 def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
     until, late = criterion(evidence), evidence.late_success
-    if (
-        until is None
-        or evidence.is_running
-        or (evidence.steps < 0.5 * evidence.planned and not evidence.final_episodes)
-    ):
+    if until is None or late.episodes < MIN_EPISODES or late.rate < 0.8:
         return None
-    if (
-        late.episodes < MIN_EPISODES
-        or late.rate < 0.8
-        or _rate(evidence.episodes_between(0.75, 1.0)) < late.rate - 0.3
-    ):
+    asks_more = until.metric == "success_rate" and late.high < until.threshold
+    if _rate(evidence.late) < late.rate - 0.3 or asks_more:
         return None
-    if until.metric == "success_rate" and late.high < until.threshold:
-        return None  # the stage asks for more
-    final, value = (
-        SuccessRate.of(evidence.final_episodes),
-        criterion_value(evidence),
-    )
+    final, value = SuccessRate.of(evidence.final_episodes), criterion_value(evidence)
     task = (
         f", and in the scenario itself in {final}"
         if final.episodes
         else "; the task itself was not evaluated"
     )
-    reached = (
-        f"the training made {evidence.stage_steps:,} steps there"
-        if value is None or until.metric == "steps"
-        else (f"it was at {criterion_number(until, value)}")
-    )
-    threshold = Criterion("success_rate", 0.8, None) if until.metric == "steps" else until
-    target = (
-        min(threshold.threshold, value)
-        if value is not None and until.metric != "steps"
-        else threshold.threshold
-    )
-    remedy = (
-        "Let the stage end when the policy has learned it, for example with"
-        f" {_until(threshold, target, in_evaluation=True)}."
-    )
+    threshold, reached = until, f"the training made {evidence.stage_steps:,} steps there"
+    if until.metric == "steps":
+        threshold = Criterion("success_rate", 0.8, None)
+    elif value is not None:
+        threshold = replace(until, threshold=min(until.threshold, value))
+        reached = f"it was at {criterion_number(until, value)}"
+    ends = _until(threshold, threshold.threshold, in_evaluation=True)
     return {
-        "likelihood": 0.93,
         "stage": evidence.stage,
         "number": evidence.stage_index + 1,
         "count": len(evidence.stages),
@@ -252,82 +200,54 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
         "task": task,
         "criterion": criterion_text(until),
         "reached": reached,
-        "remedy": remedy,
+        "remedy": f"Let the stage end when the policy has learned it, for example with {ends}.",
         "value": value,
     }
 
 
-@statement(
-    "levels_stay_lowest",
-    "All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the training,"
-    " {share} ended by {up}, which raises the level.",
-    advice="Make level 0 easier, or name under `curriculum.up` an ending that a policy reaches earlier.",
-)
 def levels_stay_lowest(evidence: TrainingEvidence) -> Numbers | None:
-    levels, means = evidence.program.levels, evidence.curve("curriculum/mean_level")
-    late = evidence.episodes_between(0.75, 1.0)
-    if levels is None or levels.count < 2 or len(late) < MIN_EPISODES or len(means) < 4:
+    levels, means, late = evidence.program.levels, evidence.curve("curriculum/mean_level"), evidence.late
+    if levels is None or levels.count < 2 or len(means) < 4 or last_quarter(means).max() > 0.0:
         return None
-    if means[-max(1, len(means) // 4) :].max() > 0.0:
-        return None
-    raises = np.isin(late.endings, sorted(levels.up))
-    if SUCCESS in levels.up:
-        raises |= late.successes > 0
+    raises = np.isin(late.endings, sorted(levels.up)) | ((late.successes > 0) & (SUCCESS in levels.up))
     return {
-        "likelihood": 0.7,
         "highest": levels.count - 1,
         "up": list_text([f"`{name}`" for name in sorted(levels.up)]),
         "share": Percentage(float(raises.mean())),
     }
 
 
-@statement(
-    "stuck_in_stage",
-    "The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the"
-    " {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the stage"
-    " ends at {threshold}.",
-    advice="{remedy}. Also check the causes below: they apply to this stage.",
-)
 def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
     until = criterion(evidence)
-    if (
-        until is None
-        or until.metric == "steps"
-        or evidence.stage_steps < evidence.planned / len(evidence.stages)
-    ):
-        return None
-    if evidence.program.defines_success and is_rare(evidence):
+    is_long = evidence.stages and evidence.stage_steps >= evidence.planned / len(evidence.stages)
+    if until is None or until.metric == "steps" or not is_long:
         return None
     third, last = (_measured(evidence.episodes_by_steps(*span), until) for span in ((0.5, 0.75), (0.75, 1.0)))
-    if (
-        min(len(third), len(last)) < MIN_QUARTER
-        or last.mean() >= until.threshold
-        or hides_success(evidence) is not None
-    ):
+    if min(len(third), len(last)) < MIN_QUARTER or last.mean() >= until.threshold:
         return None
-    trend = success_trend(evidence) if until.metric == "success_rate" else return_trend(evidence)
-    if trend.direction == "rises":
+    trend = evidence.success_trend if until.metric == "success_rate" else evidence.return_trend
+    # A stage that is learned is an easy stage that counts.
+    is_learned = evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95
+    never = evidence.program.defines_success and is_rare(evidence)
+    if trend.direction == "rises" or is_learned or never or hides_success(evidence) is not None:
         return None
-    if evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95:
-        return None  # it is learned: an easy stage that counts
-    before, late_text = (criterion_number(until, float(values.mean())) for values in (third, last))
+    before, late = (criterion_number(until, float(values.mean())) for values in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
     target = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
     remedy = "Put an easier stage before it"
     if until.metric == "mean_return" or target >= 0.2:
         remedy = (
-            f"Lower the criterion to a value that the stage reaches, such as {_until(until, target)};"
-            " or put an easier stage before it"
+            f"Lower the criterion to a value that the stage reaches, such as {_until(until, target)}; or put"
+            " an easier stage before it"
         )
     return {
-        "likelihood": 0.75,
         "stage": evidence.stage,
         "number": evidence.stage_index + 1,
         "count": len(evidence.stages),
         "since": evidence.first_step,
         "metric": until.metric.replace("_", " "),
         "before": before,
-        "late": late_text,
+        "late": late,
         "value": float(last.mean()),
         "threshold": criterion_number(until, until.threshold),
         "remedy": remedy,
@@ -367,27 +287,15 @@ def plateau(evidence: TrainingEvidence) -> Trend | None:
     success is rare, or nearly certain, and in the first half of the planned steps."""
     if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    trend = success_trend(evidence)
+    trend = evidence.success_trend
     if trend == Trend() or trend.direction == "rises" or _rate(evidence.episodes_by_steps(0.5, 1.0)) > 0.9:
         return None
     return trend
 
 
-@statement(
-    "success_plateau",
-    "{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which is"
-    " {change}. In the second half of {whole}, the policy succeeds in {success}.",
-    advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
-    " diagnose RUN --episode failed` shows which condition they miss.{more}",
-)
 def success_plateau(evidence: TrainingEvidence) -> Numbers | None:
-    trend = plateau(evidence)
-    if (
-        trend is None
-        or some_starts_fail(evidence) is not None
-        or stuck_in_stage(evidence) is not None
-        or hides_success(evidence) is not None
-    ):
+    trend, others = plateau(evidence), (some_starts_fail, stuck_in_stage, hides_success)
+    if trend is None or any(other(evidence) is not None for other in others):
         return None
     return {
         "likelihood": 0.6 if trend.direction else 0.45,
@@ -402,59 +310,46 @@ def success_plateau(evidence: TrainingEvidence) -> Numbers | None:
     }
 
 
-@statement(
-    "some_starts_fail",
-    "{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}`"
-    " {best}, it succeeds in {succeeding} ({source}; by value: {parts}).",
-    advice="Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then"
-    " train more on these starts, for example with a curriculum that draws them more often at first.",
-)
 def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     trend = plateau(evidence)
     is_flat = trend is not None or stuck_in_stage(evidence) is not None
     if not is_flat and not evidence.final_episodes:  # they may still be learned
         return None
     source, episodes = _episodes_with_draws(evidence)
-    values = list(
-        drawn_effects(episodes, draw_labels(evidence.program, evidence.facts.units)).values.values()
-    )
+    effects = drawn_effects(episodes, draw_labels(evidence.program, evidence.facts.units)).values
     # A value whose middle fails has no trend, but its parts differ.
     differing = (
-        value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)
+        value
+        for value in effects.values()
+        if value.has_effect or _chance(value.parts) < _CHANCE / len(effects)
     )
-    drawn_value = next((value for value in differing if _is_apart(value.parts)), None)
-    if drawn_value is None:
+    drawn = next((value for value in differing if _is_apart(value.parts)), None)
+    if drawn is None:
         return None
-    name, parts, label = drawn_value.name, drawn_value.parts, drawn_value.label
-    worst, best = (choose(parts, key=lambda part: part.success_rate) for choose in (min, max))
-    rates = [
-        {
-            "low": b.low,
-            "high": b.high,
-            "episodes": b.episodes,
-            "rate": b.success_rate,
-            "interval": b.success_interval,
-        }
-        for b in parts
-    ]
-    shares = "; ".join(f"{_range(part, label)} {rate_text(part.success_rate)}" for part in parts)
-    flat = (
-        f"The success rate {trend.direction}, and it" if trend is not None and trend.direction else "Success"
-    )
-    sees = evidence.facts.observes(name.removeprefix("parameters."))
-    observed = "" if sees else f", and that the policy observes `{name}` or its effect"
+    worst, best = (choose(drawn.parts, key=lambda part: part.success_rate) for choose in (min, max))
+    shares = [f"{_range(part, drawn.label)} {rate_text(part.success_rate)}" for part in drawn.parts]
+    sees = evidence.facts.observes(drawn.name.removeprefix("parameters."))
     return {
         "likelihood": 0.92 if is_flat else 0.55,
-        "flat": flat,
-        "observed": observed,
-        "drawn": name,
-        "worst": _range(worst, label),
+        "flat": f"The success rate {trend.direction}, and it" if trend and trend.direction else "Success",
+        "observed": "" if sees else f", and that the policy observes `{drawn.name}` or its effect",
+        "drawn": drawn.name,
+        "worst": _range(worst, drawn.label),
         "failing": str(SuccessRate.counted(worst.successes, worst.episodes)),
-        "best": _range(best, label),
+        "best": _range(best, drawn.label),
         "succeeding": str(SuccessRate.counted(best.successes, best.episodes)),
         "source": source,
-        "parts": shares,
-        "bins": rates,
+        "parts": "; ".join(shares),
+        "bins": [
+            {
+                "low": part.low,
+                "high": part.high,
+                "episodes": part.episodes,
+                "rate": part.success_rate,
+                "interval": part.success_interval,
+            }
+            for part in drawn.parts
+        ],
     }
 
 
@@ -504,15 +399,13 @@ def _range(part: DrawnPart, label: DrawLabel) -> str:
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late evaluations and of late episodes of the training, if exploration hides
     most of the success."""
-    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
-    return _far_apart(evidence.late_success, explored)
+    return _far_apart(evidence.late_success, SuccessRate(evidence.late.successes[-100:]))
 
 
 def needs_exploration(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late episodes of the training and of late evaluations, if most of the
     success needs exploration."""
-    explored = SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:])
-    return _far_apart(explored, evidence.late_success)
+    return _far_apart(SuccessRate(evidence.late.successes[-100:]), evidence.late_success)
 
 
 def _far_apart(better: SuccessRate, worse: SuccessRate) -> tuple[SuccessRate, SuccessRate] | None:
@@ -522,47 +415,30 @@ def _far_apart(better: SuccessRate, worse: SuccessRate) -> tuple[SuccessRate, Su
     return better, worse
 
 
-@statement(
-    "success_never_seen",
-    "{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by"
-    " {spread} (standard deviation).",
-    advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.",
-)
 def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
-    if not evidence.program.defines_success or len(evidence.episodes) < MIN_EPISODES or not is_rare(evidence):
-        return None
     flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
-    names = evidence.program.agent.success or ("goal_reached",)
     late = {name: float(last_quarter(curve).mean()) for name, curve in evidence.term_curves.items()}
     paid = {name: max(0.0, mean) for name, mean in late.items()}
     name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    though, remedy, terms = (
-        "",
-        "Add a reward term for progress towards success,",
-        evidence.facts.terms_towards_success,
-    )
+    terms, though = evidence.facts.terms_towards_success, ""
+    remedy = "Add a reward term for progress towards success,"
     if terms:
-        others = sum(mean for term, mean in late.items() if term != terms[0])
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if terms[0] in late:
+            others = sum(mean for term, mean in late.items() if term != terms[0])
             mean, rest = number_text(late[terms[0]], 3), number_text(others, 3)
             remedy += f" (per late episode it gives {mean}, and they give {rest})"
         remedy += " and raise it,"
-    uses_path = any(
-        "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
-    )
-    if share >= 0.8 and return_trend(evidence).direction != "rises":
+    if share >= 0.8 and evidence.return_trend.direction != "rises":
         though = (
             f", and '{name}' gives {rate_text(share)} of the positive reward of late episodes: the policy is"
             " in a local optimum of this term"
         )
-        remedy = (
-            f"Make '{name}' lead around obstacles, for example with path_distance instead of a straight"
-            " distance,"
-        )
-        if uses_path:
-            remedy = f"Make success earn more than '{name}' can,"
+        text = next(term.text for term in evidence.program.agent.reward if term.name == name)
+        straight = "for example with path_distance instead of a straight distance"
+        lead = f"Make '{name}' lead around obstacles, {straight},"
+        remedy = f"Make success earn more than '{name}' can," if "path_distance" in text else lead
     uncertain = 0.7 if evidence.is_mature else 0.45
     return {
         "likelihood": 0.93 if flat else uncertain,
@@ -571,7 +447,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         "seen": f"Only {count}" if count else "None",
         "verb": "are" if count > 1 else "is",
         "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
-        "ending": " or ".join(names),
+        "ending": " or ".join(evidence.program.agent.success or ("goal_reached",)),
         "spread": float(evidence.episodes.returns.std()),
         "mean": float(evidence.episodes.returns.mean()),
         "term": name if whole else None,
@@ -665,38 +541,21 @@ def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
     return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
 
 
-@statement(
-    "missed_condition",
-    "Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is"
-    " true least often, in {true} of {moments} moments{nearest}. {others}.",
-    advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these"
-    " episodes.",
-)
 def missed_condition(evidence: TrainingEvidence) -> Numbers | None:
-    failed = evidence.failed or [
-        trace for trace in evidence.policy if trace.outcome in ("failure", "time limit")
-    ]
-    miss = common_miss(failed)
-    if miss is None or not evidence.is_mature:
+    played = [trace for trace in evidence.policy if trace.outcome in ("failure", "time limit")]
+    miss = common_miss(evidence.failed or played)
+    if miss is None:
         return None
     leaf, unit = miss.condition, evidence.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
-    near = ""
+    near, aim = "", f"`{leaf.text}`"
     if miss.nearest is not None and miss.bound is not None:
         value, bound = (quantity_text(number, unit, 3) for number in (miss.nearest, miss.bound))
         near = f"; the nearest value is {value} in the median, and the threshold {bound}"
+        aim = f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold"
     terms = evidence.facts.terms_about(leaf.text)
-    aim = (
-        f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold"
-        if leaf.bound
-        else f"`{leaf.text}`"
-    )
-    remedy = f"Reward what brings {aim} where the other conditions hold"
-    if terms:
-        names = list_text([f"'{term}'" for term in terms])
-        remedy = f"Raise what {names} pays for {aim}"
-    sentences = [f"`{text}` is true in {count:,}" for text, count in miss.others.items()]
+    names = list_text([f"'{term}'" for term in terms])
+    remedy = f"Raise what {names} pays for" if terms else "Reward what brings"
     return {
-        "likelihood": 0.69,
         "ending": miss.ending,
         "condition": leaf.text,
         "episodes": miss.episodes,
@@ -707,7 +566,7 @@ def missed_condition(evidence: TrainingEvidence) -> Numbers | None:
         "nearest_value": miss.nearest,
         "threshold": miss.bound,
         "unit": leaf.unit,
-        "others": list_text(sentences),
+        "others": list_text([f"`{text}` is true in {count:,}" for text, count in miss.others.items()]),
         "terms": list(terms),
-        "remedy": remedy,
+        "remedy": f"{remedy} {aim}" if terms else f"{remedy} {aim} where the other conditions hold",
     }

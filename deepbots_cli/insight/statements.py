@@ -1,7 +1,7 @@
 """Sentences with their evidence, the form of every row in the two tables, and the templates of pages.
 
-A row is a sentence with fields for numbers, and the function that finds these numbers. There is no sentence
-without its numbers.
+A row is a condition, a sentence with fields for numbers, and these numbers. There is no sentence without its
+numbers.
 """
 
 from __future__ import annotations
@@ -18,37 +18,44 @@ Numbers = Mapping[str, Any]
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StatementRule(Generic[T]):
     """A row of a table.
 
     Attributes:
         name: The cause.
         text: The sentence, with a field in braces for each number.
+        numbers: Returns the numbers, or None where the row does not apply. They may be more than the sentence
+            shows; the entries `settings` and `command` become those of the statement, and the entry
+            `likelihood` replaces that of the row.
+        when: The condition of the row; `numbers` is called only where it is true.
         advice: The advice, with the same fields; may be empty.
-        finder: Returns the numbers, or None where the row does not apply. The numbers may be more than the
-            sentence shows; the entry `likelihood` (0 to 1) orders causes, and `settings` become those of the
-            statement.
+        likelihood: The number from 0 to 1 that orders causes.
+        command: The command that shows more of a cause for which no value under `train` is advised.
+        explains: The causes that this one implies, which are then not listed: a policy that repeats the
+            action that pays most is not reported as exploring too little.
+        is_symptom: Whether the cause is only a symptom beside one that is certain.
+        is_provisional: Whether a young training may still outgrow it. It becomes a cause when the training or
+            the stage is mature, or when it is certain.
     """
 
     name: str
     text: str
-    advice: str
-    finder: Callable[[T], Numbers | None]
+    numbers: Callable[[T], Numbers | None]
+    when: Callable[[T], object] = lambda subject: True
+    advice: str = ""
+    likelihood: float | None = None
+    command: str = ""
+    explains: tuple[str, ...] = ()
+    is_symptom: bool = False
+    is_provisional: bool = False
 
-    def __call__(self, about: T) -> Numbers | None:
-        return self.finder(about)
-
-
-def statement(
-    name: str, text: str, advice: str = ""
-) -> Callable[[Callable[[T], Numbers | None]], StatementRule[T]]:
-    """Return a decorator that makes a row of the function that finds its numbers."""
-
-    def with_text(finder: Callable[[T], Numbers | None]) -> StatementRule[T]:
-        return StatementRule(name, text, advice, finder)
-
-    return with_text
+    def evidence(self, subject: T) -> Numbers | None:
+        """Return the numbers, with the likelihood of a cause; None where the row does not apply."""
+        numbers = self.numbers(subject) if self.when(subject) else None
+        if numbers is None or self.likelihood is None:
+            return numbers
+        return {"likelihood": self.likelihood, **numbers}
 
 
 @dataclass(frozen=True)
@@ -142,13 +149,13 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
     """Return the statements of the rows that apply, in the order of the table."""
     statements = []
     for rule in rules:
-        evidence = rule.finder(subject)
+        evidence = rule.evidence(subject)
         if evidence is not None:
             texts = {key: _shown(value) for key, value in evidence.items()}
-            settings = evidence.get("settings", {})
-            numbers = {key: value for key, value in evidence.items() if key != "settings"}
+            further = {"settings": evidence.get("settings", {}), "command": evidence.get("command", "")}
+            numbers = {key: value for key, value in evidence.items() if key not in further}
             sentence, remedy = (form.format(**texts).strip() for form in (rule.text, rule.advice))
-            statements.append(Statement(rule.name, sentence, remedy, numbers, settings))
+            statements.append(Statement(rule.name, sentence, remedy, numbers, **further))
     return statements
 
 

@@ -10,24 +10,27 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from shlex import quote
-from typing import Any, Literal
+from statistics import fmean
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.files import display_path
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.scenario_facts import LintedScenario, ScenarioFacts, linted_scenario, named_source
-from deepbots_cli.insight.statements import EvaluationRate
+from deepbots_cli.insight.statements import EvaluationRate, Percentage, SuccessRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, instrument_program, trace_episodes
 from deepbots_cli.learning.environments import FAILURES_FOLDER, Failure, read_failure
+from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import (
@@ -52,8 +55,72 @@ from deepbots_cli.view.training_logs import logs_of, scalars_of
 
 MIN_EPISODES = 8
 """The number of episodes below which the returns of a training are not meaningful."""
+TOTAL_TIMESTEPS = "train.total_timesteps"
+"""The setting whose new value continues a training. A new value of another setting begins another
+training."""
 MIN_QUARTER = 30
 """Episodes in a quarter of a stage, below which its success rate is too uncertain for a trend."""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Whether a mean of episodes rises in the present stage.
+
+    Attributes:
+        direction: "rises", "no longer rises", "falls", or "" if the episodes do not show which.
+        before: The mean of the second quarter of the steps of the stage.
+        late: The mean of the last quarter.
+        gain: `late` - `before`, with its 95 % interval from `low` to `high`.
+    """
+
+    direction: Literal["rises", "no longer rises", "falls", ""] = ""
+    before: float = 0.0
+    late: float = 0.0
+    gain: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+
+
+def trend_of(progress: Array, values: Array, least: int) -> Trend:
+    """Return the trend of values of episodes, at their progress in a stage from 0 to 1. Each quarter needs at
+    least so many episodes.
+
+    The values rise if their gain since the second quarter, or from one half to the other, exceeds chance, and
+    they have not leveled off: an interval ends below half of what a steady rise would gain. They no longer
+    rise if they have leveled off, or if their interval excludes a gain of a tenth of their mean; where both
+    gains are below 0, the interval may be wider. In 300 simulated trainings each of 400 to 20,000 episodes,
+    rates that rose from 1 to 6 % were called flat in at most 4 %.
+    """
+    shares = [(0.0, 0.1), *((quarter / 4, (quarter + 1) / 4) for quarter in range(4))]
+    start, *quarters = (values[(progress > low) & (progress <= high)] for low, high in shares)
+    if min(map(len, quarters)) < least:
+        return Trend()
+    start, last = start if len(start) else quarters[0], quarters[3]
+    gain, low, high = _gain(quarters[1], last)
+    _, recent_low, recent_high = _gain(quarters[2], last)
+    of_halves, low_of_halves, _ = _gain(np.concatenate(quarters[:2]), np.concatenate(quarters[2:]))
+    is_clear = low > 0 or low_of_halves > of_halves / 4  # 99 % for halves, of which one has the start
+    whole, level = float(last.mean() - start.mean()), abs(float(last.mean()))
+    # A steady rise gains 0.6 of the whole since the second quarter, and 0.3 since the third.
+    leveled = high < 0.3 * whole or recent_high < 0.15 * whole or (gain <= 0 and high < 0.6 * whole)
+    margin = min(0.4 * float(last.std()), level) if max(gain, of_halves) <= 0 else 0.1 * level
+    direction: Literal["rises", "no longer rises", "falls", ""] = ""
+    if high < 0:
+        direction = "falls"
+    elif leveled:
+        direction = "" if recent_low > 0 else "no longer rises"
+    elif low > 0 or low_of_halves > 0:
+        direction = "rises" if gain > 0 and is_clear else ""
+    elif high <= margin:
+        direction = "no longer rises"
+    return Trend(direction, float(quarters[1].mean()), float(last.mean()), gain, low, high)
+
+
+def _gain(before: Array, after: Array) -> tuple[float, float, float]:
+    """Return the difference of two means, and the ends of its 95 % interval."""
+    gain = float(after.mean() - before.mean())
+    half = 1.96 * float(np.hypot(before.std() / np.sqrt(len(before)), after.std() / np.sqrt(len(after))))
+    return gain, gain - half, gain + half
 
 
 @dataclass(eq=False)
@@ -83,11 +150,11 @@ class TrainingEvidence:
     final_episodes: Sequence[Episode] = ()
     verdict: RunVerdict = RunVerdict(None, None)
     is_running: bool = False
-    policy: Sequence[Trace] = ()
-    random: Sequence[Trace] = ()
-    idle: Sequence[Trace] = ()
-    constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
-    scripts: dict[str, Sequence[Trace]] = field(default_factory=dict)
+    policy: list[Trace] = field(default_factory=list)
+    random: list[Trace] = field(default_factory=list)
+    idle: list[Trace] = field(default_factory=list)
+    constant_actions: dict[str, dict[str, Trace]] = field(default_factory=dict)
+    scripts: dict[str, list[Trace]] = field(default_factory=dict)
     failed: Sequence[Trace] = ()
     agent: str = ""
     rivals: Mapping[str, Array] = field(default_factory=dict)
@@ -243,6 +310,19 @@ class TrainingEvidence:
             for entry in effective_hyperparameters(self.run.program, self.run.record.total_timesteps)
         }
 
+    @cached_property
+    def usual_settings(self) -> Mapping[str, Any]:
+        """The hyperparameters that the training would take if the scenario gave none, by name."""
+        program, training = self.run.program, self.run.program.agent.training
+        if training is None:
+            return {}
+        bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
+        unset = program.with_agent(training=bare)
+        return {
+            entry.name: entry.value
+            for entry in effective_hyperparameters(unset, self.run.record.total_timesteps)
+        }
+
     def number_setting(self, name: str) -> float | None:
         """Return a hyperparameter as a number, of a schedule its first number; None if it is not a number."""
         value = self.settings.get(name)
@@ -285,6 +365,36 @@ class TrainingEvidence:
         logged_steps = int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
         return max(logged_steps, result.steps if result is not None else 0)
 
+    @property
+    def late(self) -> Any:
+        """The episodes of the last quarter of the present stage."""
+        return self.episodes_between(0.75, 1.0)
+
+    @property
+    def late_training_success(self) -> float:
+        """The success rate of the late episodes of the training, which explore; 0 without any."""
+        return float(self.late.successes.mean()) if len(self.late) else 0.0
+
+    def length(self, planned: int = 0) -> dict[str, Any]:
+        """Return the length of the training as numbers of a cause, and the way to continue it: to the
+        `planned` steps if they are more than 1.1 times as many, else further."""
+        record, command = self.run.record, f"deepbots resume {quote(display_path(self.run.path))}"
+        more = planned if planned > 1.1 * self.steps else max(self.planned, longer_goal(self.steps))
+        # An interrupted training goes on to its own total.
+        if record.state(self.run.path) != "interrupted" or more != record.total_timesteps:
+            command += f" --timesteps {more:_}"
+        wait = f"Let it run: {self.steps:,} of {record.total_timesteps:,} steps have been made."
+        return {
+            "steps": self.steps,
+            "episodes": len(self.all_episodes),
+            "planned": self.planned,
+            "share": Percentage(self.steps / self.planned),
+            "more": more,
+            "advice": wait if self.is_running else f"Continue the training with `{command}`.",
+            "settings": {} if self.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
+            "command": command,
+        }
+
     # What was learned
 
     @property
@@ -299,6 +409,92 @@ class TrainingEvidence:
             logged_episodes_meet(solved, evaluation["returns"], evaluation["successes"])
             for evaluation in evaluations
         )
+
+    @cached_property
+    def learned(self) -> Literal["exploring", "evaluated"] | None:
+        """Where the policy has learned the task: in the episodes of the training, or only in evaluations,
+        which do not explore.
+
+        The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an
+        evaluation after the training excludes it. In a scenario without `solved`, the task is learned at a
+        success rate of 80 %.
+        """
+        solved, succeeds = self.run.program.agent.solved, self.run.program.defines_success
+        required = 0.8 if solved is None else solved.success_rate or 0.0
+
+        def suffices(successes: Sequence[float]) -> bool:
+            """Return whether successes suffice in a scenario without `solved`."""
+            return (
+                solved is None
+                and succeeds
+                and len(successes) >= MIN_EPISODES
+                and fmean(successes) >= required
+            )
+
+        final = SuccessRate.of(self.final_episodes)
+        excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
+        is_learned = self.is_last_stage and suffices(self.episodes.successes[-100:])
+        if not excluded and (is_learned or self._solved_while_exploring):
+            return "exploring"
+        evaluated = [episode.is_success for episode in self.final_episodes]
+        if self.is_last_stage:
+            is_defined = self.evaluations and self.program.defines_success
+            evaluated = self.evaluations[-1]["successes"] if is_defined else []
+        return "evaluated" if self.solved or suffices(evaluated) else None
+
+    @property
+    def _solved_while_exploring(self) -> bool:
+        """Whether episodes of the training, which explore, met `solved`."""
+        solved, result = self.run.program.agent.solved, self.run.record.result
+        if result is None or result.solved_at is None:
+            return False
+        if solved is None:
+            return True
+        recent = self.episodes[-solved.episodes :] if self.is_last_stage else self.episodes[:0]
+        return logged_episodes_meet(solved, recent.returns, recent.successes)
+
+    @cached_property
+    def policy_rate(self) -> SuccessRate:
+        """The success rate of the policy: in the quoted evaluation, else in the last quarter of the
+        training."""
+        final = [episode.is_success for episode in self.final_episodes] if self.is_last_stage else []
+        return SuccessRate(final or self.late.successes)
+
+    @property
+    def script_rates(self) -> dict[str, SuccessRate]:
+        """The success rates of the scripts, of enough episodes each."""
+        rates = {name: SuccessRate.of(traces) for name, traces in self.scripts.items()}
+        return {name: rate for name, rate in rates.items() if rate.episodes >= MIN_EPISODES}
+
+    @property
+    def teacher(self) -> str | None:
+        """The script that teaches the policy."""
+        training = self.program.agent.training
+        return training.teacher.script if training is not None and training.teacher is not None else None
+
+    @property
+    def is_taught(self) -> bool:
+        return self.teacher is not None or self.run.demonstrations.exists() or self.run.teacher.exists()
+
+    @cached_property
+    def return_trend(self) -> Trend:
+        """The trend of the returns in the present stage."""
+        return trend_of(self._progress(self.episodes.steps), self.episodes.returns, MIN_EPISODES // 2)
+
+    @cached_property
+    def success_trend(self) -> Trend:
+        """The trend of the success rate in the present stage: that of the evaluations, which do not explore,
+        if it rises, or else that of the episodes of the training."""
+        rows = [(row["steps"], won) for row in self.evaluations for won in row["successes"] if "steps" in row]
+        steps, successes = np.array(rows, float).reshape(-1, 2).T
+        evaluated = trend_of(self._progress(steps), successes, MIN_QUARTER)
+        if evaluated.direction == "rises":
+            return evaluated
+        return trend_of(self._progress(self.episodes.steps), self.episodes.successes, MIN_QUARTER)
+
+    def _progress(self, steps: Array) -> Array:
+        """Return which share of the steps of the present stage was made after these steps."""
+        return (steps - self.first_step) / max(1, self.stage_steps)
 
     def curve(self, tag: str) -> Array:
         """Return the values of a curve in the present stage, or of `train/...` in all stages; empty if
@@ -323,103 +519,6 @@ def last_quarter(curve: Array) -> Array:
 def mean_return(evidence: TrainingEvidence, first: float, last: float) -> float:
     """Return the mean return of `TrainingEvidence.episodes_between`."""
     return float(evidence.episodes_between(first, last).returns.mean())
-
-
-@dataclass(frozen=True)
-class Trend:
-    """Whether a mean of episodes rises in the present stage.
-
-    Attributes:
-        direction: "rises", "no longer rises", "falls", or "" if the episodes do not show which.
-        before: The mean of the second quarter of the steps of the stage.
-        late: The mean of the last quarter.
-        gain: `late` - `before`, with its 95 % interval from `low` to `high`.
-    """
-
-    direction: Literal["rises", "no longer rises", "falls", ""] = ""
-    before: float = 0.0
-    late: float = 0.0
-    gain: float = 0.0
-    low: float = -np.inf
-    high: float = np.inf
-
-
-def trend_of(progress: Array, values: Array, least: int) -> Trend:
-    """Return the trend of values of episodes, at their progress in a stage from 0 to 1. Each quarter needs at
-    least so many episodes.
-
-    The values rise if their gain since the second quarter, or from one half to the other, exceeds chance, and
-    they have not leveled off: an interval ends below half of what a steady rise would gain. They no longer
-    rise if they have leveled off, or if their interval excludes a gain of a tenth of their mean; where both
-    gains are below 0, the interval may be wider. In 300 simulated trainings each of 400 to 20,000 episodes,
-    rates that rose from 1 to 6 % were called flat in at most 4 %.
-    """
-    shares = [(0.0, 0.1), *((quarter / 4, (quarter + 1) / 4) for quarter in range(4))]
-    start, *quarters = (values[(progress > low) & (progress <= high)] for low, high in shares)
-    if min(map(len, quarters)) < least:
-        return Trend()
-    start, last = start if len(start) else quarters[0], quarters[3]
-    gain, low, high = _gain(quarters[1], last)
-    _, recent_low, recent_high = _gain(quarters[2], last)
-    of_halves, low_of_halves, _ = _gain(np.concatenate(quarters[:2]), np.concatenate(quarters[2:]))
-    is_clear = low > 0 or low_of_halves > of_halves / 4  # 99 % for halves, of which one has the start
-    whole, level = float(last.mean() - start.mean()), abs(float(last.mean()))
-    # A steady rise gains 0.6 of the whole since the second quarter, and 0.3 since the third.
-    leveled = high < 0.3 * whole or recent_high < 0.15 * whole or (gain <= 0 and high < 0.6 * whole)
-    margin = min(0.4 * float(last.std()), level) if max(gain, of_halves) <= 0 else 0.1 * level
-    direction: Literal["rises", "no longer rises", "falls", ""] = ""
-    if high < 0:
-        direction = "falls"
-    elif leveled:
-        direction = "" if recent_low > 0 else "no longer rises"
-    elif low > 0 or low_of_halves > 0:
-        direction = "rises" if gain > 0 and is_clear else ""
-    elif high <= margin:
-        direction = "no longer rises"
-    return Trend(direction, float(quarters[1].mean()), float(last.mean()), gain, low, high)
-
-
-def _gain(before: Array, after: Array) -> tuple[float, float, float]:
-    """Return the difference of two means, and the ends of its 95 % interval."""
-    gain = float(after.mean() - before.mean())
-    half = 1.96 * float(np.hypot(before.std() / np.sqrt(len(before)), after.std() / np.sqrt(len(after))))
-    return gain, gain - half, gain + half
-
-
-def return_trend(evidence: TrainingEvidence) -> Trend:
-    """Return the trend of the returns in the present stage."""
-    episodes = evidence.episodes
-    return trend_of(_progress(evidence, episodes.steps), episodes.returns, MIN_EPISODES // 2)
-
-
-def success_trend(evidence: TrainingEvidence) -> Trend:
-    """Return the trend of the success rate in the present stage: that of the evaluations, which do not
-    explore, if it rises, or else that of the episodes of the training."""
-    rows = [(row["steps"], won) for row in evidence.evaluations for won in row["successes"] if "steps" in row]
-    steps, successes = np.array(rows, float).reshape(-1, 2).T
-    evaluated = trend_of(_progress(evidence, steps), successes, MIN_QUARTER)
-    if evaluated.direction == "rises":
-        return evaluated
-    return trend_of(_progress(evidence, evidence.episodes.steps), evidence.episodes.successes, MIN_QUARTER)
-
-
-def _progress(evidence: TrainingEvidence, steps: Array) -> Array:
-    """Return which share of the steps of the present stage was made after these steps."""
-    return (steps - evidence.first_step) / max(1, evidence.stage_steps)
-
-
-def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
-    """Return the hyperparameters that the training would take if the scenario gave none, by name."""
-    program = evidence.run.program
-    training = program.agent.training
-    if training is None:
-        return {}
-    bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
-    unset = program.with_agent(training=bare)
-    return {
-        entry.name: entry.value
-        for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)
-    }
 
 
 def commonest_ending(episodes: Any) -> tuple[str, float]:
@@ -534,110 +633,84 @@ def run_probes(
     evidence: TrainingEvidence,
     *,
     permissions: Permissions = Permissions(),
-    on_episode: Callable[[int, int], object] | None = None,
+    on_episode: Callable[[int, int], object] = lambda count, total: None,
     seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts, and put them into its evidence. No
-    episode continues after `seconds`."""
-    from deepbots_cli.learning.sb3.algorithms import torch_settings
-
-    probes = _Probes(evidence, time.monotonic() + seconds, permissions, on_episode)
-    with torch_settings(), closing(probes.world):
-        probes.play()
-    evidence.failed = _repeat_failed(evidence, probes.deadline, permissions)
-
-
-class _Probes:
-    """The short episodes of a training.
+    """Run the short episodes of a training, all from the same starts, and put them into its evidence.
 
     Args:
-        evidence: Takes their traces.
-        deadline: The end by the monotonic clock, in s; no episode continues after it.
         permissions: The permissions of the scenario.
         on_episode: Called after each episode with the number so far and in total.
+        seconds: The time after which no episode continues.
     """
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
 
-    def __init__(
-        self,
-        evidence: TrainingEvidence,
-        deadline: float,
-        permissions: Permissions,
-        on_episode: Callable[[int, int], object] | None,
-    ) -> None:
-        self._evidence, self.deadline, self._on_episode = evidence, deadline, on_episode
-        run, watch = evidence.run, instrument_program(evidence.program, include_observation=True)
-        program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
-        self.world = TraceRecorder(program, watch, run.compiled.units)
-        self._done, self._total = 0, 0
+    deadline, run = time.monotonic() + seconds, evidence.run
+    watch = instrument_program(evidence.program, include_observation=True)
+    program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
+    with torch_settings(), closing(TraceRecorder(program, watch, run.compiled.units)) as world:
+        probes = [*_probes(evidence, world)]
+        for number, probe in enumerate(probes, 1):
+            if time.monotonic() > deadline:
+                break
+            error = ""
+            try:
+                for _ in islice(steps(world, probe.driver(), Start(probe.seed)), probe.steps + 1):
+                    if time.monotonic() > deadline:
+                        break
+            except DeepbotsError as failed:
+                error = str(failed)
+            probe.keep(world.trace("a short episode", error=error))
+            on_episode(number, len(probes))
+    for name, traces in evidence.scripts.items():  # without episodes that the deadline has cut
+        evidence.scripts[name] = [trace for trace in traces if trace.outcome != "not ended"]
+    evidence.failed = _repeat_failed(evidence, deadline, permissions)
 
-    def play(self) -> None:
-        evidence, world = self._evidence, self.world
-        constant, idle = _constant_actions(world.world), self._idle_action()
-        policy, scripts = self._policy_driver(), _scripts_to_play(evidence)
-        kinds = 1 + (idle is not None) + (policy is not None)
-        self._total = _PROBE_EPISODES * kinds + sum(map(len, constant.values()))
-        self._total += _SCRIPT_EPISODES * len(scripts)
-        seeds = self._seeds(_PROBE_EPISODES)
-        random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        # One of each kind in turn, so that there are some of every kind after a few seconds.
+
+class _Probe(NamedTuple):
+    """A short episode to run: what keeps its trace, its seed, its driver and its largest number of steps."""
+
+    keep: Callable[[Trace], object]
+    seed: int
+    driver: Callable[[], Driver]
+    steps: int = _PROBE_STEPS
+
+
+def _probes(evidence: TrainingEvidence, world: TraceRecorder) -> Iterator[_Probe]:
+    """Yield the short episodes of a training. Episodes of the three drivers come in turn, so that there are
+    some of each after a few seconds."""
+    agent, seed = evidence.program.agent, evidence.run.record.seed
+    seeds = [derive_seed(seed, "diagnosis", number) for number in range(_SCRIPT_EPISODES)]
+    evidence.random, evidence.policy, evidence.idle = [], [], []
+    drivers: list[tuple[list[Trace], Callable[[], Driver] | None]] = [
+        (evidence.random, partial(random_driver, world)),
+        (evidence.policy, _policy_driver(evidence, world)),
+    ]
+    idle = idle_action(agent.action)
+    # Zeros can be commanded.
+    if idle is not None and all(interval.low <= 0.0 <= interval.high for interval in agent.ranges):
+        drivers.append((evidence.idle, partial(constant_driver, world.world.make_action(*idle))))
+    for seed in seeds[:_PROBE_EPISODES]:
+        yield from (_Probe(traces.append, seed, driver) for traces, driver in drivers if driver is not None)
+    for part, actions in _constant_actions(world.world).items():
+        traces_by_name = evidence.constant_actions[part] = {}
+        for name, action in actions.items():
+            keep, driver = partial(traces_by_name.__setitem__, name), partial(constant_driver, action)
+            yield _Probe(keep, seeds[0], driver, _CONSTANT_ACTION_STEPS)
+    for name in _scripts_to_play(evidence):
+        played = evidence.scripts[name] = []
         for seed in seeds:
-            random += self._episode(seed, random_driver(world))
-            if policy is not None:
-                played += self._episode(seed, policy())
-            if idle is not None:
-                still += self._episode(seed, constant_driver(world.world.make_action(*idle)))
-        evidence.random, evidence.policy, evidence.idle = random, played, still
-        for part, actions in constant.items():
-            traces = {
-                name: self._episode(seeds[0], constant_driver(action), _CONSTANT_ACTION_STEPS)
-                for name, action in actions.items()
-            }
-            evidence.constant_actions[part] = {
-                name: action_traces[0] for name, action_traces in traces.items() if action_traces
-            }
-        for name in scripts:
-            episodes = [
-                trace
-                for seed in self._seeds(_SCRIPT_EPISODES)
-                for trace in self._episode(seed, named_driver(world, name), evidence.longest)
-            ]
-            # Episodes that the deadline has cut are left out.
-            evidence.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]
+            yield _Probe(played.append, seed, partial(named_driver, world, name), evidence.longest)
 
-    def _seeds(self, count: int) -> list[int]:
-        seed = self._evidence.run.record.seed
-        return [derive_seed(seed, "diagnosis", number) for number in range(count)]
 
-    def _idle_action(self) -> Any:
-        """Return the action that commands zeros; None where a range has no zero."""
-        agent = self._evidence.program.agent
-        has_zeros = all(interval.low <= 0.0 <= interval.high for interval in agent.ranges)
-        return idle_action(agent.action) if has_zeros else None
+def _policy_driver(evidence: TrainingEvidence, world: TraceRecorder) -> Callable[[], Driver] | None:
+    """Return what makes a driver of the last policy; None before there is one."""
+    from deepbots_cli.learning.policy import load_model
+    from deepbots_cli.rollout.policies import PolicyDriver
 
-    def _policy_driver(self) -> Callable[[], Driver] | None:
-        """Make a driver of the last policy; None before there is one."""
-        from deepbots_cli.learning.policy import load_model
-        from deepbots_cli.rollout.policies import PolicyDriver
-
-        run = self._evidence.run
-        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
-
-    def _episode(self, seed: int, driver: Driver, count: int = _PROBE_STEPS) -> list[Trace]:
-        """Return the trace of an episode of at most `count` steps, in a list; empty after the deadline."""
-        if time.monotonic() > self.deadline:
-            return []
-        error = ""
-        try:
-            for _ in islice(steps(self.world, driver, Start(seed)), count + 1):
-                if time.monotonic() > self.deadline:
-                    break
-        except DeepbotsError as failed:
-            error = str(failed)
-        self._done += 1
-        if self._on_episode is not None:
-            self._on_episode(self._done, self._total)
-        return [self.world.trace("a short episode", error=error)]
+    run = evidence.run
+    name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
+    return None if name is None else partial(PolicyDriver, load_model(run, name, world), world)
 
 
 def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:

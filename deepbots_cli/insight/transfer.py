@@ -9,9 +9,8 @@ number, or another latency, mass, friction, strength, gain, lag or order of moto
 are simulated, each with the same starts and actions.
 
 Most kinds of changes explain nothing. Therefore the first round simulates a small, a medium and a large
-amount of each kind, in two episodes, until the differences have grown. The second round simulates all
-amounts of the likely kinds. The third round searches between the amounts of the best kinds. Finally, the
-best amount of each kind is simulated in all episodes.
+amount of each kind, in two episodes, until the differences have grown. The second round searches the best
+amount of each likely kind, and simulates it in all episodes.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from math import ceil, exp, floor, inf, log
 from pathlib import Path
 from statistics import fmean
@@ -291,10 +290,7 @@ T = TypeVar("T")
 _LEAST_EXPLAINED = 0.3
 """The smallest share of the squared differences that a cause must explain."""
 _REFINED = 8
-"""The number of kinds of changes that are simulated with all amounts in these episodes, and with the best one
-in all episodes."""
-_SEARCHED = 6
-"""The number of kinds whose amount is searched between the amounts beside the best one."""
+"""The number of kinds of changes whose best amount is searched in these episodes, and simulated in all."""
 _SEARCH_STEPS = 7
 """The number of simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
@@ -379,7 +375,7 @@ def compare_worlds(
         document: The scenario of `first`, from `robustness.base_document`.
         seed: Root seed of the starts.
         outcomes: The episodes of the evaluations with this seed, in both worlds.
-        on_world: Called in each of four rounds, with the number of kinds of changes done, and of all.
+        on_world: Called in each of two rounds, with the number of kinds of changes done, and of all.
 
     Raises:
         UsageError: The scenario has copies of a robot.
@@ -491,25 +487,17 @@ def _simulated(comparison: ValueComparison, kind: Kind, amount: float) -> list[A
 def _simulated_causes(
     comparison: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
 ) -> list[ChangeEffect]:
-    """Return the changes that explain most of a few short episodes, with the share that they explain of
-    all."""
+    """Return the likely changes, each with the amount that explains most of a few short episodes, and their
+    effects on all."""
     probe = comparison.probed()
-    scores = _Scores(probe)
-    groups = _groups(probe, kinds, on_world)
-    likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
-    for group in _announced(likely, on_world):
-        for amount in group.first.amounts:
-            scores.of(group.first, amount)
-    likely.sort(key=lambda group: -scores.of(group.first, scores.best_amount(group.first)))
-    for group in _announced(likely[:_SEARCHED], on_world):
-        _search(group.first, scores.best_amount(group.first), scores.of)
+    likeness = {kind: _likeness(probe, kind) for kind in _announced(kinds, on_world)}
+    likely = [kind for kind in sorted(kinds, key=lambda kind: -likeness[kind]) if likeness[kind] > 0.0]
     effects = []
-    for group in _announced(likely, on_world):
-        amount = scores.best_amount(group.first)
-        values = _simulated(comparison, group.first, amount)
+    for kind in _announced(likely[:_REFINED], on_world):
+        amount = _best_amount(probe, kind)
+        values = _simulated(comparison, kind, amount)
         if values is not None:
-            texts = [kind.text(amount) for kind in group.kinds]
-            effects.append(ChangeEffect(texts, values, partial(group.first.changed, amount)))
+            effects.append(ChangeEffect([kind.text(amount)], values, partial(kind.changed, amount)))
     return effects
 
 
@@ -520,101 +508,40 @@ def _announced(items: Sequence[T], on_world: Callable[[int, int], object]) -> It
         on_world(number, len(items))
 
 
-class _Scores:
-    """How much of a few short episodes the amounts of changes explain; each is simulated once."""
-
-    def __init__(self, probe: ValueComparison) -> None:
-        self._probe = probe
-        self._scores: dict[tuple[Kind, float], float] = {}
-
-    def of(self, kind: Kind, amount: float) -> float:
-        """Return the explained share, at least -1; -1 for a change that does not fit the scenario."""
-        if (kind, amount) not in self._scores:
-            values = _simulated(self._probe, kind, amount)
-            score = -1.0 if values is None else max(self._probe.explained(values), -1.0)
-            self._scores[kind, amount] = score
-        return self._scores[kind, amount]
-
-    def best_amount(self, kind: Kind) -> float:
-        """Return the amount of a kind that explains most, among those with a score."""
-        return max(
-            (amount for scored_kind, amount in self._scores if scored_kind is kind),
-            # Rounded, so that the last bits do not choose among amounts with the same effect.
-            key=lambda amount: (round(self._scores[kind, amount], 9), amount),
-        )
+def _likeness(probe: ValueComparison, kind: Kind) -> float:
+    """Return how much an effect of a kind of change is like the difference, regardless of its amount."""
+    effects = filter(None, (_simulated(probe, kind, amount) for amount in kind.probes))
+    return max(map(probe.likeness if kind.form else probe.explained, effects), default=0.0)
 
 
-def _groups(
-    probe: ValueComparison, kinds: Sequence[Kind], on_world: Callable[[int, int], object]
-) -> list[_Group]:
-    """Return the kinds of changes with an effect like the observed one; those with the same effect are one
-    group."""
-    groups: list[_Group] = []
-    for kind in _announced(kinds, on_world):
-        effects = [
-            values for amount in kind.probes if (values := _simulated(probe, kind, amount)) is not None
-        ]
-        likeness = max(
-            (probe.likeness(values) if kind.form else probe.explained(values) for values in effects),
-            default=0.0,
-        )
-        if likeness <= 0.0:
-            continue
-        duplicates = (
-            group
-            for group in groups
-            if group.first.probes == kind.probes and probe.all_same(group.effects, effects)
-        )
-        duplicate = next(duplicates, None)
-        if duplicate is None:
-            groups.append(_Group([kind], effects, likeness))
-        else:
-            duplicate.kinds.append(kind)
-    return groups
+def _best_amount(probe: ValueComparison, kind: Kind) -> float:
+    """Return the amount of a kind that explains most of a few short episodes: the best one of its amounts, or
+    one of two digits between the neighbors of that, searched on a logarithmic scale."""
 
+    @cache
+    def score(amount: float) -> float:
+        values = _simulated(probe, kind, amount)
+        # Rounded, so that the last bits do not choose among amounts with the same effect.
+        return -1.0 if values is None else round(max(probe.explained(values), -1.0), 9)
 
-def _search(kind: Kind, amount: float, score: Callable[[Kind, float], float]) -> None:
-    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one
-    digit up and down.
-
-    A latency of a part of a timestep has the effect of a whole one, so for a time, the next number of
-    timesteps is scored too.
-    """
-    if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
-        return
+    amounts = kind.amounts
+    best = max(amounts, key=lambda amount: (score(amount), amount))
+    if len(amounts) < 2 or score(best) >= _EXPLAINS_ALL:
+        return best
     # One more amount at either end, at the ratio of the two that are next to it.
-    scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
-    index = scale.index(amount)
-    best = minimize_scalar(
-        lambda x: -score(kind, float(f"{exp(x):.2g}")),
+    scale = [amounts[0] ** 2 / amounts[1], *amounts, amounts[-1] ** 2 / amounts[-2]]
+    index = scale.index(best)
+    least = minimize_scalar(
+        lambda x: -score(float(f"{exp(x):.2g}")),
         bounds=(log(scale[index - 1]), log(scale[index + 1])),
         method="bounded",
         options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
     )
-    digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
-    amount = float(f"{exp(best.x):.2g}")
-    for step in (-digit, digit):
-        while scale[index - 1] < (beside := float(f"{amount + step:.2g}")) < scale[index + 1] and score(
-            kind, beside
-        ) > score(kind, amount):
-            amount = beside
-    if kind.form == DELAY:
-        timestep = kind.amounts[0]
-        score(kind, timestep * ceil(exp(best.x) / timestep))
-
-
-@dataclass
-class _Group:
-    """Kinds whose changes have the same effect, and the likeness of this effect to the difference, regardless
-    of its amount."""
-
-    kinds: list[Kind]
-    effects: list[list[Array]]
-    likeness: float
-
-    @property
-    def first(self) -> Kind:
-        return self.kinds[0]
+    middle, digit = exp(least.x), 10.0 ** (floor(least.x / log(10.0)) - 1)
+    near = [best, *(float(f"{middle + step * digit:.2g}") for step in range(-2, 3))]
+    if kind.form == DELAY:  # a latency of a part of a timestep has the effect of a whole one
+        near.append(amounts[0] * ceil(middle / amounts[0]))
+    return max((amount for amount in near if amount > 0.0), key=lambda amount: (score(amount), amount))
 
 
 # Changes of the first world

@@ -16,7 +16,7 @@ from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
-from deepbots_cli.words import rate_text
+from deepbots_cli.words import beside, rate_beside, rate_text
 
 LINE_INTERVAL_S = 30.0
 """The time in s after a line without a terminal until the next one."""
@@ -320,15 +320,19 @@ def progress_values(
     solved = progress.solved
     values: dict[str, str] = {}
     if progress.success_rate is not None:
-        goal = (
-            f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
-        )
-        values["success"] = f"{rate_text(progress.success_rate)}{goal}"
+        values["success"] = rate_text(progress.success_rate)
+        if solved and solved.success_rate is not None:
+            reached = rate_beside(progress.success_rate, solved.success_rate)
+            values["success"] = f"{reached} (needs {100 * solved.success_rate:g}%)"
     if progress.agents:
         values["return"] = agents_text(progress.agents)
     elif progress.mean_return is not None:
-        goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
-        values["return"] = f"{progress.mean_return:.1f}{goal}"
+        values["return"] = text = f"{progress.mean_return:.1f}"
+        if solved and (bar := solved.mean_return) is not None:
+            is_same_side = (progress.mean_return < bar) == (float(text) < bar)
+            values["return"] = (
+                f"{text if is_same_side else beside(progress.mean_return, bar)[0]} (needs {bar:g})"
+            )
     has_common_measure = not progress.agents or progress.success_rate is not None
     if progress.evaluated is not None and has_common_measure:
         values["last evaluation"] = progress.evaluated.score(progress.measure)

@@ -23,9 +23,9 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
-from deepbots_cli.insight.diagnosis import causes_after, diagnose, has_learned
+from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.learner import suspects
-from deepbots_cli.insight.stages import present_stage
+from deepbots_cli.insight.stages import PRESENT_STAGE
 from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
@@ -642,7 +642,7 @@ def test_a_stage_is_told_with_the_value_of_its_criterion(run_of: Callable[[Any],
     case = CASES["evaluations of an easy stage do not count as solved"]
     training = with_logs(run_of(case.run), **case.logs)
     assert not training.solved
-    text = statements_about((present_stage,), training)[0].text
+    text = statements_about((PRESENT_STAGE,), training)[0].text
     assert "is in stage 'wide' (1 of 2), which began at step 0 of 24,000" in text
     # Of the same starts, so without an interval.
     assert "succeeds in 95% of the episodes in 2 evaluations" in text
@@ -672,6 +672,15 @@ def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carri
     assert diagnose(replace(training, verdict=RunVerdict(True, evaluation))) == []
 
 
+def test_an_interrupted_training_goes_on_to_its_own_total(carriage: Path) -> None:
+    training = with_logs(carriage, **lasting(outcomes(400, 0, 0.2, 0.4, 0.7)))
+    changes = {"status": "interrupted", "total_timesteps": training.length()["more"]}
+    training.run.record = training.run.record.model_copy(update=changes)
+    (statement,) = diagnose(training)
+    assert (statement.cause, statement.command) == ("too_few_steps", f"deepbots resume {carriage}")
+    assert statement.advice == f"Continue the training with `deepbots resume {carriage}`."
+
+
 def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_training(tmp_path: Path) -> None:
     """A confirmation does not explore, and it was taken for episodes of the training."""
     run = train_shuttle(tmp_path, "solved=success_rate >= 90 % over 100 episodes")
@@ -680,7 +689,7 @@ def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_train
     at = SolvedAt(episode=9, steps=9, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
     changes = {"solved_at": at, "confirmations": 1}
     training.run.record = record.model_copy(update={"result": record.result.model_copy(update=changes)})
-    assert has_learned(training) == "evaluated"
+    assert training.learned == "evaluated"
     poorly = [Episode(5.0, 60, number >= 7, "parked") for number in range(100)]
     assert training.solved
     assert not replace(training, final_episodes=poorly, verdict=RunVerdict(False, None)).solved

@@ -21,7 +21,8 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import EvaluationError, RunError
 from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.insight.diagnosis import CAUSES, diagnose
+from deepbots_cli.insight.causes import CAUSES
+from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
 from deepbots_cli.insight.report import Report
 from deepbots_cli.insight.scenario_facts import ScenarioFacts, linted_scenario, training_command
@@ -508,10 +509,9 @@ def test_a_value_is_shown_in_the_unit_of_the_file():
     compiled = api.compile("cartpole", overrides=sets)
     facts = ScenarioFacts(compiled.program, compiled.units)
     numbers = {number.full_name: number for number in compiled.program.agent.numbers}
-    assert (
-        facts.range_text(numbers["x"], 0.25),
-        facts.range_text(numbers["cart.pole_angle"], np.pi / 6),
-    ) == ("25 cm", "30 deg")
+    pole = numbers["cart.pole_angle"]
+    scaled = 2 * (np.pi / 6 - pole.low) / (pole.high - pole.low) - 1
+    assert (facts.seen_text(numbers["x"], 0.625), facts.seen_text(pole, scaled)) == ("25 cm", "30 deg")
     assert facts.units.of("rad", "abs(cart.pole_angle)", "fall_angle") == UNITS["rad"]
     assert (quantity_text(0.003, facts.units.of("m/s", "3 mm/s")), facts.units.of("m", "no unit").text) == (
         "3 mm/s",

@@ -30,7 +30,7 @@ from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnEffects, draw
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
-from deepbots_cli.words import beside, number_text, rate_text
+from deepbots_cli.words import beside, number_text, rate_beside, rate_text
 from tests.few import few
 
 
@@ -62,6 +62,11 @@ def test_a_large_number_is_shown_without_an_exponent(value: float, text: str):
 )
 def test_a_missed_bar_does_not_look_met(value: float, bar: float, texts: tuple[str, str]):
     assert beside(value, bar) == texts
+
+
+@pytest.mark.parametrize(("rate", "text"), [(0.896, "89.6%"), (0.9, "90%"), (0.904, "90%"), (0.0, "0%")])
+def test_a_rate_beside_its_bar_is_not_rounded_to_the_bar(rate: float, text: str) -> None:
+    assert rate_beside(rate, 0.9) == text
 
 
 def test_wilson_has_the_values_of_the_published_example():

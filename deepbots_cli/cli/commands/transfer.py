@@ -734,8 +734,7 @@ def _diagnose(
         )
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
-        from deepbots_cli.insight.diagnosis import has_learned
-        from deepbots_cli.insight.stages import present_stage
+        from deepbots_cli.insight.stages import PRESENT_STAGE
         from deepbots_cli.insight.statements import statements_about
         from deepbots_cli.insight.training import read_trainings, run_probes
     reports: list[dict[str, Any]] = []
@@ -746,11 +745,11 @@ def _diagnose(
                 opened.member(agent)
             trainings = [evidence for evidence in read_trainings(opened) if agent in (None, evidence.agent)]
             for training in trainings:
-                if not only_logs and not has_learned(training):
+                if not only_logs and not training.learned:
                     with terminal.progress("short episodes", always=False) as show:
                         run_probes(training, permissions=source.permissions, on_episode=show)
                 causes = find_causes(training)
-                stage = next(iter(statements_about((present_stage,), training)), None)
+                stage = next(iter(statements_about((PRESENT_STAGE,), training)), None)
                 reports.append(_report(folder, training, stage, causes))
                 if not as_json:
                     _print_causes(folder, training, stage, causes)

@@ -13,7 +13,7 @@ the last action.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -39,6 +39,8 @@ from deepbots_cli.program.task import ImageObservation, Observation, action_name
 from deepbots_cli.runtime.spaces import observation_space
 from deepbots_robot.model import Output
 
+Leaf = Callable[[Name | EngineRead], Item]
+"""The meaning of names and of readings of the world in a tree."""
 _LATER = {
     **dict.fromkeys(("previous_reward", "episode_return"), "the reward"),
     **dict.fromkeys(("terminated", "truncated", "ended", "goal_reached"), "the end of an episode"),
@@ -79,7 +81,7 @@ class ObservedNames:
         }
         self._whole: dict[str, Value] = {}
         self._on_board = {
-            robot.name: TreePrinter(math, OnBoard(self, robot), memories.per_timestep)
+            robot.name: TreePrinter(math, on_board(self, robot), memories.per_timestep)
             for robot in program.robots
         }
 
@@ -177,51 +179,47 @@ class ObservedNames:
         return Item(self.math.constant([True if leaf.function == "message_received" else 0.0]))
 
 
-class OnBoard:
-    """The meaning of names in the values that a robot sends."""
+def on_board(names: ObservedNames, robot: Robot) -> Leaf:
+    """Return the meaning of names in the values that a robot sends."""
+    sensors = {sensor.name: sensor for sensor in robot.sensors}
 
-    def __init__(self, names: ObservedNames, robot: Robot) -> None:
-        self._names, self._robot = names, robot
-        self._sensors = {sensor.name: sensor for sensor in robot.sensors}
-
-    def __call__(self, leaf: Name | EngineRead) -> Item:
+    def meaning(leaf: Name | EngineRead) -> Item:
         if isinstance(leaf, EngineRead):
-            return self._names.of_world(leaf)
-        sensor = self._sensors[leaf.name]
-        return item(self._names.sensor(self._robot, sensor), sensor.components, leaf.component)
+            return names.of_world(leaf)
+        sensor = sensors[leaf.name]
+        return item(names.sensor(robot, sensor), sensor.components, leaf.component)
+
+    return meaning
 
 
-class Sent:
-    """The meaning of names in the values that the supervisor sends: those of the observation, and the
+def sent(names: ObservedNames, action: Mapping[str, Value], ahead: int) -> Leaf:
+    """Return the meaning of names in the values that the supervisor sends: those of the observation, and the
     action."""
 
-    def __init__(self, names: ObservedNames, action: Mapping[str, Value], ahead: int) -> None:
-        self._names, self._action, self._ahead = names, action, ahead
-
-    def __call__(self, leaf: Name | EngineRead) -> Item:
+    def meaning(leaf: Name | EngineRead) -> Item:
         if isinstance(leaf, EngineRead):
-            return self._names(leaf)
-        if leaf.name in self._action:
-            return item(self._action[leaf.name], self._names.acted[leaf.name], leaf.component)
-        return self._names.named(leaf, ahead=self._ahead)
+            return names(leaf)
+        if leaf.name in action:
+            return item(action[leaf.name], names.acted[leaf.name], leaf.component)
+        return names.named(leaf, ahead=ahead)
+
+    return meaning
 
 
-class Applied:
-    """The meaning of names in the commands of a robot: its sensors, and the values that it received; zeros at
-    a reset (`sent` None)."""
+def applied(names: ObservedNames, robot: Robot, message: TreePrinter | None) -> Leaf:
+    """Return the meaning of names in the commands of a robot: its sensors, and the values that it received in
+    a message; zeros at a reset (`message` None)."""
+    received, sense = {entry.name: entry for entry in robot.received}, on_board(names, robot)
 
-    def __init__(self, names: ObservedNames, robot: Robot, sent: TreePrinter | None) -> None:
-        self._math, self._sent = names.math, sent
-        self._received = {entry.name: entry for entry in robot.received}
-        self._sense = OnBoard(names, robot)
+    def meaning(leaf: Name | EngineRead) -> Item:
+        if isinstance(leaf, EngineRead) or leaf.name not in received:
+            return sense(leaf)
+        if message is None:
+            return Item(names.math.constant([0.0]))
+        entry = received[leaf.name]
+        return item(message.vector(entry.scalars), entry.components, leaf.component)
 
-    def __call__(self, leaf: Name | EngineRead) -> Item:
-        if isinstance(leaf, EngineRead) or leaf.name not in self._received:
-            return self._sense(leaf)
-        if self._sent is None:
-            return Item(self._math.constant([0.0]))
-        entry = self._received[leaf.name]
-        return item(self._sent.vector(entry.scalars), entry.components, leaf.component)
+    return meaning
 
 
 def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
@@ -480,17 +478,18 @@ class ControlStep:
         """The commands of the robots that the action commands."""
         zeros = {name: self._math.constant([0.0]) for name in action}
         names, memories = self._names, self._memories
-        at_reset = TreePrinter(self._math, Sent(names, zeros, 0), memories.at_reset)
-        sent = TreePrinter(self._math, Sent(names, action, 1), partial(memories.per_message, reset=at_reset))
+        at_reset = TreePrinter(self._math, sent(names, zeros, 0), memories.at_reset)
+        per_message = partial(memories.per_message, reset=at_reset)
+        message = TreePrinter(self._math, sent(names, action, 1), per_message)
         for robot in self.program.robots:
             if robot.name not in self.agent.robots:
                 continue
-            first = TreePrinter(self._math, Applied(names, robot, None), memories.at_reset)
+            first = TreePrinter(self._math, applied(names, robot, None), memories.at_reset)
             per_message = partial(memories.per_message, reset=first, begun=robot.begun_by_message)
-            applied = TreePrinter(self._math, Applied(names, robot, sent), per_message)
+            printer = TreePrinter(self._math, applied(names, robot, message), per_message)
             for command in robot.commands:
                 info = devices.output(self.program, robot, command)
-                value = self._math.spread(self._math.number(applied.vector(command.scalars)), info.shape[0])
+                value = self._math.spread(self._math.number(printer.vector(command.scalars)), info.shape[0])
                 low, high = (self._bounds(ends, sign) for ends, sign in zip(info.range, (-1, 1), strict=True))
                 value = self._math.call("min", [self._math.call("max", [value, low]), high])
                 if self.repeat > 1:

@@ -29,7 +29,6 @@ from deepbots_cli.expressions.types import SPACE, Constant, ValueType
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.identity import Deployment, reading_key
 from deepbots_cli.program.robots import (
-    Actuator,
     Cartesian,
     Command,
     CustomActuator,
@@ -43,7 +42,7 @@ from deepbots_cli.program.robots import (
 )
 from deepbots_cli.program.topics import components_of
 from deepbots_cli.program.values import Expression
-from deepbots_cli.robots.model import Joint, Pose
+from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.episode import Driver
 from deepbots_cli.runtime import Supervisor
@@ -272,14 +271,31 @@ Array = NDArray[Any]
 
 def output(program: Program, robot: Robot, command: Command) -> Output:
     """Return the command of an actuator."""
-    actuator = command.actuator
+    actuator, count = command.actuator, len(command.components)
     model = next(body.model for body in program.world.robots if body.name == robot.name)
-    joints = [
-        joint for name in getattr(actuator, "joints", ()) for joint in model.joints if joint.name == name
-    ]
-    kind = _KINDS[actuator.kind] if isinstance(actuator, Motor) else _kind(actuator)
-    count = len(command.components)
-    limits = _limits(actuator, kind, joints, count)
+    joints = [model.joint(name) for name in getattr(actuator, "joints", ())]
+    kind, unit, links = "", unit_text(command.target.typed.type.dimension), tuple[str, ...]()
+    limits: list[tuple[float, float]] = [(-math.inf, math.inf)] * count
+    rates: Sequence[float | None] = (None,) * count
+    match actuator:
+        case Motor():
+            kind = _KINDS[actuator.kind]
+            unit = _UNITS[kind][joints[0].type == "prismatic"]
+            ends = actuator.max_velocity if kind == "velocity" else actuator.max_torque
+            limits = [(-_or(end, math.inf), _or(end, math.inf)) for end in ends]
+            if kind == "position":
+                ranges = [joint.limit for joint in joints]
+                limits = [(_or(joint.lower, -math.inf), _or(joint.upper, math.inf)) for joint in ranges]
+                rates = actuator.max_velocity
+            elif kind == "velocity":
+                rates = (actuator.max_acceleration,) * count
+        case Thrust():
+            kind, unit, links, limits = "thrust", "N", actuator.links, [(actuator.low, actuator.high)] * count
+        case Cartesian():
+            kind, unit, links = "cartesian", "m", (actuator.link,)
+        case CustomActuator():
+            kind = actuator.kind
+            limits = [(_or(actuator.low, -math.inf), _or(actuator.high, math.inf))] * count
     low, high = (tuple(finite(end) for end in ends) for ends in zip(*_within(command, limits), strict=True))
     return Output(
         name=f"{robot.name}.{command.name}",
@@ -287,60 +303,20 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
         actuator=command.name,
         kind=kind,
         joints=tuple(joint.name for joint in joints),
-        links=_links(actuator),
+        links=links,
         shape=(count,),
         dtype="float64",
         components=tuple(command.components),
-        unit=_unit(command, kind, joints),
+        unit=unit,
         frame="world" if kind == "cartesian" else None,
         range=(low, high),
-        max_rate=_rates(actuator, count),
+        max_rate=tuple(map(finite, rates)),
         max_effort=() if isinstance(actuator, Thrust) else tuple(map(finite, actuator.max_torque)),
         stiffness=actuator.stiffness if isinstance(actuator, Motor) else None,
         damping=actuator.damping if isinstance(actuator, Motor) else None,
         attitude=actuator.rpy if isinstance(actuator, Cartesian) else None,
         safe=tuple(_safe(kind, *ends) for ends in zip(low, high, strict=True)),
     )
-
-
-def _links(actuator: Actuator) -> tuple[str, ...]:
-    if isinstance(actuator, Thrust):
-        return actuator.links
-    return (actuator.link,) if isinstance(actuator, Cartesian) else ()
-
-
-def _kind(actuator: Actuator) -> str:
-    if isinstance(actuator, Thrust):
-        return "thrust"
-    if isinstance(actuator, Cartesian):
-        return "cartesian"
-    return getattr(actuator, "kind", "")
-
-
-def _unit(command: Command, kind: str, joints: Sequence[Joint]) -> str:
-    match kind:
-        case "thrust":
-            return "N"
-        case "cartesian":
-            return "m"
-        case "velocity" | "position" | "effort":
-            return _UNITS[kind][joints[0].type == "prismatic"]
-    return unit_text(command.target.typed.type.dimension)
-
-
-def _limits(actuator: Actuator, kind: str, joints: Sequence[Joint], count: int) -> list[tuple[float, float]]:
-    """Return the limits of the actuator for each component."""
-    match actuator:
-        case Motor() if kind == "position":
-            return [(_or(joint.limit.lower, -math.inf), _or(joint.limit.upper, math.inf)) for joint in joints]
-        case Motor():
-            ends = actuator.max_velocity if kind == "velocity" else actuator.max_torque
-            return [(-_or(end, math.inf), _or(end, math.inf)) for end in ends]
-        case Thrust(low=low, high=high):
-            return [(low, high)] * count
-        case CustomActuator(low=low, high=high):
-            return [(_or(low, -math.inf), _or(high, math.inf))] * count
-    return [(-math.inf, math.inf)] * count
 
 
 def _or(number: float | None, default: float) -> float:
@@ -363,15 +339,6 @@ def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tup
             )
         )
     return intervals
-
-
-def _rates(actuator: Actuator, count: int) -> tuple[float | None, ...]:
-    match actuator:
-        case Motor(kind="velocity_motor"):
-            return (actuator.max_acceleration,) * count
-        case Motor(kind="position_motor"):
-            return tuple(map(finite, actuator.max_velocity))
-    return (None,) * count
 
 
 def _safe(kind: str, low: float | None, high: float | None) -> float | None:

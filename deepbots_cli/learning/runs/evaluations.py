@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 MAX_EVALUATION_BYTES = 20_000_000
 """The largest evaluation: 70,000 episodes of CartPole with 285 bytes each, 17,000 of the quadruped."""
+_MAX_EXACT = 500
+"""The largest number of starts whose rank test may be exact."""
 MAX_CONFIRMATIONS = 100_000
 
 
@@ -510,78 +512,38 @@ def _mean_outcomes(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[
 def _chance(values: Sequence[float | str], results: Floats) -> float:
     """Return the two-sided probability of a trend at least as strong if the value has no effect.
 
-    The outcome, or its rank where it has more than two values, is compared with the rank of the value: for
-    success, this is the test of Wilcoxon, Mann and Whitney; for returns, it is Spearman's. Words have no
-    order: each of them is compared with all others, with Bonferroni's correction.
+    Words have no order: each of them is compared with all others, with Bonferroni's correction.
     """
     import numpy as np
 
-    ranks = results if len(set(results.tolist())) <= 2 else _ranks(results)
     words = sorted({value for value in values if isinstance(value, str)})
     if not words:
-        return _association(_ranks(np.array(values, float)), ranks)
+        return _association(np.array(values, float), results)
     compared = words if len(words) > 2 else words[:1]
     indicators = (np.array([value == word for value in values], float) for word in compared)
-    return min(1.0, len(compared) * min(_association(indicator, ranks) for indicator in indicators))
-
-
-def _ranks(values: Floats) -> Floats:
-    """Return the rank of each value; equal values have their mean rank."""
-    import numpy as np
-
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    means: Floats = np.cumsum(counts) - (counts - 1) / 2
-    return means[inverse]
+    return min(1.0, len(compared) * min(_association(indicator, results) for indicator in indicators))
 
 
 def _association(first: Floats, second: Floats) -> float:
-    """Return the two-sided probability that the sum of products is at least as far from its mean under random
-    pairing.
+    """Return the two-sided probability of a difference of ranks at least as large under random pairing.
 
-    The distribution over all pairings has a known variance and skewness, and is approximated by Pearson's
-    type III; the normal distribution would treat a rare value that meets two rare failures as certain
-    evidence. If both have only two values, Fisher's test is exact.
+    Fisher's test is exact where both have two values: a rare value that meets two rare failures is no certain
+    evidence. If one has two values, such as success, this is the test of Mann and Whitney, else Spearman's.
     """
-    from scipy.special import gammainc, gammaincc, ndtr
+    from scipy import stats
 
-    if max(len(set(values.tolist())) for values in (first, second)) == 2:
-        return _exact_association(first == first.max(), second == second.max())
-    count = len(first)
-    a = first - first.mean()
-    b = second - second.mean()
-    variance = float((a**2).sum() * (b**2).sum()) / max(1, count - 1)
-    if count < 3 or variance <= 0:
+    kinds = [len(set(values.tolist())) for values in (first, second)]
+    if min(kinds) < 2:
         return 1.0
-    z = abs(float(a @ b)) / math.sqrt(variance)
-    third = count / ((count - 1) * (count - 2)) * float((a**3).sum() * (b**3).sum())
-    skewness = abs(third) / variance**1.5
-    if skewness < 1e-3:
-        return float(2 * ndtr(-z))
-    shape = 4 / skewness**2
-    upper, lower = (max(0.0, shape + side * z * math.sqrt(shape)) for side in (1, -1))
-    return min(1.0, float(gammaincc(shape, upper) + gammainc(shape, lower)))
-
-
-def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Compute Fisher's test: the probability of all tables that are no more probable than this one, given
-    their margins."""
-    import numpy as np
-    from scipy.special import gammaln
-
-    count = len(first)
-    first_ones = int(first.sum())
-    second_ones = int(second.sum())
-    overlaps = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
-    cells = (
-        overlaps,
-        first_ones - overlaps,
-        second_ones - overlaps,
-        count - first_ones - second_ones + overlaps,
-    )
-    logs = -sum(gammaln(cell + 1) for cell in cells)
-    weights = np.exp(logs - logs.max())
-    weight = weights[int((first & second).sum()) - overlaps[0]]
-    return float(weights[weights <= weight * (1 + 1e-7)].sum() / weights.sum())
+    if max(kinds) == 2:
+        return float(stats.fisher_exact(stats.contingency.crosstab(first, second).count).pvalue)
+    if min(kinds) > 2:
+        return float(stats.spearmanr(first, second).pvalue)
+    groups, ranked = (first, second) if kinds[0] == 2 else (second, first)
+    is_high = groups == groups.max()
+    # The exact distribution of two samples takes seconds for thousands of episodes.
+    method = "auto" if len(groups) <= _MAX_EXACT else "asymptotic"
+    return float(stats.mannwhitneyu(ranked[is_high], ranked[~is_high], method=method).pvalue)
 
 
 def _holm(chances: Mapping[str, float]) -> dict[str, float]:
