@@ -687,36 +687,8 @@ def run_command(arguments: Sequence[str] | None) -> None:
         context_settings=_SETTINGS,
     )
     app.callback(help=help_text("deepbots"))(_deepbots)
-    words = sys.argv[1:] if arguments is None else arguments
-    typer.main.get_command(app).main(args=without_old_spelling(list(words)), prog_name="deepbots")
-
-
-def without_old_spelling(words: list[str]) -> list[str]:
-    """Return `train --resume RUN`, `tune --resume STUDY` and `schema` of earlier versions as the commands
-    `resume`, `apply` and `lsp --schema`, with a note."""
-    command = (words or [""])[0]
-    options = words[1:]
-    if command == "schema":
-        terminal.note(
-            "note: `deepbots schema` is now `deepbots lsp --schema`; the next version drops the old spelling"
-        )
-        return ["lsp", "--schema", *options]
-    index = next(
-        (number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None
-    )
-    if command not in ("train", "tune") or index is None:
-        return words
-    folder = options.pop(index).partition("=")[2]
-    if not folder and index < len(options):
-        folder = options.pop(index)
-    verb = "apply" if "--apply" in options else "resume"
-    # `apply` prints no progress, and has no --quiet.
-    dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
-    terminal.note(
-        f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old"
-        " spelling"
-    )
-    return [verb, *filter(None, [folder]), *(option for option in options if option not in dropped)]
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    typer.main.get_command(app).main(args=words, prog_name="deepbots")
 
 
 def _version(value: bool) -> None:

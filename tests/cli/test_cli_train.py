@@ -29,7 +29,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli import main, terminal
-from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.commands.train import training_page
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
@@ -745,20 +744,6 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
     assert "Traceback" not in ran.err
     assert (folder / "mine" / "models" / "agent" / "last.zip").exists()
     assert json.loads((folder / "mine" / "run.json").read_text())["status"] == "interrupted"
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (["train", "--resume", "mine", "--timesteps", "9"], ["resume", "mine", "--timesteps", "9"]),
-        (["train", "--quiet", "--resume=mine"], ["resume", "mine", "--quiet"]),
-        (["tune", "--resume", "study", "--apply", "a.yaml", "-q"], ["apply", "study", "a.yaml"]),
-        (["train", "cartpole"], ["train", "cartpole"]),
-    ],
-)
-def test_the_spelling_of_the_version_before_is_understood_and_named(deepbots, old, new):
-    stderr = deepbots(*old[:1], *old[1:], code=2).err if old != new else ""
-    assert (without_old_spelling(old), stderr.count(f"is now `deepbots {new[0]}`")) == (new, old != new)
 
 
 TINIER = (

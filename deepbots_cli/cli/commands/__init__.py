@@ -78,6 +78,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "record": "deepbots render SCENARIO -o episode.mcap",
     "explain-episode": "deepbots diagnose RUN --episode K",
     "eject": "deepbots compile SCENARIO --project DIR",
+    "schema": "deepbots lsp --schema",
     "--resume": "deepbots resume RUN",
     "--apply": "deepbots apply STUDY FILE",
     "--script": "--driver NAME",
