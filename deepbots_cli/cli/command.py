@@ -19,7 +19,16 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, function_name
+from deepbots_cli.cli.commands import (
+    COMMANDS,
+    EXCLUDES,
+    GONE,
+    GROUPS,
+    NEEDS,
+    REPLACEMENTS,
+    TAKES,
+    function_name,
+)
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 from deepbots_cli.words import sentence_list
@@ -117,6 +126,26 @@ def written_options(ctx: typer.Context) -> dict[str, str]:
         for key, name in options.items()
         if (source := sources[key]) is not None and source.name == "COMMANDLINE"
     }
+
+
+_ALWAYS = frozenset({"--json", "--quiet", "--force", "--allow-path", "--allow-code"})
+"""Options that go with everything that a command is asked about."""
+
+
+def check_options(ctx: typer.Context, subject: str) -> None:
+    """Refuse the options that the user wrote and that do not go with what the command is asked about, by
+    `TAKES`.
+
+    Raises:
+        UsageError: There is such an option.
+    """
+    names, _, reason = TAKES[ctx.command.name or ""][subject].partition("; ")
+    taken = names.removeprefix("all but ").split()
+    written = [name for name in written_options(ctx).values() if name not in _ALWAYS]
+    if wrong := [name for name in written if (name in taken) == names.startswith("all but ")]:
+        takes = f"it takes {sentence_list(taken)}" if taken else "its start and its actions are its own"
+        verb = "does" if len(wrong) == 1 else "do"
+        raise UsageError(f"{sentence_list(wrong)} {verb} not go with {subject}; {reason or takes}")
 
 
 def start_values(texts: Sequence[str] | None) -> dict[str, Any]:

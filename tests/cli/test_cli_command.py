@@ -30,7 +30,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands, _command
-from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, bench
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, TAKES, bench
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
@@ -547,14 +547,15 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
     deepbots("compile", "cartpole", "--project", ".", "--force")
 
 
-@pytest.mark.parametrize("table", [NEEDS, EXCLUDES])
+@pytest.mark.parametrize("table", [NEEDS, EXCLUDES, TAKES])
 def test_options_that_go_together_are_options_of_their_command(table):
     for name, entries in table.items():
         known = (
             {option for parameter in _command(name).params for option in parameter.opts} if name else set()
         )
         for options, text in entries.items():
-            named = {*options.split(), *text.partition("; ")[0].split()}
+            subject = () if table is TAKES else options.split()
+            named = {*subject, *text.partition("; ")[0].removeprefix("all but ").split()}
             assert not name or named <= known, name
 
 
