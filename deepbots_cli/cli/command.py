@@ -596,9 +596,7 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
 
     A command with a parameter `agent` gets the name too.
     """
-    # The modules of commands postpone annotations (PEP 563), so that they are texts without `eval_str`.
-    signature = inspect.signature(command, eval_str=True)
-    passed = {"agent"} & set(signature.parameters)
+    passed = {"agent"} & inspect.signature(command).parameters.keys()
 
     @wraps(command)
     def call(*, agent: str | None, against: list[str] | None, **values: Any) -> None:
@@ -615,21 +613,35 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
         values |= {"overrides": [*(values["overrides"] or ()), *settings] or None}
         command(**values, **({"agent": agent} if passed else {}))
 
-    parameters = [parameter for name, parameter in signature.parameters.items() if name not in passed]
-    after = next(index for index, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
+    options = {name: (kind, None) for name, kind in _role_kinds(group).items()}
+    return _declared(call, command, options, instead_of="agent", behind="overrides")
+
+
+def _declared(
+    call: Callable[..., None],
+    command: Callable[..., None],
+    options: Mapping[str, tuple[Any, object]],
+    *,
+    instead_of: str,
+    behind: str = "",
+) -> Callable[..., None]:
+    """Return `call` with the parameters of a command, and with `options` (annotation and default) in place of
+    one of them, behind another one or at the end."""
     added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-        for name, kind in _role_kinds(group).items()
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in options.items()
     ]
-    if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
-        parameters = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if index >= after - 1 else parameter
-            for index, parameter in enumerate(parameters)
-        ]
-    # typer takes the options of a command from this attribute.
-    vars(call)["__signature__"] = signature.replace(
-        parameters=[*parameters[:after], *added, *parameters[after:]]
-    )
+    # The modules of commands postpone annotations (PEP 563), so that they are texts without `eval_str`.
+    signature = inspect.signature(command, eval_str=True)
+    listed = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in signature.parameters.items()
+        if name != instead_of
+    ]
+    names = [parameter.name for parameter in listed]
+    place = names.index(behind) + 1 if behind else len(listed)
+    # typer takes the options of a command from this attribute, and passes them by name.
+    vars(call)["__signature__"] = signature.replace(parameters=[*listed[:place], *added, *listed[place:]])
     return call
 
 
@@ -687,8 +699,7 @@ class Commands(TyperGroup):
 def _with_permission_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the options --allow-path and --allow-code instead of its parameter
     `permissions`, if it has one."""
-    signature = inspect.signature(command, eval_str=True)
-    if "permissions" not in signature.parameters:
+    if "permissions" not in inspect.signature(command).parameters:
         return command
     from deepbots_cli.document import Permissions
 
@@ -697,13 +708,7 @@ def _with_permission_options(command: Callable[..., None]) -> Callable[..., None
         command(**values, permissions=Permissions(allow_paths or (), allow_code))
 
     options = {"allow_paths": (AllowPaths, None), "allow_code": (AllowCode, False)}
-    added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        for name, (kind, default) in options.items()
-    ]
-    parameters = [parameter for parameter in signature.parameters.values() if parameter.name != "permissions"]
-    vars(call)["__signature__"] = signature.replace(parameters=[*parameters, *added])
-    return call
+    return _declared(call, command, options, instead_of="permissions")
 
 
 def run_command(arguments: Sequence[str] | None) -> None:
