@@ -406,8 +406,6 @@ def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments)
     assert deepbots(*arguments, "-o", "-") == printed
 
 
-
-
 def test_the_first_seconds_of_a_training_say_no_time_to_go():
     """The first updates of a training were slow, and it seemed to take 20 min; it took 4."""
     progress = TrainingProgress(
