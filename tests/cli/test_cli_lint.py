@@ -49,10 +49,8 @@ from deepbots_cli.lint.pages import every_page
 from deepbots_cli.lint.settings import settings as project_settings
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze, uri_of
-from deepbots_cli.rollout.source import Source
 from deepbots_cli.view.episodes import Showing
 from tests.commands import Ran
-from tests.named import with_defaults
 from tests.worlds import CART
 
 CARTPOLE = (
@@ -236,55 +234,10 @@ def test_watching_lints_again_when_a_file_is_saved(deepbots, files, watched):
     deepbots("lint", "broken.yaml", "--watch", "--fix", code=2)
 
 
-SIMULATED = with_defaults(CARTPOLE)
-SUNK = SIMULATED.replace("z: 0.04 m", "z: 0.02 m")
-STILL = SIMULATED.replace(
-    "x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle"
-).replace("  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg")
-
-
-@pytest.fixture
-def simulated(deepbots, tmp_path, simulated_here):
-    (tmp_path / "sunk.yaml").write_text(SUNK)
-    (tmp_path / "still.yaml").write_text(STILL)
-    return tmp_path
-
-
-def test_a_simulated_finding_is_printed_like_any_other(deepbots, simulated):
-    ran = deepbots("lint", "sunk.yaml", "--deep", "--json", code=1)
-    (finding,) = json.loads(ran.out)["findings"]
-    assert (finding["code"], finding["file"], finding["start"]["line"]) == ("DB310", "sunk.yaml", 50)
-    deepbots("lint", "sunk.yaml")
-
-
-@pytest.mark.slow
-def test_a_simulated_finding_is_selected_and_suppressed_like_any_other(deepbots, simulated):
-    ran = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
-    assert ran.out.split()[2] == "DB608[constant-observation]"
-    assert (
-        deepbots(
-            "lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise"
-        ).out
-        == ""
-    )
-    (simulated / "still.yaml").write_text(
-        STILL.replace("pull: 0 .. 90 deg", "pull: 0 .. 90 deg  # deepbots: ignore[DB608]")
-    )
-    assert deepbots("lint", "still.yaml", "--deep", "--format", "concise").out == ""
-    assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
-
-
-def test_a_scenario_with_errors_is_not_simulated_and_a_note_says_so(deepbots, simulated):
-    (simulated / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
-    ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise", code=1)
-    assert ran.out.split()[2] == "DB402[unknown-name]"
-    assert ran.err == "broken.yaml: not simulated because it has errors\n"
-
-
-def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, simulated, monkeypatch):
+def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, monkeypatch):
     for engine in ("pybullet", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
-    ran = deepbots("lint", "sunk.yaml", "--deep", code=2)
+    ran = deepbots("lint", "cartpole", "--deep", code=2)
     assert install_hint("sim") in ran.err
 
 
@@ -375,19 +328,11 @@ def breaking_too(simulation: Simulation) -> Iterator[Finding]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two scenarios, each with a warning; a rule fails on the first."""
-    (tmp_path / "a.yaml").write_text(scenario("Broken"))
-    (tmp_path / "b.yaml").write_text(scenario("Whole"))
+    for file, name in (("a.yaml", "Broken"), ("b.yaml", "Whole")):
+        text = CARTPOLE.replace("name: CartPole", f"name: {name}")
+        (tmp_path / file).write_text(text + "\nsignals: {spare: abs(x)}\n")
     monkeypatch.setattr(run, "STATIC_RULES", (breaking, *run.STATIC_RULES))
     return tmp_path
-
-
-def scenario(name: str) -> str:
-    text = (
-        Source.open("cartpole")
-        .path.read_text(encoding="utf-8")
-        .replace("../robots/urdf/cartpole.urdf", "cartpole")
-    )
-    return text.replace("name: CartPole", f"name: {name}") + "\nsignals: {spare: abs(x)}\n"
 
 
 def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots, folder) -> None:
@@ -474,17 +419,11 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
     assert "DB611" in ran.out
 
 
-def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
+def test_the_message_of_an_exception_is_cut() -> None:
     from deepbots_cli.diagnostics.findings import exception_finding
 
-    assert (
-        len(
-            exception_finding(
-                "the rule DB801", SourceText("a.yaml", ""), ValueError("long " * 10_000)
-            ).headline
-        )
-        < 300
-    )
+    fault = ValueError("long " * 10_000)
+    assert len(exception_finding("the rule DB801", SourceText("a.yaml", ""), fault).headline) < 300
 
 
 ROOT = Path(__file__).parents[2]
