@@ -130,38 +130,6 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     deepbots("try", "first.yaml", "--episodes", "2", "--steps", "100")
 
 
-@pytest.mark.parametrize(
-    ("robot", "ahead", "aside"),
-    [("a1/a1", "v.x", "v.y"), ("quadruped/minitaur", "v.x", "v.y"), ("laikago/laikago_toes", "v.z", "v.x")],
-)
-def test_what_has_legs_walks_towards_the_end_where_its_front_legs_are(
-    deepbots, tmp_path, robot, ahead, aside
-):
-    pytest.importorskip("pybullet_data")
-    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
-    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(text)["signals"]["ahead"] == ahead
-    assert f"exp(-((ahead - speed)^2 + {aside}^2)" in text
-    assert ("roll: 90 deg" in text) is (ahead == "v.z")
-
-
-@pytest.mark.parametrize(
-    ("robot", "feet"),
-    [("a1", [{"FR_toe", "RL_toe"}, {"FL_toe", "RR_toe"}]), ("biped", [{"left_foot"}, {"right_foot"}])],
-)
-def test_a_legged_robot_begins_with_springs_a_gait_and_a_batch_of_worlds(deepbots, tmp_path, robot, feet):
-    deepbots("new", "first", "--urdf", robot, "--json")
-    program = api.compile(tmp_path / "first.yaml").program
-    (motor,) = program.robots[0].actuators
-    assert motor.stiffness is not None
-    assert (program.engine, program.agent.training.environments) == ("mujoco", 256)
-    groups = yaml.safe_load((tmp_path / "first.yaml").read_text())["robots"]["robot"]["groups"]
-    assert sorted(sorted(groups[name]) for name in ("feet_a", "feet_b")) == sorted(map(sorted, feet))
-    if robot == "a1":
-        stood = deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json")
-        assert json.loads(stood.out)["summary"]["mean_length"] > 100
-
-
 def stepped(environment: Any, steps: int) -> tuple[Any, Any, bool]:
     """Return the poses of the robot before and after so many steps without a command, or until a failure."""
     environment.reset(seed=0)
@@ -202,38 +170,8 @@ def test_a_legged_robot_stands_on_feet_below_its_hips_and_has_fallen_where_it_li
         assert abs(np.dot(before[1], after[1])) > np.cos(np.radians(15.0) / 2.0)
 
 
-def test_feet_that_are_not_below_the_hips_are_described_as_such(deepbots, tmp_path):
-    pytest.importorskip("pybullet_data")
-    deepbots("new", "first", "--urdf", "package://pybullet_data/quadruped/minitaur.urdf", "--json")
-    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
-    assert "so that it stands on its feet" not in text
-    assert "Look at the robot with `deepbots view`, and change the pose until it stands." in text
-
-
 def test_every_shipped_robot_is_among_those_that_are_tried():
     assert set(shipped.robot_names()) <= set(ROBOTS)
-
-
-def test_wheels_steering_and_held_joints_are_distinguished(deepbots, tmp_path):
-    pytest.importorskip("pybullet_data")
-    deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf", "--json")
-    deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf", "--json")
-    car, droid = (api.compile(tmp_path / f"{name}.yaml").program.robots[0] for name in ("car", "droid"))
-    assert [len(motor.joints) for motor in car.actuators] == [4, 2]
-    assert [motor.kind for motor in car.actuators] == ["velocity_motor", "position_motor"]
-    assert [motor.joints for motor in droid.actuators if motor.name.startswith("hold")] == [
-        ("left_gripper_joint", "right_gripper_joint", "head_swivel"),
-        ("gripper_extension",),
-    ]
-
-
-@pytest.mark.parametrize("robot", ["package://pybullet_data/racecar/racecar.urdf", "balancer", "rover"])
-def test_no_wheels_are_grouped_twice(deepbots, tmp_path, robot):
-    deepbots("new", "car", "--urdf", robot, "--json")
-    groups = re.findall(
-        r"^      (\w+): (\[.*\])$", (tmp_path / "car.yaml").read_text(encoding="utf-8"), re.MULTILINE
-    )
-    assert (groups[0][0], len({members for _, members in groups})) == ("wheels", len(groups))
 
 
 def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbots, tmp_path):
@@ -298,13 +236,6 @@ def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_o
     command = next(line for line in ran.err.splitlines() if "--schema" in line).partition("deepbots ")[2]
     deepbots(*command.split())
     assert (tmp_path / "mine.schema.json").exists()
-
-
-def test_a_robot_that_is_bolted_down_begins_above_the_ground(deepbots, tmp_path):
-    """The cart of this one is 20 cm high, around the origin of its rail."""
-    pytest.importorskip("pybullet_data")
-    deepbots("new", "first", "--urdf", "package://pybullet_data/cartpole.urdf", "--json")
-    assert "robot: {z: 0.1 m}" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
 
 
 def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
@@ -385,6 +316,28 @@ def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, writ
     assert ran.out == "first.yaml: no findings, including the simulation\n"
 
 
+STARTERS = yaml.safe_load((ODD_ROBOTS.parent / "starters.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("robot", STARTERS)
+def test_a_scenario_says_what_the_parts_of_its_robot_are(deepbots, tmp_path, robot):
+    if "package" in robot:
+        pytest.importorskip("pybullet_data")
+    shutil.copytree(ODD_ROBOTS, tmp_path, dirs_exist_ok=True)
+    deepbots("new", "first", "--urdf", robot, "--json")
+    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert [
+        fact for fact in STARTERS[robot] if (fact.removeprefix("not ") in text) is fact.startswith("not ")
+    ] == []
+    api.compile(tmp_path / "first.yaml")
+
+
+def test_a_legged_robot_stands_without_a_command(deepbots):
+    deepbots("new", "first", "--urdf", "a1", "--json")
+    stood = deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json")
+    assert json.loads(stood.out)["summary"]["mean_length"] > 100
+
+
 def test_groups_and_poses_have_names_of_their_own():
     model = api.compile("cartpole").program.world.robots[0].model
     draft = Draft(Build(model), "cartpole.urdf", judge(Build(model)))
@@ -453,29 +406,6 @@ def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(dee
 
 
 @pytest.mark.parametrize(
-    ("name", "driven", "undriven", "remark"),
-    [
-        ("locked", {("free",)}, "stuck", ""),
-        ("gripper", {("left",)}, "right", "2 of 2 joints move, 1 follows another joint;"),
-        ("two_fingers", {("bend_left", "curl_left", "bend_right", "curl_right")}, "", ""),
-        ("trike", set(), "", "4 of 4 joints move, 3 carry wheels with motors, 1 steers;"),
-    ],
-)
-def test_a_motor_drives_the_joints_that_move_by_themselves(written, tmp_path, name, driven, undriven, remark):
-    assert remark in written(name)
-    motors = [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators]
-    assert driven <= {*motors}
-    assert undriven not in {joint for joints in motors for joint in joints}
-
-
-def test_thrusters_push_along_the_axes_about_which_they_turn(written, tmp_path):
-    text = written("rov")
-    (thrust,) = api.compile(tmp_path / "first.yaml").program.robots[0].actuators
-    assert (len(thrust.links), thrust.axis) == (4, "x")
-    assert "projected_gravity" not in text
-
-
-@pytest.mark.parametrize(
     ("name", "message"),
     [
         ("light", "light.urdf has neither masses nor shapes, so it cannot be simulated"),
@@ -541,16 +471,6 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
         "try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json"
     )
     assert json.loads(ran.out)["summary"]["successes"] == 3
-
-
-def test_wheels_of_a_car_push_with_at_most_its_weight(deepbots):
-    """Its robot file allows 10 N*m for each of four wheels of 5 cm, which is 14 times its weight."""
-    pytest.importorskip("pybullet_data")
-    deepbots(*RACECAR)
-    text = Path("car.yaml").read_text()
-    assert "max_torque: 0.723 N*m" in text  # 5.89 kg * 9.81 m/s^2 * 5 cm / 4
-    assert "14 times the weight" in text
-    assert "`chassis` has no collision shape" in text
 
 
 @pytest.mark.slow
