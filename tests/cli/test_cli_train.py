@@ -49,12 +49,12 @@ TINY = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", "eva
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A folder with a run of 256 steps, `mine`, and what its training printed."""
+    """A folder with a run of 256 steps, `mine`, with a model after 128 steps, and what its training printed."""
     folder = tmp_path_factory.mktemp("trained")
     out = StringIO()
     err = StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([*TINY, "--run", "mine"])
+        code = main([*TINY, "--keep-checkpoints", "2", "--run", "mine"])
     assert code == 0, err.getvalue()
     return folder, Ran(code, out.getvalue(), err.getvalue())
 
@@ -746,38 +746,11 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
     assert json.loads((folder / "mine" / "run.json").read_text())["status"] == "interrupted"
 
 
-TINIER = (
-    "--timesteps",
-    "200",
-    "--set",
-    "train.n_epochs=1",
-    "--set",
-    "train.environments=2",
-    "--set",
-    "train.n_steps=64",
-)
-FEW = ("--set", "evaluation={episodes: 4}", "--set", "solved=mean_return >= 195 over 4 episodes")
 STEP = "mine/models/agent/step-000000128.zip"
 
 
-@pytest.fixture(scope="module")
-def first_with_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a run of 256 steps, `mine`, and a model after 128 steps."""
-    folder = tmp_path_factory.mktemp("trained")
-    err = StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(StringIO()), contextlib.redirect_stderr(err):
-        code = main(["train", "cartpole", *TINIER, *FEW, "--keep-checkpoints", "2", "--run", "mine"])
-    assert code == 0, err.getvalue()
-    return folder
-
-
-@pytest.fixture
-def mine(first_with_models: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(first_with_models / "mine", tmp_path / "mine"))
-
-
 @pytest.mark.slow
-def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path) -> None:
+def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, trained: Ran) -> None:
     ran = deepbots("compare", "mine", STEP, "--episodes", "2")
     assert "mine (step-000000128)" in ran.out
     assert "after_steps" in ran.out
@@ -794,33 +767,33 @@ def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path
         ("render", STEP, "-o", "one.mcap", "--steps", "2"),
         ("inspect", STEP),
         ("diff", STEP, "mine"),
-        ("train", "cartpole", *TINIER, *FEW, "--initialize-from", STEP, "--run", "other"),
+        (*TINY, "--initialize-from", STEP, "--run", "other"),
     ],
 )
 def test_every_command_that_takes_a_policy_takes_a_checkpoint(
-    deepbots: Deepbots, mine: Path, words: tuple[str, ...]
+    deepbots: Deepbots, trained: Ran, words: tuple[str, ...]
 ) -> None:
     deepbots(*words)
 
 
 @pytest.mark.slow
-def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, mine: Path) -> None:
+def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, trained: Ran) -> None:
     report = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json", code=1).out)
     assert (report["nominal"]["model"], report["nominal"]["model_steps"]) == ("step-000000128", 128)
 
 
 @pytest.mark.slow
-def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, mine: Path) -> None:
+def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, trained: Ran) -> None:
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert "models of mine on new starts, the best first" in ran.out
     assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
-    best = RunRecord.read(mine).result.best  # type: ignore[union-attr]
+    best = RunRecord.read(Path("mine")).result.best  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"
     assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
 
 
-def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: Path) -> None:
+def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, trained: Ran) -> None:
     report = json.loads(deepbots("eval", STEP, "--keep", "--episodes", "2", "--json").out)
     assert (report["model"], report["model_steps"]) == ("best", 128)
     assert report["kept"]["best"]["chosen_by"] == "hand"
