@@ -128,39 +128,16 @@ class EngineKind(NamedTuple):
         return f"install it with: pip install {self.library}{instead}"
 
 
-class Engines(Mapping[str, EngineKind]):
-    """The physics engines: our own first, then those of other packages, which a look-up does not import."""
-
-    def __init__(self, built_in: Mapping[str, EngineKind]) -> None:
-        self.built_in = built_in
-
-    __hash__ = object.__hash__  # a field type that has a table is a key of caches
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
-    def _all(self) -> dict[str, EngineKind]:
-        added = {
-            entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value)
-            for entry in plugins.entry_points_of(ENTRY_POINT_GROUP)
-        }
-        return {**self.built_in, **{name: kind for name, kind in added.items() if name not in self.built_in}}
-
-    def __getitem__(self, name: str) -> EngineKind:
-        return self.built_in[name] if name in self.built_in else self._all()[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._all())
-
-    def __len__(self) -> int:
-        return len(self._all())
+def _of_another_package(name: str, place: str) -> Iterator[tuple[str, EngineKind]]:
+    yield name, EngineKind(f"Of {place}.", name, place)
 
 
 DEFAULT_ENGINE = "pybullet"
 PHYSICS = 2
 """The version of the simulated physics. It is raised when the same scenario moves differently."""
 OTHER_ENGINES = "use the engine `pybullet` or `mujoco`"
-ENGINES = Engines(
+ENGINES: plugins.PluginTable[EngineKind] = plugins.PluginTable(
+    ENTRY_POINT_GROUP,
     {
         "pybullet": EngineKind(
             "PyBullet, the default where it is installed.",
@@ -188,7 +165,9 @@ ENGINES = Engines(
                 " or use the engine `pybullet`",
             ),
         ),
-    }
+    },
+    _of_another_package,
+    imports=False,
 )
 
 

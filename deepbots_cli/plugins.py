@@ -66,7 +66,6 @@ def packages_used(words: Collection[str]) -> dict[str, str]:
     """Return the packages of the plug-ins that have one of these names, with their versions. Only tables that
     are loaded are searched: no other one has had to look up a name of a plug-in."""
     entries = {entry for table in _TABLES for name, entry in table.origins.items() if name in words}
-    entries |= {entry for entry in entry_points_of("deepbots.engines") if entry.name in words}
     return {entry.dist.name: entry.dist.version for entry in entries if entry.dist is not None}
 
 
@@ -87,15 +86,22 @@ class PluginTable(Mapping[str, T], Generic[T]):
     """A table of entries by name: our own first, then those of plug-ins.
 
     `read` gets the name and the object of an entry point, yields named entries, and raises an exception for
-    an object that cannot be used.
+    an object that cannot be used. Without `imports`, it gets the `module:attribute` instead, and nothing is
+    imported.
     """
 
     def __init__(
-        self, group: str, built_in: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]
+        self,
+        group: str,
+        built_in: Mapping[str, T],
+        read: Callable[[str, Any], Iterable[tuple[str, T]]],
+        *,
+        imports: bool = True,
     ) -> None:
         self.group = group
         self.built_in = built_in
         self._read = read
+        self._imports = imports
         self._all: dict[str, T] | None = None
         self.origins: dict[str, EntryPoint] = {}
         """The entry points of the entries of plug-ins, once these are loaded."""
@@ -111,7 +117,9 @@ class PluginTable(Mapping[str, T], Generic[T]):
             self._all = dict(self.built_in)  # set first: a plug-in may ask for the table while it is loaded
             for entry in entry_points_of(self.group):
                 try:
-                    for name, plugin in self._read(entry.name, entry.load()):
+                    for name, plugin in self._read(
+                        entry.name, entry.load() if self._imports else entry.value
+                    ):
                         if name in self._all:
                             raise ValueError(f"the name {name!r} is taken")
                         self._all[name] = plugin

@@ -19,7 +19,16 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, function_name
+from deepbots_cli.cli.commands import (
+    COMMANDS,
+    EXCLUDES,
+    GONE,
+    GROUPS,
+    NEEDS,
+    REPLACEMENTS,
+    TAKES,
+    function_name,
+)
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 from deepbots_cli.words import sentence_list
@@ -117,6 +126,26 @@ def written_options(ctx: typer.Context) -> dict[str, str]:
         for key, name in options.items()
         if (source := sources[key]) is not None and source.name == "COMMANDLINE"
     }
+
+
+_ALWAYS = frozenset({"--json", "--quiet", "--force", "--allow-path", "--allow-code"})
+"""Options that go with everything that a command is asked about."""
+
+
+def check_options(ctx: typer.Context, subject: str) -> None:
+    """Refuse the options that the user wrote and that do not go with what the command is asked about, by
+    `TAKES`.
+
+    Raises:
+        UsageError: There is such an option.
+    """
+    names, _, reason = TAKES[ctx.command.name or ""][subject].partition("; ")
+    taken = names.removeprefix("all but ").split()
+    written = [name for name in written_options(ctx).values() if name not in _ALWAYS]
+    if wrong := [name for name in written if (name in taken) == names.startswith("all but ")]:
+        takes = f"it takes {sentence_list(taken)}" if taken else "its start and its actions are its own"
+        verb = "does" if len(wrong) == 1 else "do"
+        raise UsageError(f"{sentence_list(wrong)} {verb} not go with {subject}; {reason or takes}")
 
 
 def start_values(texts: Sequence[str] | None) -> dict[str, Any]:
@@ -567,9 +596,7 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
 
     A command with a parameter `agent` gets the name too.
     """
-    # The modules of commands postpone annotations (PEP 563), so that they are texts without `eval_str`.
-    signature = inspect.signature(command, eval_str=True)
-    passed = {"agent"} & set(signature.parameters)
+    passed = {"agent"} & inspect.signature(command).parameters.keys()
 
     @wraps(command)
     def call(*, agent: str | None, against: list[str] | None, **values: Any) -> None:
@@ -586,21 +613,35 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
         values |= {"overrides": [*(values["overrides"] or ()), *settings] or None}
         command(**values, **({"agent": agent} if passed else {}))
 
-    parameters = [parameter for name, parameter in signature.parameters.items() if name not in passed]
-    after = next(index for index, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
+    options = {name: (kind, None) for name, kind in _role_kinds(group).items()}
+    return _declared(call, command, options, instead_of="agent", behind="overrides")
+
+
+def _declared(
+    call: Callable[..., None],
+    command: Callable[..., None],
+    options: Mapping[str, tuple[Any, object]],
+    *,
+    instead_of: str,
+    behind: str = "",
+) -> Callable[..., None]:
+    """Return `call` with the parameters of a command, and with `options` (annotation and default) in place of
+    one of them, behind another one or at the end."""
     added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-        for name, kind in _role_kinds(group).items()
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in options.items()
     ]
-    if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
-        parameters = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if index >= after - 1 else parameter
-            for index, parameter in enumerate(parameters)
-        ]
-    # typer takes the options of a command from this attribute.
-    vars(call)["__signature__"] = signature.replace(
-        parameters=[*parameters[:after], *added, *parameters[after:]]
-    )
+    # The modules of commands postpone annotations (PEP 563), so that they are texts without `eval_str`.
+    signature = inspect.signature(command, eval_str=True)
+    listed = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in signature.parameters.items()
+        if name != instead_of
+    ]
+    names = [parameter.name for parameter in listed]
+    place = names.index(behind) + 1 if behind else len(listed)
+    # typer takes the options of a command from this attribute, and passes them by name.
+    vars(call)["__signature__"] = signature.replace(parameters=[*listed[:place], *added, *listed[place:]])
     return call
 
 
@@ -658,8 +699,7 @@ class Commands(TyperGroup):
 def _with_permission_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the options --allow-path and --allow-code instead of its parameter
     `permissions`, if it has one."""
-    signature = inspect.signature(command, eval_str=True)
-    if "permissions" not in signature.parameters:
+    if "permissions" not in inspect.signature(command).parameters:
         return command
     from deepbots_cli.document import Permissions
 
@@ -668,13 +708,7 @@ def _with_permission_options(command: Callable[..., None]) -> Callable[..., None
         command(**values, permissions=Permissions(allow_paths or (), allow_code))
 
     options = {"allow_paths": (AllowPaths, None), "allow_code": (AllowCode, False)}
-    added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        for name, (kind, default) in options.items()
-    ]
-    parameters = [parameter for parameter in signature.parameters.values() if parameter.name != "permissions"]
-    vars(call)["__signature__"] = signature.replace(parameters=[*parameters, *added])
-    return call
+    return _declared(call, command, options, instead_of="permissions")
 
 
 def run_command(arguments: Sequence[str] | None) -> None:
@@ -687,36 +721,8 @@ def run_command(arguments: Sequence[str] | None) -> None:
         context_settings=_SETTINGS,
     )
     app.callback(help=help_text("deepbots"))(_deepbots)
-    words = sys.argv[1:] if arguments is None else arguments
-    typer.main.get_command(app).main(args=without_old_spelling(list(words)), prog_name="deepbots")
-
-
-def without_old_spelling(words: list[str]) -> list[str]:
-    """Return `train --resume RUN`, `tune --resume STUDY` and `schema` of earlier versions as the commands
-    `resume`, `apply` and `lsp --schema`, with a note."""
-    command = (words or [""])[0]
-    options = words[1:]
-    if command == "schema":
-        terminal.note(
-            "note: `deepbots schema` is now `deepbots lsp --schema`; the next version drops the old spelling"
-        )
-        return ["lsp", "--schema", *options]
-    index = next(
-        (number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None
-    )
-    if command not in ("train", "tune") or index is None:
-        return words
-    folder = options.pop(index).partition("=")[2]
-    if not folder and index < len(options):
-        folder = options.pop(index)
-    verb = "apply" if "--apply" in options else "resume"
-    # `apply` prints no progress, and has no --quiet.
-    dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
-    terminal.note(
-        f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old"
-        " spelling"
-    )
-    return [verb, *filter(None, [folder]), *(option for option in options if option not in dropped)]
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    typer.main.get_command(app).main(args=words, prog_name="deepbots")
 
 
 def _version(value: bool) -> None:

@@ -90,9 +90,12 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
-    """Print findings in full on stderr, with their number."""
+    """Print findings in full on stderr, with their number, and the command that fixes some of them."""
     print(render(findings, "full", uses_color(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
+    fixable = [finding.span.source for finding in findings if finding.fix and finding.fix.safe]
+    if files := dict.fromkeys(source.name for source in fixable if Path(source.name).is_file()):
+        note(f"{len(fixable)} can be fixed by: deepbots lint {' '.join(map(quote, files))} --fix")
 
 
 def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:

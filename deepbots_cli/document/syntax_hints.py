@@ -36,6 +36,20 @@ _MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2
 _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
 _TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
 _CLOSING = {"{": "}", "[": "]"}
+_STARTS_OF_VALUES = (
+    (r"\t", "a tab where YAML allows only spaces", "use spaces"),
+    (
+        r"\? ",
+        "a value cannot start with `? `",
+        "write `a if condition else b`, or put the value in quotes",
+    ),
+    (r"[ \t]*(?:[ \t]#.*)?$", "a value is missing", "write a value"),
+)
+_STARTS_OF_LINES = (
+    (r"[}\]]", "a closing `{}` without an opening one", "remove it, or put the value in quotes"),
+    (":", "a key is missing before the colon", "write `key: value`"),
+    ("- |-$", "a list item among keys", "indent the list below its key"),
+)
 _PAIR_BEHIND_COMMA = re.compile(r",\s*[A-Za-z_][\w.]*:\s")
 MAX_SHOWN = 60
 _MAX_WRITTEN = 120
@@ -198,15 +212,10 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         at = problem.since
     elif not problem.says("cannot start any token", "node content", "keys are not allowed"):
         return None
-    if problem.source.text.startswith("\t", at):
-        return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
     value_text = problem.rest_of_line(at)
-    if value_text.startswith("? "):
-        return problem.finding(
-            "a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at
-        )
-    if not value_text:
-        return problem.finding("a value is missing", "write a value", at)
+    for start, headline, help in _STARTS_OF_VALUES:
+        if re.compile(start, re.MULTILINE).match(problem.source.text, at):
+            return problem.finding(headline, help, at)
     if value_text.startswith("|") and (replacement := nearest.without_bars(value_text)):
         fix = Fix((Edit(Span(problem.source, at, at + len(value_text)), replacement),), safe=False)
         return problem.finding(
@@ -486,16 +495,10 @@ def _behind_value(problem: _Problem) -> Finding | None:
         return problem.finding(
             "text after the end of a value", f"put the whole value in quotes: {quoted}", at, length
         )
-    if text_behind.startswith(("}", "]")):
-        return problem.finding(
-            f"a closing `{text_behind[0]}` without an opening one",
-            "remove it, or put the value in quotes",
-            at,
-        )
-    if text_behind.startswith(":"):
-        return problem.finding("a key is missing before the colon", "write `key: value`", at)
-    if text_behind.startswith("- ") or text_behind == "-":
-        return problem.finding("a list item among keys", "indent the list below its key", at, length)
+    for start, headline, help in _STARTS_OF_LINES:
+        if re.match(start, text_behind):
+            length = length if start.startswith("-") else 1
+            return problem.finding(headline.format(text_behind[0]), help, at, length)
     line, levels = problem.line_at(problem.line_start), _levels_above(problem)
     if line is None or not levels:
         help = "give keys of one mapping the same indentation"

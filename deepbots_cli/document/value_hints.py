@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document.nodes import Node, ScalarNode
@@ -35,10 +35,30 @@ _YAML11 = {
 # characters is not a number.
 _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+(?:\.[0-9]+)?")
-_LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
-_RADIX = re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)")
-_SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
-_GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
+_ODD_NUMBERS: tuple[tuple[re.Pattern[str], str, Callable[[str], str | None]], ...] = (
+    (
+        re.compile(r"[-+]?0[0-9]+"),
+        "is {} here, but YAML 1.1 reads a leading zero as octal",
+        lambda text: str(int(text)),
+    ),
+    (
+        re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)"),
+        "is read as text, because only decimal numbers are supported",
+        lambda text: str(int(text, 0)),
+    ),
+    (
+        re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}"),
+        "is read as text, but YAML 1.1 reads it as a number in base 60",
+        lambda text: None,
+    ),
+    (
+        re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*"),
+        "is read as text, because its digits are not grouped in threes",
+        lambda text: text.replace("_", ""),
+    ),
+)
+"""What is taken for a number elsewhere: how it is written, how it is read, and the number that is meant, if there
+is only one."""
 
 
 # Values cut by a comma, or emptied by a `#`
@@ -182,31 +202,11 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
     number in other languages."""
     if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
         return None
-    if _LEADING_ZERO.fullmatch(text):
-        return (
-            f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal",
-            f"write {int(text)}",
-            str(int(text)),
-        )
-    if _RADIX.fullmatch(text):
-        return (
-            f"`{text}` is read as text, because only decimal numbers are supported",
-            f"write {int(text, 0)}",
-            str(int(text, 0)),
-        )
     if reading := comma_reading(text):
         return f"`{text}` is read as text, because decimals need a point", *reading
-    if _SEXAGESIMAL.fullmatch(text):
-        return (
-            f"`{text}` is read as text, but YAML 1.1 reads it as a number in base 60",
-            "write a duration with its unit, such as 750 s",
-            None,
-        )
-    if _GROUPS.fullmatch(text):
-        number = text.replace("_", "")
-        return (
-            f"`{text}` is read as text, because its digits are not grouped in threes",
-            f"write {number}",
-            number,
-        )
+    for pattern, reason, read in _ODD_NUMBERS:
+        if pattern.fullmatch(text):
+            number = read(text)
+            help = f"write {number}" if number else "write a duration with its unit, such as 750 s"
+            return f"`{text}` {reason.format(number)}", help, number
     return None

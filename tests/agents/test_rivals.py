@@ -241,9 +241,9 @@ def test_a_policy_of_several_agents_is_asked_for_by_name(
 @pytest.mark.parametrize(
     ("words", "instead"),
     [
-        (["compare", "RUN", "RUN", "--own"], "in one scenario; leave out --own\n"),
-        (["compare", "RUN", "RUN", "--workers", "2"], "leave out --workers"),
-        (["compare", "RUN", "RUN", "--case", "heavy"], "leave out --case, and write a change"),
+        (["compare", "RUN", "RUN", "--own"], "--own does not go with agents that compete"),
+        (["compare", "RUN", "RUN", "--workers", "2"], "--workers does not go with agents that compete"),
+        (["compare", "RUN", "RUN", "--case", "heavy"], "--case does not go with agents that compete"),
         (["robustness", "RUN"], "--agent NAME"),
         (["transfer", "RUN"], "--agent NAME"),
         (["eval", "RUN", "--min-return", "1"], "--agent NAME"),

@@ -534,7 +534,7 @@ def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) 
         "--json",
     ]
     assert main(arguments) == 0
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["speeds"]
     assert [(row["engine"], row["worlds"]) for row in rows] == [("mujoco", 1), ("batch", 2)]
     assert all(0.0 < row["physics_us"] < row["step_us"] for row in rows)
 

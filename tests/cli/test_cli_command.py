@@ -30,12 +30,10 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands, _command
-from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, bench
+from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, TAKES, bench
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
-from deepbots_cli.document import load
-from deepbots_cli.document.nodes import to_data
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
@@ -336,13 +334,6 @@ def test_commands_that_run_nothing_need_no_extra(tmp_path):
     assert done.stderr.splitlines()[-1] == str([0] * len(lines)), done.stderr
 
 
-def test_the_package_runs_as_a_module():
-    done = subprocess.run(
-        [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
-
-
 def test_the_doctor_finds_this_installation_in_order(deepbots):
     report = json.loads(deepbots("doctor", "--json").out)
     assert report["ok"]
@@ -413,21 +404,6 @@ def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments)
     (tmp_path / "-").write_bytes((tmp_path / "cartpole.yaml").read_bytes())
     printed = deepbots(*arguments)
     assert deepbots(*arguments, "-o", "-") == printed
-
-
-CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"
-
-
-def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
-    (tmp_path / "base.yaml").write_text(f"{CARTPOLE}reset: {{place: {{cart: {{z: 5 cm, yaw: 10 deg}}}}}}\n")
-    (tmp_path / "mine.yaml").write_text(
-        "deepbots: 1\nextends: base.yaml\nreset: {place: {cart: {xyz: 0 0 1 m}}}\n"
-    )
-    assert to_data(load(tmp_path / "mine.yaml").root)["reset"]["place"]["cart"] == {
-        "yaw": "10 deg",
-        "xyz": "0 0 1 m",
-    }
-    assert api.lint(tmp_path / "mine.yaml") == []
 
 
 def test_the_first_seconds_of_a_training_say_no_time_to_go():
@@ -547,14 +523,15 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
     deepbots("compile", "cartpole", "--project", ".", "--force")
 
 
-@pytest.mark.parametrize("table", [NEEDS, EXCLUDES])
+@pytest.mark.parametrize("table", [NEEDS, EXCLUDES, TAKES])
 def test_options_that_go_together_are_options_of_their_command(table):
     for name, entries in table.items():
         known = (
             {option for parameter in _command(name).params for option in parameter.opts} if name else set()
         )
         for options, text in entries.items():
-            named = {*options.split(), *text.partition("; ")[0].split()}
+            subject = () if table is TAKES else options.split()
+            named = {*subject, *text.partition("; ")[0].removeprefix("all but ").split()}
             assert not name or named <= known, name
 
 

@@ -29,7 +29,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli import main, terminal
-from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.commands.train import training_page
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
@@ -50,12 +49,12 @@ TINY = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", "eva
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """A folder with a run of 256 steps, `mine`, and what its training printed."""
+    """A folder with a run of 256 steps, `mine`, with a model after 128 steps, and what its training printed."""
     folder = tmp_path_factory.mktemp("trained")
     out = StringIO()
     err = StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([*TINY, "--run", "mine"])
+        code = main([*TINY, "--keep-checkpoints", "2", "--run", "mine"])
     assert code == 0, err.getvalue()
     return folder, Ran(code, out.getvalue(), err.getvalue())
 
@@ -428,7 +427,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
             sum(after) / 2 - sum(before) / 2
         )
     refused = deepbots("eval", group, "--baselines", code=2)
-    assert "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err
+    assert "--baselines does not go with a group; name one of its runs" in refused.err
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "5")
     assert any(words in ran.out for words in ("no significant difference", "neither is better"))
@@ -747,52 +746,11 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
     assert json.loads((folder / "mine" / "run.json").read_text())["status"] == "interrupted"
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (["train", "--resume", "mine", "--timesteps", "9"], ["resume", "mine", "--timesteps", "9"]),
-        (["train", "--quiet", "--resume=mine"], ["resume", "mine", "--quiet"]),
-        (["tune", "--resume", "study", "--apply", "a.yaml", "-q"], ["apply", "study", "a.yaml"]),
-        (["train", "cartpole"], ["train", "cartpole"]),
-    ],
-)
-def test_the_spelling_of_the_version_before_is_understood_and_named(deepbots, old, new):
-    stderr = deepbots(*old[:1], *old[1:], code=2).err if old != new else ""
-    assert (without_old_spelling(old), stderr.count(f"is now `deepbots {new[0]}`")) == (new, old != new)
-
-
-TINIER = (
-    "--timesteps",
-    "200",
-    "--set",
-    "train.n_epochs=1",
-    "--set",
-    "train.environments=2",
-    "--set",
-    "train.n_steps=64",
-)
-FEW = ("--set", "evaluation={episodes: 4}", "--set", "solved=mean_return >= 195 over 4 episodes")
 STEP = "mine/models/agent/step-000000128.zip"
 
 
-@pytest.fixture(scope="module")
-def first_with_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a run of 256 steps, `mine`, and a model after 128 steps."""
-    folder = tmp_path_factory.mktemp("trained")
-    err = StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(StringIO()), contextlib.redirect_stderr(err):
-        code = main(["train", "cartpole", *TINIER, *FEW, "--keep-checkpoints", "2", "--run", "mine"])
-    assert code == 0, err.getvalue()
-    return folder
-
-
-@pytest.fixture
-def mine(first_with_models: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(first_with_models / "mine", tmp_path / "mine"))
-
-
 @pytest.mark.slow
-def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path) -> None:
+def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, trained: Ran) -> None:
     ran = deepbots("compare", "mine", STEP, "--episodes", "2")
     assert "mine (step-000000128)" in ran.out
     assert "after_steps" in ran.out
@@ -809,33 +767,33 @@ def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path
         ("render", STEP, "-o", "one.mcap", "--steps", "2"),
         ("inspect", STEP),
         ("diff", STEP, "mine"),
-        ("train", "cartpole", *TINIER, *FEW, "--initialize-from", STEP, "--run", "other"),
+        (*TINY, "--initialize-from", STEP, "--run", "other"),
     ],
 )
 def test_every_command_that_takes_a_policy_takes_a_checkpoint(
-    deepbots: Deepbots, mine: Path, words: tuple[str, ...]
+    deepbots: Deepbots, trained: Ran, words: tuple[str, ...]
 ) -> None:
     deepbots(*words)
 
 
 @pytest.mark.slow
-def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, mine: Path) -> None:
+def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots, trained: Ran) -> None:
     report = json.loads(deepbots("robustness", STEP, "--episodes", "1", "--json", code=1).out)
     assert (report["nominal"]["model"], report["nominal"]["model_steps"]) == ("step-000000128", 128)
 
 
 @pytest.mark.slow
-def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, mine: Path) -> None:
+def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, trained: Ran) -> None:
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert "models of mine on new starts, the best first" in ran.out
     assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
-    best = RunRecord.read(mine).result.best  # type: ignore[union-attr]
+    best = RunRecord.read(Path("mine")).result.best  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"
     assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
 
 
-def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: Path) -> None:
+def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, trained: Ran) -> None:
     report = json.loads(deepbots("eval", STEP, "--keep", "--episodes", "2", "--json").out)
     assert (report["model"], report["model_steps"]) == ("best", 128)
     assert report["kept"]["best"]["chosen_by"] == "hand"

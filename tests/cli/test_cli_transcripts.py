@@ -42,6 +42,7 @@ def run_command(head: list[str], deepbots: Deepbots, folder: Path) -> Ran:
     return Ran(done.returncode, done.stdout, done.stderr)
 
 
+@pytest.mark.usefixtures("simulated_here")
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.txt")), ids=lambda path: path.stem)
 def test_commands_print_what_is_written(
     path: Path, deepbots: Deepbots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -100,61 +100,6 @@ def scenario(folder: Path, lines: tuple[Line, ...], more: str = "") -> Path:
     return path
 
 
-def errors(folder: Path, lines: tuple[Line, ...]) -> list[str]:
-    return [
-        f"{finding.code} {finding.headline}"
-        for finding in api.lint(scenario(folder, lines))
-        if finding.severity == "error"
-    ]
-
-
-def exclude_each_other(row: Row, other_row: Row) -> bool:
-    """Whether two rows define the same name differently; the mirror image does not know pictures, and another
-    algorithm has other keys.
-    """
-    return any(line.name in ("symmetry", "algorithm") for line in (*row.lines, *other_row.lines)) or any(
-        a.name == b.name and a != b and (a.place == ("observation",)) == (b.place == ("observation",))
-        for a in row.lines
-        for b in other_row.lines
-    )
-
-
-def lines_of(rows: list[Row]) -> tuple[Line, ...]:
-    return tuple(dict.fromkeys(line for row in rows for line in row.lines))
-
-
-def groups(rows: list[Row]) -> list[list[Row]]:
-    """The rows in groups whose lines can stand in one scenario."""
-    parts: list[list[Row]] = []
-    for row in rows:
-        part = next((part for part in parts if not any(exclude_each_other(row, other) for other in part)), [])
-        if not part:
-            parts.append(part)
-        part.append(row)
-    return parts
-
-
-@pytest.mark.slow
-def test_all_lines_compile_in_scenarios_that_extend_the_quadruped(tmp_path: Path) -> None:
-    """A lint takes 0.1 s, whether of one row or of a hundred."""
-    assert [row.names for row in WITH_LINES if row.reason] == []
-    parts = groups(WITH_LINES)
-    assert len(parts) < 20
-    wrong = [part for part in parts if errors(tmp_path, lines_of(part))]
-    assert [
-        (row.names[0], messages)
-        for part in wrong
-        for row in part
-        if (messages := errors(tmp_path, row.lines))
-    ] == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("row", WITH_LINES, ids=lambda row: row.names[0])
-def test_a_line_compiles_in_a_scenario_that_extends_the_quadruped(row: Row, tmp_path: Path) -> None:
-    assert errors(tmp_path, row.lines) == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("row", WITH_LINES, ids=lambda row: row.names[0])
 def test_an_episode_begins_with_a_line(row: Row, tmp_path: Path) -> None:
@@ -167,6 +112,7 @@ def test_an_episode_begins_with_a_line(row: Row, tmp_path: Path) -> None:
 
 
 def test_each_section_with_terms_has_a_place_for_them_on_the_page() -> None:
+    assert [row.names for row in WITH_LINES if row.reason] == []
     assert re.findall(r"^## (.+)\n(?:(?!## ).*\n)*?<!-- terms -->", TEXT, re.MULTILINE) == list(SECTIONS)
 
 

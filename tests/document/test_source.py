@@ -17,6 +17,7 @@ import random
 import tracemalloc
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -44,7 +45,7 @@ from deepbots_cli.document.layout import assigned_text, canonical_text, move_to_
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
-from tests.golden.cases import mistakes
+from tests.golden.cases import documents, mistakes
 
 
 def read(text: str) -> tuple[Node | None, list[Finding]]:
@@ -156,18 +157,6 @@ def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_b
     assert scalar("a: |\n  one\n  two\n\n\nb: 1", "a").span.text == "one\n  two"
 
 
-def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
-    finding = only_finding("a: 1\nb: 2\na: 3\n")
-    assert (finding.code, finding.span.start_position, finding.labels[0].span.start_position) == (
-        "DB002",
-        (3, 1),
-        (1, 1),
-    )
-    node, _ = read("a: 1\na: 3\n")
-    assert node is not None
-    assert to_data(node) == {"a": 1}
-
-
 @pytest.mark.parametrize(
     ("text", "code", "marked", "hint"),
     [
@@ -200,12 +189,6 @@ def test_a_key_that_had_to_be_left_out_marks_its_mapping_as_partial() -> None:
     assert isinstance(inner, MappingNode)
     assert inner.partial
     assert not node.partial
-
-
-def test_a_list_with_an_item_that_cannot_be_read_is_left_out_as_a_whole() -> None:
-    node, findings = read("a: [b, *c]\nd: 1\n")
-    assert node is not None
-    assert (to_data(node), len(findings)) == ({"d": 1}, 1)
 
 
 ALIASES = "".join(
@@ -303,6 +286,28 @@ def codes(document: Document) -> list[str]:
     return [finding.code for finding in document.findings]
 
 
+@pytest.mark.parametrize("case", documents().values(), ids=documents())
+def test_files_are_read_as_one_document(tmp_path: Path, case: dict[str, Any]) -> None:
+    for name, text in case["files"].items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    document = load(tmp_path / next(iter(case["files"])), case.get("set", ()))
+    expected = case.get("findings", [])
+    assert len(document.findings) == len(expected), [finding.headline for finding in document.findings]
+    for finding, (code, *rest) in zip(document.findings, expected, strict=True):
+        marked, help, notes, headline = [*rest, *("", "", [], "")[len(rest) :]]
+        assert (finding.code, finding.span.text) == (code, marked or finding.span.text)
+        assert help in (finding.help or "")
+        assert notes in ([], [*finding.notes])
+        assert headline in finding.headline
+    data = to_data(document.root) if document.root else {}
+    if "data" in case:
+        assert json.dumps(data) == json.dumps(case["data"])
+    assert {key: data.get(key) for key in case.get("part", {})} == case.get("part", {})
+    sources = [Path(source.name).name for source in document.sources]
+    assert case.get("sources", sources) == sources
+
+
 # Reading
 
 
@@ -354,67 +359,6 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> Non
 # extends, include, remove
 
 
-def test_an_extending_file_merges_by_key_and_keeps_the_order_of_the_base(tmp_path: Path) -> None:
-    path = write(
-        tmp_path,
-        child="extends: base.yaml\nobservation:\n  speed: 2\n  new: 3\nlist: [c]\n",
-        base="observation:\n  x: 1\n  speed: 1\n  y: 1\nlist: [a, b]\nkept: true\n",
-    )
-    document = load(path)
-    assert data(document) == {
-        "observation": {"x": 1, "speed": 2, "y": 1, "new": 3},
-        "list": ["c"],
-        "kept": True,
-    }
-    assert document.root is not None
-    observation = document.root.get("observation")
-    assert isinstance(observation, MappingNode)
-    assert list(observation.entries) == ["x", "speed", "y", "new"]
-    assert observation.entries["speed"].value.span.source is document.source
-    assert observation.entries["x"].value.span.source.name.endswith("base.yaml")
-
-
-def test_extending_goes_over_several_files(tmp_path: Path) -> None:
-    path = write(tmp_path, c="extends: b.yaml\nx: 3\n", b="extends: a.yaml\ny: 2\n", a="x: 1\ny: 1\nz: 1\n")
-    document = load(path)
-    assert data(document) == {"x": 3, "y": 2, "z": 1}
-    assert [source.name.split("/")[-1] for source in document.sources] == ["c.yaml", "b.yaml", "a.yaml"]
-
-
-def test_a_changed_type_shape_or_algorithm_replaces_its_mapping(tmp_path: Path) -> None:
-    path = write(
-        tmp_path,
-        child="extends: base.yaml\ns: {type: camera}\nt: {algorithm: PPO, rate: 2}\nreward: {shape: 3}\n",
-        base="s: {type: gyro, noise: 1}\nt: {algorithm: PPO, size: 1}\nreward: {shape: 1, other: 2}\n",
-    )
-    expected = {
-        "s": {"type": "camera"},
-        "t": {"algorithm": "PPO", "size": 1, "rate": 2},
-        "reward": {"shape": 3, "other": 2},
-    }
-    assert data(load(path)) == expected
-
-
-def test_an_included_mapping_lies_beneath_its_siblings(tmp_path: Path) -> None:
-    robot = "urdf: urdf/epuck.urdf\nsensors: {a: {type: gyro}}\n"
-    (tmp_path / "robots").mkdir()
-    (tmp_path / "robots" / "epuck.yaml").write_text(robot)
-    path = write(
-        tmp_path,
-        main="robots:\n  r:\n    include: robots/epuck.yaml\n    sensors: {b: {type: touch}}\n    emit:"
-        " [a]\n",
-    )
-    document = load(path)
-    robots = {
-        "r": {
-            "urdf": "urdf/epuck.urdf",
-            "sensors": {"a": {"type": "gyro"}, "b": {"type": "touch"}},
-            "emit": ["a"],
-        }
-    }
-    assert data(document) == {"robots": robots}
-
-
 def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
     (tmp_path / "robots").mkdir()
     (tmp_path / "robots" / "epuck.yaml").write_text("urdf: epuck.urdf\n")
@@ -434,31 +378,6 @@ def test_a_finding_in_an_included_file_has_the_chain_of_inclusions(tmp_path: Pat
     assert finding.span.source.name.endswith("part.yaml")
     assert included_from is not None
     assert included_from.start_position == (2, 12)
-
-
-@pytest.mark.parametrize("word", ["extends: ", "r:\n  include: "])
-def test_a_file_that_leads_back_to_itself_is_reported(tmp_path: Path, word: str) -> None:
-    path = write(tmp_path, a=f"{word}b.yaml\n", b=f"{word}a.yaml\n")
-    document = load(path)
-    (finding,) = document.findings
-    assert (finding.code, finding.span.text, finding.notes) == (
-        "DB204",
-        "a.yaml",
-        ("a.yaml -> b.yaml -> a.yaml",),
-    )
-
-
-def test_a_missing_file_is_reported_once_and_the_nearest_name_is_suggested(tmp_path: Path) -> None:
-    path = write(tmp_path, main="r: {include: epuk.yaml}\ns: 1\n", epuck="a: 1\n")
-    document = load(path)
-    (finding,) = document.findings
-    assert (finding.code, finding.span.text, finding.help) == (
-        "DB204",
-        "epuk.yaml",
-        "did you mean epuck.yaml?",
-    )
-    assert document.root is not None
-    assert to_data(document.root) == {"r": {}, "s": 1}
 
 
 @pytest.mark.parametrize(
@@ -529,81 +448,12 @@ def test_a_long_chain_of_files_is_refused(tmp_path: Path) -> None:
     assert codes(load(path)) == ["DB204"]
 
 
-def test_remove_takes_paths_out_also_those_with_a_dot_in_a_key(tmp_path: Path) -> None:
-    file = write(
-        tmp_path,
-        one="extends: base.yaml\nremove: [observation.cart.pole, observation.cart.x, list.0]\n",
-        base="observation: {cart.pole: 1, cart: {x: 2, y: 2}, z: 3}\nlist: [a, b]\n",
-    )
-    assert data(load(file)) == {"observation": {"cart": {"y": 2}, "z": 3}, "list": ["b"]}
-
-
-def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> None:
-    file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
-    document = load(file)
-    (finding,) = document.findings
-    assert (finding.code, finding.span.location, finding.labels[0].span.text) == (
-        "DB205",
-        f"{file}:2:5",
-        "a.b",
-    )
-    assert document.root is not None
-    assert to_data(document.root) == {"a": {"b": 2, "c": 3}}
-
-
-def test_a_mapping_that_is_removed_and_written_replaces_the_inherited_one(tmp_path: Path) -> None:
-    file = write(
-        tmp_path,
-        one="extends: base.yaml\nremove: [reward, d]\nreward: {new: 2}\nd: {include: part.yaml, f: 3}\n",
-        base="reward: {old: 1}\nd: {e: 1}\n",
-        part="g: 4\n",
-    )
-    assert data(load(file)) == {"reward": {"new": 2}, "d": {"g": 4, "f": 3}}
-
-
-def test_removing_what_is_not_there_is_reported_where_the_path_goes_wrong() -> None:
-    (finding,) = loads("a: {b: 1}\nremove: [a.c]\n").findings
-    assert (finding.code, finding.span.text) == ("DB201", "c")
-    assert "b" in (finding.help or "")
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["extends: [a]", "extends: 3", "remove: a", "remove: [[a]]", "r: {include: {a: 1}}", "remove: [3]"],
-)
-def test_the_words_of_the_source_take_only_their_type(text: str) -> None:
-    assert codes(loads(f"a: 1\n{text}\n")) == ["DB103"]
-
-
 # --set
 
 BASE = (
     "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size: 1 m}}\nobservation:"
     " {cart.pole: 1, x: 2}\nlist: [a, b]\n"
 )
-
-
-@pytest.mark.parametrize(
-    ("assignment", "path", "expected"),
-    [
-        ("pole=1.5", ("parameters", "pole"), 1.5),
-        ("world.timestep=8 ms", ("world", "timestep"), "8 ms"),
-        ("observation.cart.pole=-1 .. 1", ("observation", "cart.pole"), "-1 .. 1"),
-        ("world.arena={size: 2 m, wall: 1}", ("world", "arena"), {"size": "2 m", "wall": 1}),
-        ("world.new=3", ("world", "new"), 3),
-        ("seed=0", ("seed",), 0),
-        ("list.1=c", ("list", 1), "c"),
-        ("list=[]", ("list",), []),
-        ("pole='a = b'", ("parameters", "pole"), "a = b"),
-    ],
-)
-def test_an_assignment_replaces_the_value_at_its_path(
-    assignment: str, path: tuple[str | int, ...], expected: object
-) -> None:
-    value: object = data(loads(BASE, overrides=[assignment]))
-    for step in path:
-        value = value[step]  # type: ignore[index]
-    assert value == expected
 
 
 def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
@@ -647,25 +497,6 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(
     assert to_data(document.root) == to_data(loads(BASE).root)  # type: ignore[arg-type]
 
 
-def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads(
-        "deepbots: 1\nname: X\n",
-        overrides=["messages.format=none", "train.network.hidden=[8]", "train.replay.type=her"],
-    )
-    assert document.root is not None
-    assert to_data(document.root) == {
-        "deepbots": 1,
-        "name": "X",
-        "messages": {"format": "none"},
-        "train": {"network": {"hidden": [8]}, "replay": {"type": "her"}},
-    }
-
-
-def test_a_misspelled_section_in_an_assignment_is_not_begun() -> None:
-    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", overrides=["mesages.format=none"])
-    assert [finding.code for finding in document.findings] == ["DB201"]
-
-
 def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_comes_first(
     tmp_path: Path,
 ) -> None:
@@ -678,15 +509,6 @@ def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_co
     assert [source.name.split("/")[-1] for source in document.sources] == ["main.yaml", "cartpole.yaml"]
     (tmp_path / "cartpole").write_text("a: 1\n")
     assert data(load(path)) == {"deepbots": 1, "name": "Mine", "a": 1}
-
-
-def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scenario() -> None:
-    (finding,) = loads("deepbots: 1\nextends: cartpoel\n").findings
-    assert (finding.code, finding.help) == (
-        "DB204",
-        "did you mean `cartpole`, which is shipped with deepbots?",
-    )
-    assert finding.notes[0].startswith("shipped scenarios are balancer, biped, carry, cartpole, ")
 
 
 def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block
 `yaml` and the findings in a block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of
-findings. `mistakes.yaml` has a line for each mistake in a part of a scenario.
+findings. `mistakes.yaml` has a line for each mistake in a part of a scenario, `documents.yaml` scenarios of several files.
 """
 
 from __future__ import annotations
@@ -54,6 +54,12 @@ def cases(kind: str) -> list[Case]:
 def mistakes(part: str) -> list[list[Any]]:
     """The lines of a part of mistakes.yaml: `scenario`, `document`, `expression` and others."""
     return list(_all_mistakes()[part])
+
+
+@cache
+def documents() -> dict[str, dict[str, Any]]:
+    """The scenarios of several files in documents.yaml, by what they show."""
+    return dict(yaml.safe_load((HERE / "documents.yaml").read_text(encoding="utf-8")))
 
 
 @cache

@@ -647,7 +647,7 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in output
     for command, option, text in (
         ("diagnose", ["--episode", "failed"], "a robot does not see which episodes fail"),
-        ("diagnose", ["--last"], "the log of a robot takes --episode and --json"),
+        ("diagnose", ["--last"], "--last does not go with the log of a robot; it takes --episode"),
         ("diagnose", ["--episode", "7"], "has no episode 7; list them with: deepbots replay"),
         ("view", [], "is the log of a robot without the scenario"),
     ):

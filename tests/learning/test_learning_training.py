@@ -1060,7 +1060,7 @@ def failed(trained: TrainingResult, run_copy: Path) -> Path:
 )
 def test_a_kept_episode_takes_no_settings(failed: Path, words: tuple[str, ...], deepbots: Deepbots) -> None:
     message = deepbots("try", failed, *words, code=2).err
-    assert "already contains its scenario, start and actions" in message
+    assert "not go with the file of a failed episode; its start and its actions are its own" in message
     assert all(word in message for word in words if word.startswith("--"))
 
 

@@ -28,6 +28,7 @@ from deepbots_cli.compiler.agents import divide, has_several_agents
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import Document, descend, load, to_data
 from deepbots_cli.document.parse import parse
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario import validate, visit_values
 from deepbots_cli.scenario.actuators import ACTUATORS, VelocityMotor
@@ -198,6 +199,7 @@ def test_the_committed_schema_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(
         sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"]
     )  # an engine of the tests
+    monkeypatch.setattr(ENGINES, "_all", None)
     assert COMMITTED.read_text(encoding="utf-8") == schema_text(), (
         "run: python -m deepbots_cli.scenario.json_schema"
     )
@@ -572,45 +574,6 @@ def test_a_required_section_with_a_fault_leaves_the_others_to_be_checked(check: 
     ]
 
 
-def test_a_key_without_a_value_is_not_also_missing(check: Check, cartpole: str) -> None:
-    for old, new in (
-        ("timestep: 32 ms", "timestep:"),
-        ("  alive: 1", "  alive:"),
-        ("type: joint_position", "type: "),
-    ):
-        _, findings = check(cartpole.replace(old, new))
-        assert [finding.code for finding in findings] == ["DB107"], new
-
-
-def test_a_value_that_the_reader_refused_is_not_also_missing(check: Check, cartpole: str) -> None:
-    _, findings = check(cartpole.replace("timestep: 32 ms", "timestep: 1e999"))
-    assert [finding.code for finding in findings] == ["DB105"]
-
-
-def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str) -> None:
-    _, findings = check(
-        cartpole + "curriculum:\n  - {name: easy, until: success_rate > 0.7}\n  - {set: {track: 1 m}}\n"
-    )
-    assert [(f.code, f.span.text) for f in findings] == [
-        ("DB103", "success_rate > 0.7"),
-        ("DB102", "{set: {track: 1 m}}"),
-    ]
-    assert findings[1].headline == "missing key `name` in entry 2 of `curriculum`"
-
-
-@pytest.mark.parametrize(
-    "until",
-    [
-        "success_rate >= 7 over 40 episodes",
-        "success_rate >= 0.7 over 0 episodes",
-        "success_rate >= 120 % in evaluation",
-    ],
-)
-def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
-    _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
-    assert [finding.code for finding in findings] == ["DB105"]
-
-
 def test_a_criterion_of_more_episodes_than_can_be_confirmed_is_refused(check: Check, cartpole: str) -> None:
     _, findings = check(
         re.sub("^solved:.*", "solved: mean_return >= 195 over 100000 episodes", cartpole, flags=re.MULTILINE)
@@ -637,12 +600,6 @@ def test_faults_of_bodies(check: Check, cartpole: str, objects: str, code: str, 
     assert [(finding.code, finding.span.text) for finding in findings] == [(code, marked)]
 
 
-def test_numbers_of_extreme_size_are_out_of_range(check: Check, cartpole: str) -> None:
-    for number in ("1e999", "-1e300", "9" * 400):
-        _, findings = check(cartpole.replace("alive: 1", f"alive: {number}"))
-        assert [finding.code for finding in findings] == ["DB105"], number
-
-
 @pytest.mark.parametrize(("typed", "key", "help"), mistakes("unfinished"))
 def test_a_key_without_a_value_has_a_finding_with_what_it_takes(
     check: Check, typed: str, key: str, help: str
@@ -660,12 +617,6 @@ def test_the_sections_that_a_new_file_lacks_are_one_finding_that_says_how_to_beg
     assert lacking.help is not None
     assert lacking.help.startswith("`robots`: the robots")
     assert [note.partition(":")[0] for note in lacking.notes] == ["`action`", "`observation`", "`reward`"]
-
-
-def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: Check, cartpole: str) -> None:
-    (finding,) = check(cartpole.replace("total_timesteps: 100_000", "total_timesteps: 100.000"))[1]
-    assert finding.code == "DB103"
-    assert "Example: `total_timesteps: 100_000`" in (finding.help or "")
 
 
 def test_every_section_has_its_path_and_that_of_its_defaults(check: Check, cartpole: str) -> None:

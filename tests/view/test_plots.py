@@ -715,8 +715,8 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, de
             "--episodes failed repeats an evaluation of a run",
         ),
         (["render", "epuck", "-o", "b.gif"], "epuck is a robot file"),
-        (["render", "epuck", "--seed", "0"], "epuck is a robot file"),
-        (["render", "epuck", "--last"], "epuck is a robot file"),
+        (["render", "epuck", "--seed", "0"], "--seed does not go with a robot file; it takes"),
+        (["render", "epuck", "--last"], "--last does not go with a robot file; it takes"),
         (["render", "cartpole", "--size", "9" * 5000 + "x100"], "is not a size"),
     ):
         assert message in " ".join(deepbots(*words, code=2).err.split())

@@ -423,10 +423,10 @@ def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
 
 def _speeds(scenario: str, engines: tuple[str, ...]) -> dict[str, Any]:
     words = shlex.split(speeds_request(scenario, engines).command)[1:]
-    rows, seconds = deepbots(*words)
+    result, seconds = deepbots(*words)
     return {
         "cpu_seconds": round(seconds, 1),
-        "step_us": {row["engine"]: round(row["step_us"], 1) for row in rows},
+        "step_us": {row["engine"]: round(row["step_us"], 1) for row in result["speeds"]},
     }
 
 

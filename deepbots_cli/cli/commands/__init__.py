@@ -83,6 +83,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "record": "deepbots render SCENARIO -o episode.mcap",
     "explain-episode": "deepbots diagnose RUN --episode K",
     "eject": "deepbots compile SCENARIO --project DIR",
+    "schema": "deepbots lsp --schema",
     "--resume": "deepbots resume RUN",
     "--apply": "deepbots apply STUDY FILE",
     "--script": "--driver NAME",
@@ -163,6 +164,44 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
     },
 }
 """The options, by command and for all commands, that exclude others, and after a semicolon what they do."""
+TAKES: Mapping[str, Mapping[str, str]] = {
+    "compare": {"agents that compete": "--episodes --seed --last --scenario"},
+    "diagnose": {
+        "a training": "--only-logs --agent",
+        "an episode": "--episode --seed --last --agent",
+        "--episode failed": "--episode --agent",
+        "a recording": "--episode",
+        "the file of a failed episode": "",
+        "the log of a robot": "--episode",
+    },
+    "eval": {
+        "--episodes failed": "--episodes",
+        "a group": "all but --baselines --details --keep; name one of its runs",
+        "several engines": "all but --baselines --details; name one engine",
+    },
+    "export": {
+        "a new key": "--new-key",
+        "a policy": "all but --set --allow-path; it is exported as it was trained",
+    },
+    "lint": {
+        "a robot file": "all but --set --deep --exploits; it is only read",
+        "standard input": "all but --exploits --watch --fix --diff; name a file",
+        "files": "all but --stdin-filename; it names the file of standard input, -",
+    },
+    "render": {
+        "a robot file": "--output --size --from --at --engine --xacro-arg",
+        "--episodes failed": "all but --seed --episode --driver --last; it repeats an evaluation of a run",
+    },
+    "replay": {"the log of a robot": ""},
+    "resume": {
+        "a study": "--trials --workers --cluster",
+        "a group of seeds": "--timesteps --full --callback --logger --workers --cluster",
+        "a run": "--timesteps --full --callback --logger --workers --cluster --view",
+    },
+    "try": {"the file of a failed episode": ""},
+}
+"""The options, by command and by what it is asked about, that it takes beside those for files and output, or
+`all but` some, and after a semicolon the reason."""
 BESIDE: Mapping[str, str] = {
     "apply": "train",
     "diagnose": "transfer",

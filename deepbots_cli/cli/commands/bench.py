@@ -150,31 +150,23 @@ def command(
         measured = speed.measure(
             compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show
         )
+    ratios = [sorted(each.ratio for each in of_engine) for of_engine in measured]
     lines = [_speed_table(compiled.program.name, measured)]
-    if several:
-        terminal.show([*map(speed.medians, measured)], *lines, as_json=as_json)
-        return
-    (of_engine,) = measured
-    only = speed.medians(of_engine)
-    ratios = sorted(each.ratio for each in of_engine)
+    if not several:
+        (only,) = ratios
+        lines.append(
+            f"  ratio of a step to its physics: {median(only):.3f} (min {only[0]:.3f}, max {only[-1]:.3f})"
+        )
     data = {
         "scenario": compiled.program.name,
-        "engine": only.engine,
-        "format": compiled.program.format,
-        "pairs": len(ratios),
         "steps": steps,
-        "step_us": only.without_resets_us,
-        "bare_us": only.physics_us,
-        "ratio": median(ratios),
-        "min_ratio": ratios[0],
-        "max_ratio": ratios[-1],
-        "steps_per_second": 1e6 / only.without_resets_us,
+        "speeds": [
+            {**vars(speed.medians(each)), "ratios": shares}
+            for each, shares in zip(measured, ratios, strict=True)
+        ],
         "faster_engine": faster,
     }
-    least, most = ratios[0], ratios[-1]
-    lines.append(f"  ratio of a step to its physics: {median(ratios):.3f} (min {least:.3f}, max {most:.3f})")
-    lines += [] if faster is None else [faster.text]
-    terminal.show(data, *lines, as_json=as_json)
+    terminal.show(data, *lines, *([] if faster is None else [faster.text]), as_json=as_json)
 
 
 def counts(text: str, option: str = "--worlds") -> list[int]:

@@ -24,6 +24,7 @@ from deepbots_cli.cli.command import (
     Json,
     Overrides,
     Workers,
+    check_options,
     integer,
     option,
 )
@@ -36,7 +37,7 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.words import counted, number_text, rate_text, sentence_list
+from deepbots_cli.words import counted, number_text, rate_text
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
@@ -51,6 +52,7 @@ _BETTER = {
 
 
 def command(
+    ctx: typer.Context,
     runs: Annotated[
         list[Path],
         typer.Argument(
@@ -91,14 +93,9 @@ def command(
     rivals = _rivals(runs, model)
     judged = None if rivals else _scenario_of_rivals(runs, permissions)
     if rivals or judged is not None:
-        wrong = {
-            "--case": case is not None,
-            "--own": own,
-            "--workers": workers is not None,
-            "--cluster": address is not None,
-            "--scenario": judged is not None and scenario is not None,
-        }
-        _refuse_options([name for name, is_set in wrong.items() if is_set])
+        check_options(ctx, "agents that compete")
+        if scenario is not None and judged is not None:
+            raise UsageError(f"{runs[0]} is the scenario in which its scripts play; leave out --scenario")
         if scenario is not None:
             judged = _compiled(scenario, permissions)
         _show_matches(rivals, judged, episodes, seed, as_json=as_json)
@@ -138,16 +135,6 @@ def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compi
             f" deepbots try {quote(str(runs[0]))} --driver NAME"
         )
     return compiled
-
-
-def _refuse_options(names: Sequence[str]) -> None:
-    """Refuse options that agents that compete do not take."""
-    if names:
-        hint = ", and write a change as a scenario with `extends` for --scenario" if "--case" in names else ""
-        raise UsageError(
-            "agents that compete play against each other in one scenario; leave out"
-            f" {sentence_list(names)}{hint}"
-        )
 
 
 def _show_matches(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,13 +26,13 @@ from deepbots_cli.cli.command import (
     Force,
     Overrides,
     Workers,
+    check_options,
     episodes_or_failed,
     finite,
     fraction,
     integer,
     known_engine,
     option,
-    written_options,
 )
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
@@ -206,28 +206,17 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate the policy of a run, or of a group."""
-    present = written_options(ctx)
-    single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        allowed = ("episodes", "force", "as_json", "allow_paths", "allow_code")
-        options = [name for name in present if name not in allowed]
-        _refuse(
-            "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
-            present,
-            options,
-        )
+        check_options(ctx, "--episodes failed")
         _repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
     check_output(*filter(None, (csv, junit)), force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if engine is not None and len(engine) > 1:
-        _refuse("needs a single engine; name only one with --engine", present, single)
+        check_options(ctx, "several engines")
     if source.kind is SourceKind.GROUP:
-        runs = Group.open(source).runs
-        example = runs[0] if runs else run
-        reason = f"needs a single run, but {run} is a group; name one of its runs, such as {example}"
-        _refuse(reason, present, (*single, "keep"))
+        check_options(ctx, "a group")
     request = _Request(
         run=run,
         source=source,
@@ -513,17 +502,6 @@ def _kept(
     if not as_json:
         terminal.print_result(records.kept_text(kept_model))
     return kept_model
-
-
-def _refuse(reason: str, present: Mapping[str, str], options: Iterable[str]) -> None:
-    """Refuse the options that are given.
-
-    Raises:
-        UsageError: One of the options is given.
-    """
-    for name in options:
-        if name in present:
-            raise UsageError(f"{present[name]} {reason}")
 
 
 def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_json: bool) -> None:

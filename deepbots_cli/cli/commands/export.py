@@ -24,6 +24,7 @@ from deepbots_cli.cli.command import (
     Force,
     Json,
     Overrides,
+    check_options,
     integer,
     option,
 )
@@ -50,6 +51,7 @@ class Form(StrEnum):
 
 
 def command(
+    ctx: typer.Context,
     source: Annotated[
         Path | None,
         typer.Argument(
@@ -94,6 +96,7 @@ def command(
 ) -> None:
     """Export a policy, sign it, or compare a bundle with a scenario."""
     if new_key is not None:
+        check_options(ctx, "a new key")
         if source is not None:
             raise UsageError("--new-key makes a key and exports nothing; give it alone")
         _write_key(new_key, as_json=as_json)
@@ -114,11 +117,7 @@ def command(
             source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json
         )
         return
-    if overrides or allow_paths:
-        raise UsageError(
-            "--set and --allow-path need --check SCENARIO or --to webots; a policy is always exported as it was"
-            " trained"
-        )
+    check_options(ctx, "a policy")
     model = "last" if last else "best"
     if out is not None:
         check_new_folder(out, force=force)

@@ -28,7 +28,15 @@ from deepbots_cli.cli.arguments import (
     scenario_names,
     xacro_arguments,
 )
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, XacroArguments, integer, option
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    OUTPUT,
+    Overrides,
+    XacroArguments,
+    check_options,
+    integer,
+    option,
+)
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
@@ -172,12 +180,12 @@ def command(
     names = scenario_names(scenarios or ["."], project)
     arguments = xacro_arguments(xacro, of_robot=all(map(is_robot, names)))
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name, arguments)
-    _check_names(names, look, is_watching=watch, may_fix=fix or diff)
+    if any(map(is_robot, names)):
+        check_options(ctx, "a robot file")
+    check_options(ctx, "standard input" if STDIN in names else "files")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
-    _check_together(
-        statistics and format_ not in (Format.full, Format.concise, Format.json),
-        "--statistics prints a table or JSON; leave out other formats",
-    )
+    if statistics and format_ not in (Format.full, Format.concise, Format.json):
+        raise UsageError("--statistics prints a table or JSON; leave out other formats")
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
         once = partial(ctx.command.callback, **{**ctx.params, "watch": False})
@@ -233,38 +241,6 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -
             last_state = state(files)
             while state(files) == last_state:
                 time.sleep(_WATCH_INTERVAL_S)
-
-
-def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, may_fix: bool) -> None:
-    """Check the options against the scenarios.
-
-    Raises:
-        UsageError: Options exclude one another for these scenarios.
-    """
-    has_stdin = STDIN in names
-    robots = [name for name in names if is_robot(name)]
-    _check_together(
-        bool(robots) and (bool(look.overrides) or look.deep or look.exploits),
-        "a robot file alone is only read; leave out --set, --deep and --exploits",
-    )
-    _check_together(
-        bool(look.stdin_name) and not has_stdin, "--stdin-filename needs - (standard input) as a scenario"
-    )
-    _check_together(
-        look.exploits and has_stdin, "--exploits needs a file: it records episodes of the scenario"
-    )
-    _check_together(is_watching and has_stdin, "--watch reads files; leave out -")
-    _check_together(may_fix and has_stdin, "--fix cannot change standard input; pass the name of the file")
-
-
-def _check_together(wrong: bool, sentence: str) -> None:
-    """Refuse options that are `wrong` together.
-
-    Raises:
-        UsageError: The options are given together.
-    """
-    if wrong:
-        raise UsageError(sentence)
 
 
 def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:

@@ -32,6 +32,7 @@ from deepbots_cli.cli.command import (
     Stage,
     Start,
     XacroArguments,
+    check_options,
     episodes_or_failed,
     integer,
     option,
@@ -109,6 +110,7 @@ def point(text: str) -> tuple[float, float, float]:
 
 
 def command(
+    ctx: typer.Context,
     shown: Shown,
     output: Annotated[
         Path | None,
@@ -235,9 +237,9 @@ def command(
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
-        of_episode = (driver, seed, episode, overrides, case, stage)
-        has_episode = last or any(value is not None for value in of_episode)
-        _check_robot_options(shown, kind, present, has_episode=has_episode)
+        check_options(ctx, "a robot file")
+        if kind != PICTURE:
+            raise UsageError(f"{shown} is a robot file, of which `render` makes a picture (.png)")
         pictures.check_target(file, SUFFIXES, force=force)
         _draw_robot(shown, file, shot, xacro_arguments(xacro), engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
@@ -248,11 +250,9 @@ def command(
 
     ref = _model(shown, kind, permissions, last=last)
     if episodes == FAILED_EPISODES:
-        if ref is None or last or any(value is not None for value in (seed, episode, driver)):
-            raise UsageError(
-                "--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and"
-                " --last"
-            )
+        check_options(ctx, "--episodes failed")
+        if ref is None:
+            raise UsageError(f"--episodes failed repeats an evaluation of a run, and {shown} is none")
         selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS, agent)
     else:
         selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
@@ -290,20 +290,6 @@ def _files(file: Path, kind: str, numbers: Sequence[int] | None, *, force: bool)
     for path in files:
         check_target(path, SUFFIXES, force=force)
     return files
-
-
-def _check_robot_options(reference: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
-    """Check the options of a picture of a robot file.
-
-    Raises:
-        UsageError: A picture of a robot file does not take an option.
-    """
-    needing_scenario = [name for name in present if name not in ("--size", "--from", "--at")]
-    if kind != PICTURE or needing_scenario or has_episode:
-        odd = f", and {needing_scenario[0]} needs a scenario" if needing_scenario else ""
-        raise UsageError(
-            f"{reference} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
-        )
 
 
 def _model(reference: str, kind: str, permissions: Permissions, *, last: bool) -> ModelRef | None:

@@ -33,6 +33,7 @@ from deepbots_cli.cli.command import (
     Page,
     Quiet,
     Workers,
+    check_options,
     integer,
     names,
     option,
@@ -273,6 +274,7 @@ Trained = Annotated[
 
 
 def command_resume(
+    ctx: typer.Context,
     trained: Trained,
     timesteps: Annotated[
         int | None,
@@ -299,11 +301,9 @@ def command_resume(
     permissions = Permissions(code=allow_code)
     source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
     group = Group.open(source) if source.kind is SourceKind.GROUP else None
-    changes = {"--timesteps": timesteps, "--full": full or None, "--callback": callbacks, "--logger": loggers}
-    options = changes | {"--trials": trials, "--view": to_view or None}
     output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if source.kind is SourceKind.STUDY:
-        _refuse_others("a study", options, "--trials")
+        check_options(ctx, "a study")
         study = Study.open(source)
         if trials is not None and trials != study.record.trials:
             with study.locked() as current:
@@ -323,13 +323,13 @@ def command_resume(
     settings["callbacks"] = None if callbacks is None else names(callbacks)
     settings["loggers"] = None if loggers is None else names(loggers)
     if group is not None:
-        _refuse_others("a group of seeds", options, *changes)
+        check_options(ctx, "a group of seeds")
         with arguments.executor(workers, address, len(group.record.seeds), quiet=quiet) as executor:
             announce = None if quiet else announce_seed
             training = learning.resume_group(trained, on_seed=announce, executor=executor, **settings)
             finish_group(training, executor, **output_options)
         return
-    _refuse_others("a run", options, *changes, "--view")
+    check_options(ctx, "a run")
     with (
         training_page(enabled=to_view, permissions=permissions) as show_page,
         arguments.executor(workers, address, quiet=quiet) as executor,
@@ -337,20 +337,6 @@ def command_resume(
         show_page(trained)
         result = learning.resume(trained, executor=executor, **settings)
     finish(result, **output_options)
-
-
-def _refuse_others(subject: str, options: dict[str, Any], *allowed: str) -> None:
-    """Refuse options that do not apply to the resumed object.
-
-    Raises:
-        UsageError: An option does not apply to it.
-    """
-    for name, value in options.items():
-        if value is not None and name not in allowed:
-            raise UsageError(
-                f"{name} does not go with {subject}; it takes:"
-                f" {', '.join((*allowed, '--workers', '--cluster'))}"
-            )
 
 
 def announce_seed(seed: int, number: int, count: int) -> None:

@@ -26,6 +26,7 @@ from deepbots_cli.cli.command import (
     Json,
     Overrides,
     Workers,
+    check_options,
     episodes_or_failed,
     finite,
     fraction,
@@ -512,6 +513,7 @@ def command_robustness(
 
 
 def command_diagnose(
+    ctx: typer.Context,
     source: Annotated[
         str,
         typer.Argument(
@@ -555,19 +557,18 @@ def command_diagnose(
     """Explain why a training does not learn, or why an episode ended."""
     permissions = Permissions(code=allow_code)
     if source.endswith(RECORDING_SUFFIX) and _is_log(Path(source)):
-        if only_logs or last or seed is not None or agent is not None:
-            raise UsageError("the log of a robot takes --episode and --json, and no other options")
+        check_options(ctx, "the log of a robot")
         _explain_log(Path(source), episode, as_json=as_json)
         return
     if episode is not None or source.endswith((".json", RECORDING_SUFFIX)):
-        if only_logs:
-            raise UsageError("--only-logs is for a training; leave it out, or leave out --episode")
+        kinds = {".json": "the file of a failed episode", RECORDING_SUFFIX: "a recording"}
+        kind = "--episode failed" if episode == FAILED_EPISODES else "an episode"
+        check_options(ctx, kinds.get(Path(source).suffix, kind))
         _explain_episode(
             source, episode, seed, last=last, as_json=as_json, permissions=permissions, agent=agent
         )
         return
-    if seed is not None or last:
-        raise UsageError("--seed and --last choose an episode; add --episode K")
+    check_options(ctx, "a training")
     _diagnose(Path(source), only_logs=only_logs, as_json=as_json, permissions=permissions, agent=agent)
 
 
@@ -639,21 +640,13 @@ def _trace(
         if is_failure
         else Source.open(reference, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
     )
-    is_recording = source is not None and source.kind is SourceKind.RECORDING
-    if (is_failure or is_recording) and (seed is not None or last or episode == FAILED_EPISODES):
-        raise UsageError(
-            "a recording or a failure has its own start and actions; leave out --seed, --last and --episode"
-            " failed"
-        )
-    if agent is not None and (is_failure or is_recording):
-        raise UsageError("a recording or a failure is about all of its agents; leave out --agent")
-    if is_recording:
+    if source is not None and source.kind is SourceKind.RECORDING:
+        if episode == FAILED_EPISODES:
+            raise UsageError("a recording does not tell which episodes failed; write --episode K")
         opened = Showing(reference, permissions=permissions).open()
         recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
         return next(trace.trace_recorded(opened, [recorded]))
     if source is None:
-        if episode is not None:
-            raise UsageError(f"{reference} contains a single episode; leave out --episode")
         return trace.trace_failure(Path(reference), permissions=permissions)
     ref = ModelRef.open(source, model="last" if last else "best")
     run = ref.run
@@ -661,8 +654,6 @@ def _trace(
         run.member(agent)
         run = run.of_agent(agent, beside_policies=True)
     if episode == FAILED_EPISODES:
-        if seed is not None or last:
-            raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
         failed, record = records.failed_episodes(ref, agent)
         return next(trace.trace_episodes(run, failed[:1], **record.replay_options, permissions=permissions))
     evaluation = last_episodes(ref) if seed is None and not last else None

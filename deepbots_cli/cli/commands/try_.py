@@ -30,10 +30,10 @@ from deepbots_cli.cli.command import (
     Stage,
     Start,
     Workers,
+    check_options,
     integer,
     option,
     start_values,
-    written_options,
 )
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
@@ -238,12 +238,7 @@ def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_
 
     if not environments.is_failure(path):
         return False
-    refused = [name for key, name in written_options(ctx).items() if key not in ("as_json", "allow_code")]
-    if refused:
-        raise UsageError(
-            f"leave out {', '.join(refused)}: the file of a failed episode already contains its scenario,"
-            " start and actions; only --json and --allow-code can be added"
-        )
+    check_options(ctx, "the file of a failed episode")
     failure, error = environments.reproduce(path, permissions=permissions)
     repeated = (
         f"repeated {counted(len(failure.actions), 'action')}:"

@@ -32,6 +32,7 @@ from deepbots_cli.cli.command import (
     Shown,
     Stage,
     Start,
+    check_options,
     integer,
     option,
     start_values,
@@ -260,6 +261,7 @@ def command_studio(
 
 
 def command_replay(
+    ctx: typer.Context,
     recording: Annotated[
         str,
         typer.Argument(
@@ -291,11 +293,7 @@ def command_replay(
 
     log = Path(recording)
     if is_robot_log(log):
-        if to_verify or tolerance or scenario or overrides:
-            raise UsageError(
-                "the log of a robot cannot run again; leave out all options, or compare it: deepbots"
-                " transfer RUN --log FILE"
-            )
+        check_options(ctx, "the log of a robot")
         _list_log(log, as_json=as_json)
         return
     from deepbots_cli.view.episodes import Showing
