@@ -151,12 +151,11 @@ def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, me
 @pytest.mark.parametrize(
     ("tensor", "reason"),
     [
-        (torch.zeros(3, 64), "shape"),
-        (torch.zeros(2, 64, dtype=torch.float64), "float64"),
+        (torch.zeros(3, 64), "size mismatch for action_net.weight"),
         (torch.full((2, 64), math.nan), "infinite or NaN"),
         (torch.full((2, 64), math.inf), "infinite or NaN"),
-        (torch.zeros(1).expand(2, 10**12), "shape"),
-        ("text", "is not a tensor"),
+        (torch.zeros(1).expand(2, 10**12), "size mismatch"),
+        ("text", "does not fit the policy"),
     ],
 )
 def test_a_tensor_that_does_not_fit_is_refused(run_copy: Path, tensor: Any, reason: str) -> None:
@@ -168,12 +167,12 @@ def test_missing_and_strange_tensors_are_named(run_copy: Path) -> None:
     path = run_copy / BEST
     whole = members(run_copy / BEST)
     changed(path, "policy", lambda state: state.pop(WEIGHT))
-    assert_refused(run_copy, "lacks 'policy/action_net.weight'")
+    assert_refused(run_copy, "action_net.weight")
     rewrite(path, whole)
     changed(path, "policy", lambda state: state.update(backdoor=torch.zeros(1)))
-    assert_refused(run_copy, "policy/backdoor")
+    assert_refused(run_copy, "backdoor")
     rewrite(path, whole | {"backdoor.pth": saved({"x": torch.zeros(1)})})
-    assert_refused(run_copy, "contains 'backdoor'")
+    assert_refused(run_copy, "has the parts backdoor, policy")
 
 
 def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path) -> None:
@@ -245,22 +244,23 @@ def test_a_checkpoint_of_another_network_is_refused(run_copy: Path) -> None:
     text = resolved.read_text()
     resolved.write_text(re.sub(r"hidden:\n(\s+- \d+\n)+", "hidden: [8]\n", text))
     assert resolved.read_text() != text
-    with pytest.raises(RunError, match=r"shape|lacks|contains"):
+    with pytest.raises(RunError, match="does not fit the policy of this scenario"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)
 
 
-@pytest.mark.parametrize("moment", ["step", "exp_avg", "exp_avg_sq"])
-def test_a_checkpoint_whose_optimizer_lacks_a_tensor_is_refused(run_copy: Path, moment: str) -> None:
-    (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
-    changed(path, "policy.optimizer", lambda state: state["state"][2].pop(moment))
-    with pytest.raises(RunError, match=f"lacks 'policy.optimizer/2/{moment}'"):
-        resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+OPTIMIZERS: dict[str, Callable[[dict[Any, Any]], object]] = {
+    "lacks a count": lambda state: state[2].pop("step"),
+    "lacks a moment": lambda state: state[2].pop("exp_avg_sq"),
+    "counts below zero": lambda state: state[0].update(step=torch.tensor(-1.0)),
+    "has a moment of another shape": lambda state: state[0].update(exp_avg=torch.zeros(3)),
+}
 
 
-def test_an_optimizer_that_counts_below_zero_is_refused(run_copy: Path) -> None:
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_a_checkpoint_with_moments_of_another_training_is_refused(run_copy: Path, name: str) -> None:
     (path,) = (run_copy / "checkpoints").glob("0*/model.zip")
-    changed(path, "policy.optimizer", lambda state: state["state"][0].update(step=torch.tensor(-1.0)))
-    with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):
+    changed(path, "policy.optimizer", lambda state: OPTIMIZERS[name](state["state"]))
+    with pytest.raises(RunError, match="has moments of another training|does not fit"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
 
 
@@ -843,7 +843,6 @@ ARRAYS: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "actions that are not numbers": lambda run: {"actions/0": np.full(5, np.nan)},
     "an array of another shape": lambda run: {"torch": np.zeros((2, 2528), np.uint8)},
     "an array of another type": lambda run: {"torch": np.zeros(5056, np.int64)},
-    "an array with a name of its own": lambda run: {"more": np.zeros(3)},
     "a generator that reads beyond its numbers": lambda run: {"torch": torch_generator(run)},
     "a generator of another size": lambda run: {"numpy": np.zeros(3, np.uint32)},
 }
