@@ -14,13 +14,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from test_cluster_workers import CASES, outcome, outcomes, trained
+from test_cluster_workers import CASES, outcomes, trained
 
 from deepbots_cli import api
 from deepbots_cli.learning import train_group
@@ -289,79 +289,3 @@ def test_workers_and_nodes_that_are_killed_change_nothing(
         if killer.killed:
             return
     pytest.fail("every training ended before the kill")
-
-
-def command(kind: str, folder: Path, *place: str) -> list[str]:
-    scenario, changes, steps = GROUP if kind == "group" else CASES[kind]
-    parts = ["--seeds", ",".join(map(str, SEEDS))] if kind == "group" else ["--shards", "2"]
-    return [
-        "train",
-        scenario,
-        *[part for change in changes for part in ("--set", change)],
-        *parts,
-        "--timesteps",
-        str(steps),
-        "--run",
-        str(folder),
-        "--quiet",
-        *place,
-    ]
-
-
-def begun(arguments: list[str]) -> subprocess.Popen[str]:
-    """The command, in a process of its own."""
-    hasty = [sys.executable, "-m", "tests.cluster.hasty", *arguments]
-    return subprocess.Popen(
-        hasty, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
-    )
-
-
-@pytest.mark.parametrize("number", range(20, 25))
-def test_a_driver_or_a_head_that_is_killed_loses_nothing(
-    number: int, started_processes: Processes, undisturbed: Callable[[str], Any], tmp_path: Path
-) -> None:
-    generator = random.Random(f"{SEED}/{number}")
-    kind = KINDS[number % len(KINDS)]
-    folder = tmp_path / "run"
-    is_head = number >= 23
-    waits_for_episode = generator.random() < 0.7
-    after = generator.uniform(0.0, 4.0)
-    if is_head:
-        pytest.importorskip("ray")
-    with cluster_of_nodes() if is_head else nullcontext() as nodes:
-        place = ["--workers", "2"]
-        if nodes is not None:
-            place = ["--cluster", nodes.address]
-            for _ in range(2):
-                nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
-        driver = begun(command(kind, folder, *place))
-        while not (has_episodes(folder) if waits_for_episode else folder.exists()) and driver.poll() is None:
-            time.sleep(0.02)
-        time.sleep(after)
-        started_processes.below(os.getpid())
-        is_ended = driver.poll() is not None
-        if nodes is not None:
-            nodes.head_node.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
-        else:
-            driver.kill()
-        _, printed = driver.communicate(timeout=90)
-        print(
-            f"KILLS_SEED={SEED} {number}: {kind}, {'head' if is_head else 'driver'} {after:.2f} s after the"
-            " first episode",
-            is_ended,
-        )
-        is_ended |= driver.returncode == 0  # between the question and the kill
-        assert (
-            is_ended
-            or not is_head
-            or printed.splitlines()[-1].startswith(
-                "error: the connection to Ray was lost, or this process was killed; to continue"
-            )
-        ), printed
-        assert "Traceback" not in printed
-    if not is_ended or kind != "group":
-        resumed = begun(["resume", str(folder), "--quiet", "--workers", "2"])
-        started_processes.below(os.getpid())
-        _, printed = resumed.communicate(timeout=300)
-        assert resumed.returncode == 0 or "is complete" in printed, printed
-    assert (outcomes if kind == "group" else outcome)(folder) == undisturbed(kind)

@@ -611,7 +611,7 @@ def test_a_lost_worker_is_charged_to_the_shard_that_it_worked_on(tmp_path: Path)
     run: Any = SimpleNamespace(path=tmp_path, digest="")
     shards = RemoteShards(cast(WorkerPool, pool), run, Permissions(), [[0], [1], [2], [3]], lambda _: None)
     with pytest.raises(RunError, match="shard 2 ended its worker 3 times"):
-        shards.begin([[]] * 4)
+        shards.work(None, [[]] * 4, [{}] * 4)()
 
 
 NODES = {"one node": (2,), "two nodes": (1, 1)}
