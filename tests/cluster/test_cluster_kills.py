@@ -119,13 +119,6 @@ def train(kind: str, folder: Path, place: Any) -> Any:
     return outcomes(folder)
 
 
-class Durations(NamedTuple):
-    """Seconds of a training until its first episodes are written, and from then on."""
-
-    start: float
-    episodes: float
-
-
 def has_episodes(folder: Path) -> bool:
     return any(
         log.read_text().count("\n") > 2
@@ -138,27 +131,6 @@ class Site:
 
     def __init__(self, place: HastyCluster, nodes: Any, started_processes: Processes) -> None:
         self.place, self._nodes, self._seen = place, nodes, started_processes
-        self._durations: dict[str, Durations] = {}
-
-    def durations(self, kind: str, folder: Path) -> Durations:
-        """The durations of a training without kills."""
-        if kind not in self._durations:
-            ended = threading.Event()
-            began = time.monotonic()
-            start: list[float] = []
-
-            def watch() -> None:
-                while not has_episodes(folder) and not ended.wait(0.02):
-                    pass
-                start.append(time.monotonic() - began)
-
-            watcher = threading.Thread(target=watch)
-            watcher.start()
-            train(kind, folder, self.place)
-            ended.set()
-            watcher.join()
-            self._durations[kind] = Durations(start[0], time.monotonic() - began - start[0])
-        return self._durations[kind]
 
     def kill(self, generator: random.Random) -> list[str]:
         """Kill one or two workers, or a node, for which another one joins; what was killed."""
@@ -230,15 +202,13 @@ def site(request: pytest.FixtureRequest, started_processes: Processes) -> Iterat
 class Killer(threading.Thread):
     """Kills once, at a random moment of a training: often after its first episode, else at any moment."""
 
-    def __init__(self, site: Site, folder: Path, durations: Durations, generator: random.Random) -> None:
+    def __init__(self, site: Site, folder: Path, generator: random.Random) -> None:
         super().__init__()
         self.killed: list[str] = []
         self._error: Exception | None = None
         self._site, self._folder, self._generator = site, folder, generator
         self._awaits_episode = generator.random() < 0.7
-        self._after = generator.uniform(
-            0.0, durations.episodes if self._awaits_episode else durations.start + durations.episodes
-        )
+        self._after = generator.uniform(0.0, 2.0 if self._awaits_episode else 6.0)
         self._ended = threading.Event()
 
     def run(self) -> None:
@@ -275,10 +245,9 @@ def test_workers_and_nodes_that_are_killed_change_nothing(
 ) -> None:
     kind = KINDS[number % len(KINDS)]
     expected = undisturbed(kind)
-    durations = site.durations(kind, tmp_path / "undisturbed")
     for attempt in range(10):  # until a training has not ended before the moment
         folder = tmp_path / str(attempt)
-        killer = Killer(site, folder, durations, random.Random(f"{SEED}/{number}/{attempt}"))
+        killer = Killer(site, folder, random.Random(f"{SEED}/{number}/{attempt}"))
         killer.start()
         try:
             result = train(kind, folder, site.place)

@@ -248,13 +248,6 @@ def test_forbidden_choices_are_never_taken_in_training_and_evaluation(tmp_path: 
     assert resume(run, total_timesteps=400, build=OneWay).steps >= 400
 
 
-def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> None:
-    run = learned(
-        stand_in.build, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)
-    ).run
-    assert evaluate(run, episodes=3, build=stand_in.build).episodes == 3
-
-
 def test_an_algorithm_that_is_not_installed_is_refused_with_the_command_to_install_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
