@@ -55,23 +55,11 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from tests.commands import Deepbots
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
     return evaluate(trained.run, build=stand_in.build, **settings).model_dump(mode="json")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("deterministic", [pytest.param(True, marks=pytest.mark.slow), False])
-def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(
-    trained: TrainingResult, deterministic: bool
-) -> None:
-    results = [
-        figures(trained, episodes=13, copies=copies, deterministic=deterministic) for copies in (1, 3, 8)
-    ]
-    assert results[0] == results[1] == results[2]
-    assert results[0]["least_return"] != results[0]["greatest_return"]
 
 
 def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult) -> None:
@@ -621,8 +609,7 @@ SHORT = Training(
 
 
 class PaidByTurn:
-    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE`
-    worlds."""
+    """Builds worlds that pay 1 a step to the models that play in certain turns."""
 
     def __init__(self, *turns: int) -> None:
         self.turns = turns
@@ -631,7 +618,7 @@ class PaidByTurn:
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
         self.count += 1
-        return Paid(program, self, float((self.count - 1) // FORWARD_BATCH_SIZE in self.turns))
+        return Paid(program, self, float(self.count - 1 in self.turns))
 
 
 class Paid(stand_in.CartPole):

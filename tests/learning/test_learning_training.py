@@ -818,7 +818,7 @@ def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
             return super().step(action) if self.episodes > 1 else stand_in.CartPole.step(self, action)
 
     with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: .*'center'"):
-        evaluate(run_copy, episodes=2, copies=1, build=Late)
+        evaluate(run_copy, episodes=2, build=Late)
     assert (run_copy / "failures" / "0001.json").exists()
 
 
