@@ -37,12 +37,10 @@ from deepbots_cli.learning.executor import UNWATCHED, Attempt, CallOptions, Item
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.collector import (
-    Evaluated,
     EvaluationOrder,
     Order,
     RunningEpisode,
     ShardPool,
-    ShardResult,
 )
 from deepbots_cli.rollout.worlds import Array
 
@@ -246,22 +244,17 @@ class ShardWorker:
 
         began = time.process_time()
         try:
-            observations = None
-            if beginning is not None:
-                if number not in self._shards:
-                    run = Run.open(self._path)
-                    build = supervisor_factory(run.record.engine, permissions=beginning.permissions)
-                    self._shards[number] = Shard(run, build, number, beginning.worlds)
-                observations = self._shards[number].begin(beginning.episodes)
-            if order is None:
-                return observations
-            shard = self._shards[number]
-            answer = (
-                shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)
-            )
-            return replace(answer, cpu_seconds=time.process_time() - began, worker=self._number)
+            if beginning is not None and number not in self._shards:
+                run = Run.open(self._path)
+                build = supervisor_factory(run.record.engine, permissions=beginning.permissions)
+                self._shards[number] = Shard(run, build, number, beginning.worlds)
+            episodes = None if beginning is None else beginning.episodes
+            answer = self._shards[number].work(order, memory, episodes)
         except DeepbotsError as error:
             return error
+        if order is None:
+            return answer
+        return replace(answer, cpu_seconds=time.process_time() - began, worker=self._number)
 
 
 class RemoteShards:
@@ -297,34 +290,19 @@ class RemoteShards:
         self._started = self._failed_starts = 0
         self._next_start = 0.0
 
-    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
-        self._homes = [None] * len(self._worlds)
-        return self._work(None, [{} for _ in self._worlds], episodes)()
-
-    def collect(
-        self,
-        order: Order,
-        memories: Sequence[Mapping[str, Array]],
-        episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[ShardResult]]:
-        return self._work(order, memories, episodes)
-
-    def evaluate(
-        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
-    ) -> list[Evaluated]:
-        return self._work(order, [{} for _ in self._worlds], episodes)()
-
     def close(self) -> None:
         for worker in self._workers.values():
             self._pool.end(worker)
 
-    def _work(
+    def work(
         self,
         order: Order | EvaluationOrder | None,
-        memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
+        memories: Sequence[Mapping[str, Array]],
     ) -> Callable[[], list[Any]]:
         """Ask all shards, each on its worker. The result waits for the answers, and replaces lost workers."""
+        if order is None:
+            self._homes = [None] * len(self._worlds)
         self._find_homes()
         shared = self._pool.share(order)
         answers: dict[int, Any] = {}

@@ -9,22 +9,20 @@ learner defines its own part; the running episodes are kept as starts and action
 generators are restored last. Log entries from after the checkpoint are cut off, and logged again.
 
 A run may come from someone else, and libraries do not check the state that they are given. Therefore every
-number has bounds here, and an array must have the dtype and the shape of the one that it replaces, which are
-compared before the array is read. Nothing is unpickled.
+number has bounds here, and an array must have the dtype and the shape of the one that it replaces. Nothing is
+unpickled.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import random
 import shutil
 import struct
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
@@ -42,7 +40,7 @@ from deepbots_cli.learning.runs.curriculum import CurriculumState
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.episodes import StatisticsState
 from deepbots_cli.learning.runs.records import MAX_STATE_BYTES
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, opened_archive
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.rollout.collector import ShardState
 from deepbots_cli.runtime.batch import EpisodeHistory
@@ -249,42 +247,6 @@ def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
 
 # The arrays
 
-_OVERHEAD_BYTES = 1_000_000
-
-
-@dataclass(frozen=True)
-class ArraySpec:
-    """The shape and type that an array of a checkpoint must have. With `max_rows` it may have fewer rows, of
-    any numeric type of up to 8 bytes."""
-
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-    max_rows: int | None = None
-    is_optional: bool = False
-
-    @classmethod
-    def like(cls, array: Array) -> Self:
-        return cls(array.dtype, array.shape)
-
-    @property
-    def max_bytes(self) -> int:
-        return (
-            math.prod(self.shape) * self.dtype.itemsize
-            if self.max_rows is None
-            else math.prod((self.max_rows, *self.shape)) * 8
-        )
-
-    def accepts(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
-        if self.max_rows is None:
-            return shape == self.shape and dtype == self.dtype
-        # `np.array` of an episode without actions has no further axes.
-        is_empty = shape == (0,)
-        return (
-            dtype.kind in "biuf"
-            and dtype.itemsize <= 8
-            and (is_empty or (shape[0:1] <= (self.max_rows,) and shape[1:] == self.shape))
-        )
-
 
 def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
     """Write an uncompressed `.npz`, with a member `data` if there is such a text."""
@@ -300,9 +262,8 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
                 )
 
 
-def read_arrays(path: Path, specs: Mapping[str, ArraySpec], ignored: Sequence[str] = ()) -> dict[str, Array]:
-    """Read the arrays of an uncompressed `.npz`. They match `specs`, and all numbers are finite. Members in
-    `ignored` are not read.
+def read_arrays(path: Path) -> dict[str, Array]:
+    """Read the arrays of an uncompressed `.npz`. All are numbers, and finite.
 
     Raises:
         RunError: The file is missing, damaged, or has other content.
@@ -310,47 +271,29 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], ignored: Sequence[st
     if not path.is_file():
         raise RunError(f"{path} is missing")
     try:
-        if path.stat().st_size > _OVERHEAD_BYTES + sum(spec.max_bytes + 1_000 for spec in specs.values()):
-            raise ValueError("it is larger than what it should hold")
-        with zipfile.ZipFile(path) as archive:
-            members = [member for member in archive.infolist() if member.filename not in ignored]
-            # Compressed members, and members that share bytes, could expand to any size.
-            if sum(member.file_size for member in members) > path.stat().st_size or any(
-                m.compress_type for m in members
-            ):
-                raise ValueError("it is compressed")
-            names = [member.filename.removesuffix(".npy") for member in members]
-            arrays = {
-                name: _read_array(archive, member, specs.get(name))
-                for name, member in zip(names, members, strict=True)
-            }
-        missing = [name for name, spec in specs.items() if name not in arrays and not spec.is_optional]
-        if missing:
-            raise ValueError(f"'{missing[0]}' is missing")
+        opened_archive(path, path.stat().st_size).close()
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: array for name, array in file.items() if isinstance(array, np.ndarray)}
+        for name, array in arrays.items():
+            if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
+                raise ValueError(f"'{name[:80]}' contains other values than finite numbers")
     except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds of exceptions
         reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
         raise RunError(f"{path} is damaged ({reason})") from error
     return arrays
 
 
-def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySpec | None) -> Array:
-    name = repr(member.filename[:80])
-    with archive.open(member) as stream:
-        if np.lib.format.read_magic(stream) != (1, 0):
-            raise ValueError(f"{name} is of an unknown version")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        if spec is None or fortran or not spec.accepts(shape, dtype):
-            raise ValueError(f"{name} is {dtype.str[:20]} of shape {str(shape)[:60]}, which does not fit")
-        size = math.prod(shape) * dtype.itemsize
-        # One byte more, so that a member longer than its header says is noticed.
-        content = stream.read(size + 1)
-    if len(content) != size:
-        raise ValueError(f"{name} does not match its header")
-    # An array over bytes cannot be written to.
-    array = np.frombuffer(content, dtype).reshape(shape).copy()
-    if dtype.kind == "f" and not np.isfinite(array).all():
-        raise ValueError(f"{name} contains infinite or NaN values")
-    return array
+def check_alike(arrays: Arrays, present: Arrays) -> None:
+    """Refuse arrays of other shapes and types than the present ones of the same names.
+
+    Raises:
+        ValueError: One does not fit, or is missing.
+    """
+    for name, array in present.items():
+        other = arrays.get(name)
+        if other is None or (other.shape, other.dtype) != (array.shape, array.dtype):
+            description = "missing" if other is None else f"{other.dtype.str[:20]} of shape {other.shape}"
+            raise ValueError(f"'{name}' is {description}")
 
 
 def check_torch_generator(state: Array) -> None:
@@ -595,45 +538,25 @@ class Checkpoints:
         if self.state is not None and self._folder is not None:
             with damage_explained(self.run, self._folder):
                 self._learner.load(self._folder / "model.zip")
-                self._restore(self.state, read_arrays(self._folder / "arrays.npz", self._specs(self.state)))
+                self._restore(self.state, read_arrays(self._folder / "arrays.npz"))
             self._last = self._previous = self._learner.steps
             self._due = time.monotonic() + INTERVAL_S
         for follow in self.on_restored:
             follow()
 
-    def _specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        """Return the specifications of the arrays of the checkpoint, derived from the arrays of a training
-        that has just begun."""
+    def _restore(self, state: CheckpointState, arrays: Arrays) -> None:
         worlds = len(self._collector.state().episodes)
         if len(state.starts) != worlds:
             raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
-        specs = {
-            name: ArraySpec.like(array)
-            for name, array in self._arrays().items()
-            if not name.startswith("actions/")
-        }
-        shape = np.shape(self._collector.action_space.sample())
-        rows = self._collector.rows // worlds
-        team = (rows, *shape) if rows > 1 else shape
-        specs |= {
-            f"actions/{index}": ArraySpec(np.dtype(float), team, longest_episode(self.run.program))
-            for index in range(worlds)
-        }
-        if state.steps and self._learner.setup.training.staleness:
-            weights = self._learner.actor().parameters()
-            specs |= {
-                f"stale/{name}": ArraySpec.like(array)
-                for name, array in weights.items()
-                if isinstance(array, np.ndarray)
-            }
-        return (
-            specs
-            | self._learner.specs(state)
-            # Seed and offset of torch's generator for CUDA, 8 bytes each.
-            | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
+        present = self._arrays()
+        check_alike(
+            arrays,
+            {
+                name: array
+                for name, array in present.items()
+                if not name.startswith("actions/") and (name != "cuda" or name in arrays)
+            },
         )
-
-    def _restore(self, state: CheckpointState, arrays: Arrays) -> None:
         arithmetic = self._arithmetic()
         for name, value in state.arithmetic.items():
             if arithmetic.get(name) != value:
@@ -668,7 +591,12 @@ class Checkpoints:
             )
             for index, start in enumerate(state.starts)
         ]
+        longest = longest_episode(self.run.program)
         for episode in episodes:
+            if len(episode.actions) > longest:
+                raise ValueError(
+                    f"an episode of {len(episode.actions)} actions; the longest one has {longest}"
+                )
             check_actions(np.array(episode.actions), self._collector.action_space)
         # Seeds of their own, because the model has been trained on the first episodes.
         seeds = [

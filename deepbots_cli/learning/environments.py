@@ -122,8 +122,7 @@ class EvaluationWorlds:
         build: Makes a single world.
         run: The run that keeps a file of each failure.
         engine: The engine of a batch; empty if there is none.
-        batch: The number of worlds of a batch. Fewer episodes are left to single worlds.
-        singles: The number of single worlds.
+        batch: The number of worlds of a batch. Fewer episodes are left to a single world.
     """
 
     def __init__(
@@ -133,16 +132,14 @@ class EvaluationWorlds:
         *,
         engine: str = "",
         batch: int = 0,
-        singles: int = 1,
     ) -> None:
         self._build = build
         self._run = run
         self._engine = engine
         self._size = batch
-        self._count = singles
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
-        self._singles: list[FailureRecorder] = []
+        self._single: FailureRecorder | None = None
 
     def enter(self, program: Program, *, case: str | None = None, stage: str | None = None) -> None:
         """Play in this scenario from now on; it is the scenario of a case or stage."""
@@ -158,7 +155,7 @@ class EvaluationWorlds:
     @property
     def first(self) -> gym.Env[Any, Any]:
         """A world, whose spaces are those of all worlds."""
-        return self._single_worlds()[0] if self._batch is None else self._batch.singles[0]
+        return self._single_world() if self._batch is None else self._batch.singles[0]
 
     def has_batch_for(self, episodes: int) -> bool:
         """Return whether a batch plays so many episodes."""
@@ -176,34 +173,34 @@ class EvaluationWorlds:
     ) -> list[Episode]:
         """Play an episode from each seed, or only the episodes with these `numbers`.
 
-        They are the same in a batch and in any number of single worlds. With `until`, they end with the first
+        They are the same in a batch and in a single world. With `until`, they end with the first
         episode for which it returns True.
         """
         numbers = range(len(seeds)) if numbers is None else numbers
         if self._batch is not None and self.has_batch_for(len(numbers)):
-            with suppress(DeepbotsError):  # single worlds report its place, and keep the episode
+            with suppress(DeepbotsError):  # a single world reports its place, and keep the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
                 return ordered_episodes(finished, range(len(numbers)), on_episode, until)
-        worlds = self._single_worlds()
-        for world in worlds:
-            world.seeds = seeds
-        finished = play_episodes(policy, worlds, seeds, deterministic=deterministic, numbers=numbers)
+        world = self._single_world()
+        world.seeds = seeds
+        finished = play_episodes(policy, world, seeds, deterministic=deterministic, numbers=numbers)
         return ordered_episodes(finished, numbers, on_episode, until)
 
-    def _single_worlds(self) -> list[FailureRecorder]:
-        while self._program is not None and len(self._singles) < self._count:
-            world = self._build(self._program)
-            self._singles.append(
-                FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage)
+    def _single_world(self) -> FailureRecorder:
+        if self._single is None:
+            if self._program is None:
+                raise RuntimeError("the worlds have no scenario yet")
+            self._single = FailureRecorder(
+                self._build(self._program), self._run, self._program, case=self._case, stage=self._stage
             )
-        return self._singles
+        return self._single
 
     def close(self) -> None:
-        for world in self._singles:
-            world.close()
+        if self._single is not None:
+            self._single.close()
         if self._batch is not None:
             self._batch.close()
-        self._singles = []
+        self._single = None
         self._batch = None
         self._program = None
 

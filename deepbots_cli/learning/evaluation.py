@@ -71,7 +71,6 @@ def evaluate(
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
     stage: str | None = None,
-    copies: int | None = None,
     permissions: Permissions = Permissions(),
     engine: str | None = None,
     build: WorldFactory | None = None,
@@ -82,7 +81,7 @@ def evaluate(
     """Evaluate the policy of a run on episodes that it was not trained on.
 
     Each episode has its own seed, derived from `seed` and the episode number. The result therefore does not
-    depend on the number of worlds, and the first ten of a hundred episodes are the same as in an evaluation
+    depend on how many run at once, and the first ten of a hundred episodes are the same as in an evaluation
     of ten episodes. Training episodes use other seeds. All cases use the same seeds, so they differ only in
     their settings.
 
@@ -100,8 +99,6 @@ def evaluate(
             be those of the run.
         case: Name of the case of `evaluation` to evaluate in.
         stage: Name of the stage of the curriculum to evaluate in.
-        copies: Number of single worlds to run at a time, 1 to 8. By default deepbots runs a batch of worlds
-            if engine and scenario support it, otherwise 8 single worlds.
         permissions: With `code`, the scenario may run functions of installed Python packages.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
@@ -119,7 +116,7 @@ def evaluate(
     ref = ModelRef.open(run, model=model)
     model = ref.name
     setting = _Setting(ref.run, episodes, seed, scenario, case, stage, permissions, engine, build)
-    policy = _Policy(model, deterministic, copies)
+    policy = _Policy(model, deterministic)
     rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
     if executor.is_here or rounds == 1:
         outcomes = setting.play(range(setting.episodes), policy, on_episode, until)
@@ -156,7 +153,6 @@ class _Policy:
 
     model: ModelName
     deterministic: bool
-    copies: int | None
 
 
 class _Part(NamedTuple):
@@ -193,7 +189,7 @@ def play_models(
         executor: Where the episodes run; the result does not depend on it.
         options: `seed`, `permissions` and `build`, as for `evaluate`.
     """
-    calls = [_Part(run, options, numbers, _Policy(model, True, None)) for model in models]
+    calls = [_Part(run, options, numbers, _Policy(model, True)) for model in models]
     return results(executor.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
 
 
@@ -254,7 +250,7 @@ def until_enough(
     """
     for count in range(1, result.episodes):
         if until(result.outcomes[:count]):
-            other_options = ("model", "deterministic", "copies", "on_episode")
+            other_options = ("model", "deterministic", "on_episode")
             setting = _Setting(
                 run, **{name: value for name, value in options.items() if name not in other_options}
             )
@@ -379,15 +375,10 @@ class _Setting:
         """Play the episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
         seeds = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
         count = len(numbers)
-        copies = (
-            max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
-            if policy.deterministic
-            else 1
-        )
-        engine = self.engine if self.engine and policy.deterministic and policy.copies is None else ""
+        engine = self.engine if self.engine and policy.deterministic else ""
         run = self.run if self.judged is None else None
         evaluation_worlds = EvaluationWorlds(
-            self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS), singles=min(count, copies)
+            self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS)
         )
         with torch_settings(), closing(evaluation_worlds) as worlds:
             worlds.enter(self.program, case=self.case, stage=self.stage)

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from deepbots_cli.errors import StorageError, UsageError
+from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.checkpoints import (
     Array,
-    ArraySpec,
     CheckpointState,
+    check_alike,
     read_arrays,
     write_arrays,
 )
@@ -269,10 +269,6 @@ class Learner(ABC):
     def arrays(self) -> dict[str, Array]:
         """Return the arrays of a checkpoint beside the model."""
 
-    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        """Return the required shapes and types of these arrays."""
-        return _specs(self.arrays())
-
     @abstractmethod
     def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         """Continue from a checkpoint, after `load`, in restored worlds; `same` is true if their observations
@@ -363,7 +359,12 @@ class ArrayLearner(Learner):
             write_arrays(draft, self.weights(), data=json.dumps({"num_timesteps": self.steps}))
 
     def load(self, path: Path) -> None:
-        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), ignored=("data",)))
+        arrays = read_arrays(path)
+        try:
+            check_alike(arrays, self.weights())
+        except ValueError as error:
+            raise RunError(f"{path} is damaged ({error})") from error
+        _overwrite(self.weights(), arrays)
 
     def arrays(self) -> dict[str, Array]:
         return self.memory()
@@ -425,10 +426,6 @@ def create(setup: Setup) -> Learner:
         MissingExtraError: The algorithm is of a package that is not installed.
     """
     return class_of(setup.training)(setup)
-
-
-def _specs(arrays: Mapping[str, Array]) -> dict[str, ArraySpec]:
-    return {name: ArraySpec.like(array) for name, array in arrays.items()}
 
 
 def _overwrite(arrays: Mapping[str, Array], values: Mapping[str, Array]) -> None:

@@ -24,7 +24,7 @@ from pydantic_core import to_jsonable_python
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.checkpoints import Array, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.runs.run import DATA, data_of, opened_archive
 from deepbots_cli.learning.sb3.logs import AgentLog
@@ -337,13 +337,6 @@ class MultiAgentLearner(Learner):
             _array_name(name, key): array
             for name, learner in self._distinct_learners.items()
             for key, array in learner.arrays().items()
-        }
-
-    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        return {
-            _array_name(name, key): spec
-            for name, learner in self._distinct_learners.items()
-            for key, spec in learner.specs(self._own_state(state, name, learner)).items()
         }
 
     def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointPart, CheckpointState
+from deepbots_cli.learning.checkpoints import Array, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState, check_shared
 from deepbots_cli.learning.runs.records import PoolGames, Rating
@@ -340,15 +340,6 @@ class SelfPlayLearner(MultiAgentLearner):
                 for number, past in enumerate(self.pool)
                 for name, array in past.weights.items()
             },
-        }
-
-    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        assert isinstance(state, SelfPlayState)
-        weights = {name: ArraySpec.like(array) for name, array in self._learner.weights().items()}
-        return super().specs(state) | {
-            _pool_name(number, name): spec
-            for number in range(len(state.pool))
-            for name, spec in weights.items()
         }
 
     def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:

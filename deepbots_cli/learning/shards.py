@@ -192,6 +192,19 @@ class Shard:
         self._policy: Learner | None = None
         self._evaluation = EvaluationWorlds(build, run)
 
+    def work(
+        self,
+        order: Order | EvaluationOrder | None,
+        memory: Mapping[str, Array],
+        episodes: Sequence[RunningEpisode] | None,
+    ) -> Any:
+        """Bring the worlds to the end of `episodes`, if there are some. Returns the answer to the order, or
+        the observations without one."""
+        observations = None if episodes is None else self.begin(episodes)
+        if order is None:
+            return observations
+        return self.evaluate(order) if isinstance(order, EvaluationOrder) else self.collect(order, memory)
+
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
         """Bring the worlds to the end of these episodes. Returns the observations."""
         self._stack.close()
@@ -298,24 +311,17 @@ class LocalShards:
     def __init__(self, shards: Sequence[Shard]) -> None:
         self._shards = shards
 
-    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
-        return [
-            shard.begin(shard_episodes) for shard, shard_episodes in zip(self._shards, episodes, strict=True)
-        ]
-
-    def collect(
+    def work(
         self,
-        order: Order,
-        memories: Sequence[Mapping[str, Array]],
+        order: Order | EvaluationOrder | None,
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[ShardResult]]:
-        results = [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
-        return lambda: results
-
-    def evaluate(
-        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
-    ) -> list[Evaluated]:
-        return [shard.evaluate(order) for shard in self._shards]
+        memories: Sequence[Mapping[str, Array]],
+    ) -> Callable[[], list[Any]]:
+        answers = [
+            shard.work(order, memory, begun if order is None else None)
+            for shard, begun, memory in zip(self._shards, episodes, memories, strict=True)
+        ]
+        return lambda: answers
 
     def close(self) -> None:
         for shard in self._shards:

@@ -7,7 +7,7 @@ recordings.py         the episodes in a recording, and in the log of a robot
 worlds.py             worlds that run side by side: single worlds, and the worlds of a batch
 collector.py          fragments of experience, from worlds in this process and from shards
 seats.py              the experience of each of several agents in the same worlds
-policies.py           a trained policy as a driver; evaluations in several worlds at a time
+policies.py           a trained policy as a driver; evaluations in a world, or in a batch of them
 
 Environments are stepped in `episode.steps`, one at a time, and in `worlds.SingleWorlds` and
 `worlds.BatchEpisodes`, side by side. Outside of this package, wrappers pass `step` on, and benchmarks time

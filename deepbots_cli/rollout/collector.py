@@ -445,24 +445,15 @@ class RunningEpisode(NamedTuple):
 class ShardPool(Protocol):
     """The shards of a training, wherever they run."""
 
-    def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
-        """Bring the worlds of each shard to the end of these episodes. Returns the observations of each
-        shard."""
-
-    def collect(
+    def work(
         self,
-        order: Order,
-        memories: Sequence[Mapping[str, Array]],
+        order: Order | EvaluationOrder | None,
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[ShardResult]]:
-        """Request the result of each shard, from `episodes` on, which are those after the last result. The
-        returned function waits for the result."""
-
-    def evaluate(
-        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
-    ) -> list[Evaluated]:
-        """Return the part of each shard in an evaluation. `episodes` are those after the last result, and do
-        not change."""
+        memories: Sequence[Mapping[str, Array]],
+    ) -> Callable[[], list[Any]]:
+        """Request the answer of each shard to an order: a `ShardResult`, or its part of an evaluation
+        (`Evaluated`). `episodes` are those after the last result. Without an order, the worlds are brought to
+        their end, and the answers are the observations. The returned function waits for the answers."""
 
 
 class ShardListener(Protocol):
@@ -563,6 +554,7 @@ class ShardedCollector(FetchingCollector):
         self._is_ahead = is_ahead
         self._listener = listener
         self._sizes = sizes
+        self._no_memories: list[Mapping[str, Array]] = [{} for _ in sizes]
         self._stages = stages
         self.agents = agents
         self._anew(seeds)
@@ -593,7 +585,9 @@ class ShardedCollector(FetchingCollector):
 
     def _begun(self) -> Any:
         self.starts = np.repeat([not len(episode.actions) for episode in self.episodes], self._width)
-        return join_observations(np.concatenate, self._pool.begin(self._by_shard(self.episodes)))
+        return join_observations(
+            np.concatenate, self._pool.work(None, self._by_shard(self.episodes), self._no_memories)()
+        )
 
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
@@ -637,7 +631,7 @@ class ShardedCollector(FetchingCollector):
         order = Order(
             {**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson
         )
-        return self._pool.collect(order, memories, self._by_shard(self.episodes))
+        return self._pool.work(order, self._by_shard(self.episodes), memories)
 
     def _note_times(self, results: Sequence[ShardResult], seconds: float) -> None:
         busy: dict[int, float] = {}
@@ -653,7 +647,7 @@ class ShardedCollector(FetchingCollector):
         """Play an episode of the policy from each seed, in the order of the seeds."""
         order = EvaluationOrder(actor.parameters(), seeds, stage)
         episodes_by_number: dict[int, Episode] = {}
-        for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
+        for answer in self._pool.work(order, self._by_shard(self.episodes), self._no_memories)():
             self._listener.on_answer(answer)
             episodes_by_number.update(answer.episodes)
         return [episodes_by_number[number] for number in range(len(seeds))]

@@ -1,4 +1,4 @@
-"""Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds
+"""Episodes of a policy, in a world or in a batch of them, with results that do not depend on which
 (`runtime/spaces.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
 for every policy.
 """
@@ -17,12 +17,9 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.rollout.episode import (
     Driver,
     Episode,
-    EpisodeAccumulator,
     OnEpisode,
     Start,
-    Step,
     play,
-    steps,
 )
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -37,43 +34,19 @@ StopCondition = Callable[[Sequence[Episode]], bool]
 
 def play_episodes(
     policy: Predictor,
-    worlds: Sequence[gym.Env[Any, Any]],
+    world: gym.Env[Any, Any],
     seeds: Sequence[int],
     *,
     deterministic: bool,
-    numbers: Sequence[int],
+    numbers: Iterable[int],
 ) -> Iterator[NumberedEpisode]:
-    """Play the episodes with these `numbers`, each from its seed. They are yielded in the order in which they
-    end.
+    """Play the episodes with these `numbers`, each from its seed.
 
-    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents,
-    uses only one. An episode depends on its seed and its number only, so it is the same for any number of
-    worlds, and for any division of the numbers.
+    An episode depends on its seed and its number only, so it is the same for any division of the numbers.
     """
-    if has_copies(worlds[0]):
-        driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
-        yield from ((number, play(worlds[0], driver, Start(seeds[number]))) for number in numbers)
-        return
-    # Each episode seeds the one generator from which a policy samples, so such episodes cannot take turns.
-    together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
-    forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
-    by_row = [
-        [number for number in numbers if number % FORWARD_BATCH_SIZE == row]
-        for row in range(FORWARD_BATCH_SIZE)
-    ]
-    rows = [row for row, episodes in enumerate(by_row) if episodes]
-    for first in range(0, len(rows), together):
-        lanes = [
-            EvaluationLane(world, row, by_row[row], seeds)
-            # The last rows may be fewer than the worlds.
-            for world, row in zip(worlds, rows[first : first + together], strict=False)
-        ]
-        running = [lane for lane in lanes if lane.begin(forward)]
-        while running:
-            actions = forward.predict(policy, deterministic=deterministic)
-            stepped = [(lane, lane.step(actions[lane.row], forward)) for lane in running]
-            yield from ((lane.number, episode) for lane, episode in stepped if episode is not None)
-            running = [lane for lane, episode in stepped if episode is None or lane.begin(forward)]
+    driver = PolicyDriver(policy, world, deterministic=deterministic)
+    for number in numbers:
+        yield number, play(world, driver, Start(seeds[number], number=number))
 
 
 def ordered_episodes(
@@ -235,41 +208,3 @@ def _choices(world: gym.Env[Any, Any]) -> int | None:
 def _masks(world: gym.Env[Any, Any], forward: ForwardPass) -> Array | None:
     """Return which options the world allows, if the policy takes masks."""
     return None if forward.masks is None else world.get_wrapper_attr("action_masks")()
-
-
-class EvaluationLane:
-    """A world that plays its episodes `numbers`, in one row of a forward pass."""
-
-    def __init__(
-        self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]
-    ) -> None:
-        self.row = self.number = row
-        self._world = world
-        self._numbers = iter(numbers)
-        self._seeds = seeds
-        self._accumulator = EpisodeAccumulator()
-        self._action: Any = None
-        self._steps: Iterator[Step] = iter(())
-
-    def begin(self, forward: ForwardPass) -> bool:
-        """Start the next episode, and return whether there was one."""
-        number = next(self._numbers, None)
-        if number is None:
-            return False
-        self.number = number
-        seed = self._seeds[number]
-        _seed_sampling(derive_seed(seed, "policy"))  # only a policy that samples draws from it
-        forward.starts[self.row] = True
-        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed, number=number))
-        first = next(self._steps)
-        self._accumulator.begin(seed, first.info)
-        forward.put(self.row, first.observation, _masks(self._world, forward))
-        return True
-
-    def step(self, action: Any, forward: ForwardPass) -> Episode | None:
-        """Make a step. Returns the episode, if this step was its last."""
-        self._action = action
-        step = next(self._steps)
-        self._accumulator.add(step.reward, step.info)
-        forward.put(self.row, step.observation, _masks(self._world, forward))
-        return self._accumulator.close(step.info) if step.is_last else None

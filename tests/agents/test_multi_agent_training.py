@@ -569,13 +569,13 @@ def test_an_evaluation_beside_a_policy_is_the_same_in_a_batch(trained_alike: Pat
     model = load_model(Run.open(tmp_path / "run"), "last")
     build = supervisor_factory("mujoco")
     played = []
-    for setting in ({"engine": "mujoco", "batch": 20}, {"singles": 1}, {"singles": 3}):
+    for setting in ({"engine": "mujoco", "batch": 20}, {}):
         worlds = EvaluationWorlds(build, **setting)  # type: ignore[arg-type]  # the settings of each
         with closing(worlds):
             worlds.enter(program)
             assert worlds.has_batch_for(20) == ("batch" in setting)
             played.append(worlds.play(model, range(20)))
-    assert played[0] == played[1] == played[2]
+    assert played[0] == played[1]
 
 
 def test_a_training_beside_others_steps_its_worlds_together(tmp_path: Path) -> None:

@@ -727,16 +727,16 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
 def evaluated(
     name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()
 ) -> tuple[list[Episode], list[Episode]]:
-    """Episodes of an untrained policy in a batch, and in two single worlds."""
+    """Episodes of an untrained policy in a batch, and in a single world."""
     program = api.compile(name, overrides=overrides).program
     assert program.agent.training is not None
-    singles = [api.build(program, engine="mujoco") for _ in range(2)]
+    single = api.build(program, engine="mujoco")
     numbers = range(len(seeds))
-    with closing(SingleWorlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
+    with closing(SingleWorlds([single], [0])), closing(api.build_batch(program, worlds)) as many:
         policy = learner.create(
             learner.Setup(program.agent.training, many.observation_space, many.action_space)
         )
-        apart = play_episodes(policy, singles, seeds, deterministic=True, numbers=numbers)
+        apart = play_episodes(policy, single, seeds, deterministic=True, numbers=numbers)
         return ordered_episodes(play_batch(policy, many, seeds), numbers), ordered_episodes(apart, numbers)
 
 

@@ -1,12 +1,10 @@
-"""Trainings that take a checkpoint several times a second, so that short ones have some; as a program, the
-commands of deepbots.
+"""Trainings that take a checkpoint several times a second, so that short ones have some.
 
 The result of a training does not depend on its checkpoints.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Generator, Iterable
 from functools import partial
 from typing import Any
@@ -34,13 +32,3 @@ class HastyCluster(Cluster):
         self, function: Callable[[Any, Attempt], Any], items: Iterable[Any], **options: Any
     ) -> Generator[Any | DeepbotsError | None]:
         return super().map(partial(call, function), items, **options)
-
-
-if __name__ == "__main__":
-    import deepbots_cli.cluster
-    from deepbots_cli.cli import main
-    from tests.cluster.hasty import HastyCluster as Importable
-
-    hurry()
-    deepbots_cli.cluster.Cluster = Importable  # type: ignore[misc]
-    sys.exit(main(sys.argv[1:]))

@@ -27,8 +27,7 @@ from contextlib import suppress
 from functools import cache
 from itertools import takewhile
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -38,9 +37,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.ray_cluster import node_messages_silenced
-from deepbots_cli.cluster.session import RemoteShards
-from deepbots_cli.cluster.worker_pool import LocalProcesses, Owed, Worker, WorkerLost, WorkerPool
-from deepbots_cli.document import Permissions
+from deepbots_cli.cluster.worker_pool import LocalProcesses, Owed, Worker, WorkerLost
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import evaluate, evaluate_group, resume, resume_group, train, train_group
 from deepbots_cli.learning.campaigns.group import GroupTraining
@@ -564,54 +561,6 @@ def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> 
         assert processes.wait([lost], timeout_s=20.0) == [lost]
         with pytest.raises(WorkerLost, match="ended by SIGKILL"):
             processes.answer(lost)
-
-
-class WrittenPool:
-    """A pool of two workers that answer and are lost as `events` says: (worker, is lost), one after the
-    other. Each loss or answer is that of the first call of the worker."""
-
-    workers = 2
-
-    def __init__(self, events: list[tuple[int, bool]]) -> None:
-        self.events = events
-        self.calls: list[tuple[int, str, int]] = []
-        self.lost: set[int] = set()
-
-    def share(self, value: object) -> object:
-        return value
-
-    def free(self) -> int:
-        return 0 if self.calls else self.workers
-
-    def start(self, kind: object, run: object, number: int) -> int:
-        return number
-
-    def ask(self, worker: int, method: str, *arguments: Any) -> int:
-        self.calls.append((worker, method, arguments[0]))
-        return len(self.calls) - 1
-
-    def wait(self, owed: Any, count: int = 1, timeout_s: float | None = None) -> list[int]:
-        if self.calls[min(owed)][1] == "unmet":
-            return sorted(owed)
-        worker, is_lost = self.events.pop(0)
-        self.lost |= {worker} if is_lost else set()
-        return [min(call for call in owed if self.calls[call][0] == worker)]
-
-    def answer(self, owed: int) -> object:
-        worker, method, _ = self.calls[owed]
-        if method == "work" and worker in self.lost:
-            raise WorkerLost("its process ended")
-        return None
-
-
-def test_a_lost_worker_is_charged_to_the_shard_that_it_worked_on(tmp_path: Path) -> None:
-    """Worker 0 has the shards 0 and 2, and gets 1 and 3 after those of worker 1, which is lost in 1. Each of
-    the next workers is lost in shard 2."""
-    pool = WrittenPool([(1, True), (0, False), (0, True), (2, True), (3, True)])
-    run: Any = SimpleNamespace(path=tmp_path, digest="")
-    shards = RemoteShards(cast(WorkerPool, pool), run, Permissions(), [[0], [1], [2], [3]], lambda _: None)
-    with pytest.raises(RunError, match="shard 2 ended its worker 3 times"):
-        shards.begin([[]] * 4)
 
 
 NODES = {"one node": (2,), "two nodes": (1, 1)}

@@ -141,7 +141,7 @@ def test_an_evaluation_as_it_is_written_is_read(run: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"wheels": 4}, "'wheels': deepbots writes no such key here"),
+        ({"wheels": 4}, "unknown field `wheels`"),
         ({"result": {"confirmations": 10**30}}, "'result.confirmations': Input should be less"),
         ({"seed": 10**30}, "'seed': Input should be less"),
         ({"total_timesteps": -1}, "'total_timesteps': Input should be greater"),

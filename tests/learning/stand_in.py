@@ -193,6 +193,51 @@ class CartPole(gym.Env[Any, Any]):
         self.closed += 1
 
 
+class Reach(CartPole):
+    """A point on a line that has to get to another; its reward follows from the two."""
+
+    def __init__(self, program: Program, render_mode: str | None = None) -> None:
+        super().__init__(program, render_mode)
+        one = gym.spaces.Box(-1, 1, (1,), np.float32)
+        self.observation_space = gym.spaces.Dict(
+            {"observation": one, "achieved_goal": one, "desired_goal": one}
+        )
+        self.action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = 0.0
+        self.goal = float(self.np_random.uniform(-1, 1))
+        return self._seen(), self._info(None)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.place = float(np.clip(self.place + 0.2 * action[0], -1, 1))
+        self.steps += 1
+        seen = self._seen()
+        reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}))
+        cut = self.steps >= 10
+        return (
+            seen,
+            reward,
+            False,
+            cut,
+            self._info("max_steps" if cut else None) | {"is_success": reward == 0.0},
+        )
+
+    def _seen(self) -> dict[str, Any]:
+        place = np.array([self.place], np.float32)
+        return {
+            "observation": place,
+            "achieved_goal": place,
+            "desired_goal": np.array([self.goal], np.float32),
+        }
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
+        return -(np.abs(achieved - desired)[..., 0] > 0.1).astype(np.float32)
+
+
 def build(program: Program, *, render_mode: str | None = None) -> CartPole:
     return CartPole(program, render_mode)
 

@@ -754,25 +754,6 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
 
 
 @pytest.mark.slow
-def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
-    build = Worlds(poor)
-    result = learned(tmp_path, build, total=300)
-    (path,) = (result.run / "checkpoints").glob("0*/state.json")
-    state = json.loads(path.read_text())
-    for name in ("candidates", "confirmations", "confirmation_steps", "returns"):
-        state["callback"].pop(name)
-    state["callback"] |= {
-        "best": [True, True, 200.0],
-        "confirmed": True,
-        "solved_seen": True,
-        "evaluation_steps": 10**6,
-    }
-    path.write_text(json.dumps(state))
-    again = resume(result.run, total_timesteps=1_500, build=build)
-    assert len(evaluated_steps(again)) > 1  # although older versions spent more steps on evaluations
-
-
-@pytest.mark.slow
 def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: Path) -> None:
     build = Worlds(lambda number: (1.0, number == 0), choice=good)
     notes = Notes()

@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import stand_in
 from pydantic import ValidationError
@@ -27,8 +26,7 @@ from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState, LevelSpread
-from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.shards import make_worlds, outcomes_of
+from deepbots_cli.learning.shards import outcomes_of
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import SUCCESS, Criterion, Levels, Solved, Training
 from deepbots_cli.rollout import Episode
@@ -154,15 +152,6 @@ def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
     assert result.best.mean_return == 8.0
 
 
-def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
-    result = learned(tmp_path, staged(SHORT, None), total_timesteps=96)
-    assert result.stage == "b"
-    before = len(monitor_rows(result.run))
-    again = resume(result.run, total_timesteps=300, build=stand_in.build)
-    assert {row["stage"] for row in monitor_rows(result.run)[before:]} == {"b"}
-    assert again.stages == result.stages
-
-
 @pytest.mark.slow
 def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resumed(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, LONG, None), stage="b", total_timesteps=96)
@@ -206,11 +195,6 @@ def test_a_last_stage_with_settings_of_its_own_is_confirmed_in_the_scenario(tmp_
     assert result.best.mean_return == result.solved_at.mean_return
 
 
-def test_the_same_seed_goes_the_same_way(through: TrainingResult, tmp_path: Path) -> None:
-    again = learned(tmp_path, staged(SHORT, LONG, None))
-    assert (again.weights_digest, again.stages) == (through.weights_digest, through.stages)
-
-
 def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, Criterion("mean_return", 100.0, 5), None))
     evaluation = evaluate(result.run, episodes=2, build=stand_in.build)
@@ -244,14 +228,6 @@ def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: P
 def test_a_checkpoint_that_does_not_fit_is_refused(state: dict[str, Any]) -> None:
     with pytest.raises((RunError, ValidationError)):
         Curriculum(staged(SHORT, None).program).restore(CurriculumState.model_validate(state), [0])
-
-
-def test_a_forged_run_whose_stages_never_end_is_refused(tmp_path: Path) -> None:
-    run = learned(tmp_path, staged(SHORT, None), total_timesteps=96).run
-    resolved = run / "resolved.yaml"
-    resolved.write_text(resolved.read_text().replace("until:", "nothing:", 1))
-    with pytest.raises(RunError, match="does not compile"):
-        Run.open(run)
 
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
@@ -298,18 +274,6 @@ def path_of(levels: Levels, outcomes: list[str], level: int = 0, draw: Any = non
     for each in outcomes:
         visited.append(levels.next(visited[-1], [each], draw))
     return visited
-
-
-def test_a_world_that_always_succeeds_is_one_level_higher_after_each_episode() -> None:
-    assert path_of(rule(), ["won"] * 6) == [0, 1, 2, 3, 4, 4, 4]
-
-
-def test_a_world_that_always_fails_stays_in_the_lowest_level() -> None:
-    assert path_of(rule(), ["lost"] * 3) == [0, 0, 0, 0]
-
-
-def test_another_ending_leaves_the_level() -> None:
-    assert path_of(rule(), ["won", "max_steps", "won", "lost", "not_finite"]) == [0, 1, 1, 2, 1, 1]
 
 
 def test_after_the_highest_level_a_random_one_follows() -> None:
@@ -406,53 +370,6 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
     assert len(set(visited)) > 2
     for before, row, after in zip(visited, rows, visited[1:], strict=False):
         assert after == levels.next(before, [row["ended_by"]], none_drawn)
-
-
-@pytest.mark.slow
-def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., TrainingResult]) -> None:
-    from contextlib import ExitStack
-
-    from deepbots_cli.learning.environments import supervisor_factory
-    from deepbots_cli.learning.runs.run import Run
-    from deepbots_cli.learning.shards import WorldPlan
-
-    run = Run.open(whole().run)
-    steps: list[list[Any]] = []
-
-    def alone(program: Any, **settings: Any) -> Any:
-        """Builds worlds that cannot be a batch, since another function builds them."""
-        return api.build(program, engine="mujoco", **settings)
-
-    for build in (supervisor_factory("mujoco"), alone):
-        with ExitStack() as stack:
-            stages = [0, 1, 0, 1]
-            worlds = make_worlds(
-                stack,
-                WorldPlan(run, build, range(4), stages, lambda: 0),
-                on_step=lambda: None,
-                on_episode=lambda world, episode, stage, drawn: None,
-                next_episode=lambda: 1,
-                note=lambda text: None,
-            )
-            trajectory = [worlds.reset().tolist()]
-            generator = np.random.default_rng(0)
-            for _ in range(300):
-                actions = np.full(4, generator.integers(0, 2))
-                trajectory.append((worlds.step_all(actions).observations.tolist(), tuple(stages)))
-            assert max(max(levels) for _, levels in trajectory[1:]) == 5
-            histories = worlds.histories()
-        steps.append(trajectory)
-        with ExitStack() as stack:
-            again = make_worlds(
-                stack,
-                WorldPlan(run, build, range(4), list(stages), lambda: 0),
-                on_step=lambda: None,
-                on_episode=lambda world, episode, stage, drawn: None,
-                next_episode=lambda: 1,
-                note=lambda text: None,
-            )
-            assert again.repeat(histories).tolist() == trajectory[-1][0]
-    assert (type(worlds).__name__, steps[0]) == ("SingleWorlds", steps[1])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shutil
 from dataclasses import replace
@@ -52,29 +51,15 @@ from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
-from deepbots_cli.program import Program, identity
-from deepbots_cli.program.resets import EpisodeDraws
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
-from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from tests.commands import Deepbots
-from tests.few import few
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
     return evaluate(trained.run, build=stand_in.build, **settings).model_dump(mode="json")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("deterministic", [pytest.param(True, marks=pytest.mark.slow), False])
-def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(
-    trained: TrainingResult, deterministic: bool
-) -> None:
-    results = [
-        figures(trained, episodes=13, copies=copies, deterministic=deterministic) for copies in (1, 3, 8)
-    ]
-    assert results[0] == results[1] == results[2]
-    assert results[0]["least_return"] != results[0]["greatest_return"]
 
 
 def test_evaluate_takes_the_path_of_a_run_as_text(trained: TrainingResult) -> None:
@@ -92,22 +77,6 @@ def test_evaluate_takes_another_scenario_by_its_path_as_train_does(trained: Trai
 def test_other_seeds_are_other_starts(trained: TrainingResult) -> None:
     assert figures(trained, episodes=20, seed=0) != figures(trained, episodes=20, seed=1)
     assert figures(trained, episodes=20, seed=0) == figures(trained, episodes=20, seed=0)
-
-
-def test_the_figures_belong_together(trained: TrainingResult) -> None:
-    result = evaluate(trained.run, build=stand_in.build)
-    assert (result.episodes, sum(result.endings.values())) == (20, 20)
-    assert (
-        result.mean_return == pytest.approx(result.mean_length) == pytest.approx(result.term_means["alive"])
-    )
-    assert result.return_interval is not None
-    assert result.return_interval[0] <= result.mean_return <= result.return_interval[1]
-    assert result.success_interval[0] <= result.success_rate <= result.success_interval[1]
-    assert result.least_return <= result.mean_return <= result.greatest_return
-    text = evaluation_text(result)
-    assert "95 %" in text
-    assert text.splitlines()[-1] == result.verdict
-    assert json.loads(json.dumps(result.model_dump(mode="json")))["episodes"] == 20
 
 
 def test_on_episode_is_called_after_each_episode(trained: TrainingResult) -> None:
@@ -325,19 +294,6 @@ def masses(program: Program) -> list[float]:
     ]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", few(["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"], ["find_ball_random"])
-)
-def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(name: str) -> None:
-    base, conditions = changes(name)
-    plain = api.compile(name)
-    for levels in conditions.values():
-        changed = changed_scenario(base, [*levels.values()][-1])
-        assert identity.differences(plain.program, changed.program) == []
-        assert changed.digest != plain.digest
-
-
 def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     base, conditions = changes("cartpole")
     plain = api.compile("cartpole").program
@@ -370,26 +326,6 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     assert ground.friction == 0.5
     noisy = changed("observation noise", "10% of the range").agent.numbers
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "case", "stage"),
-    [("find_ball_random", None, "crowded"), pytest.param("quadruped", "rough", None, marks=pytest.mark.slow)],
-)
-def test_in_a_case_or_stage_its_settings_apply_before_the_changes(
-    name: str, case: str | None, stage: str | None
-) -> None:
-    base, conditions = changes(name, case, stage)
-    plain = api.compile(name).program.variant(case, stage)
-
-    def variant(change: Change) -> Program:
-        return changed_scenario(base, change).program.variant(case, stage)
-
-    assert identity.task_digest(variant({})) == identity.task_digest(plain)
-    assert any(condition.startswith("friction of the ground") for condition in conditions)
-    for levels in conditions.values():
-        assert identity.task_digest(variant([*levels.values()][-1])) != identity.task_digest(plain)
 
 
 def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: TrainingResult) -> None:
@@ -447,49 +383,6 @@ def test_the_levels_of_a_latency_are_whole_timesteps_whatever_the_timestep(tmp_p
         assert latency is not None
         counts.append(60 * latency.scalar.value)  # type: ignore[union-attr]
     assert counts == pytest.approx([1, 2, 4, 8], abs=1e-12)
-
-
-THINGS = """objects:
-  ball: {shape: sphere, radius: 5 cm, pose: {y: 2 m}}
-  crate:
-    mass: 3 kg
-    pose: {y: 1 m}
-    one_of:
-      light: {shape: sphere, radius: 5 cm, mass: 1 kg}
-      heavy: {shape: sphere, radius: 5 cm}
-"""
-
-
-def test_the_mass_of_kinds_and_the_mass_by_default_can_be_changed(tmp_path: Path) -> None:
-    path = extended(tmp_path, THINGS)
-    for name in ("ball", "crate"):
-        base, conditions = conditions_of(path, name)
-        ball, crate = changed_scenario(base, conditions[f"mass of {name}"]["x 2"]).program.world.objects
-        water = 1000 * 4 / 3 * math.pi * 0.05**3
-        assert ball.mass == pytest.approx(water * (2 if name == "ball" else 1))
-        assert [kind.mass for kind in crate.variants] == ([2, 6] if name == "crate" else [1, 3])
-
-
-@pytest.mark.parametrize(
-    ("links", "nominal"),
-    [
-        ("{body: {mass: 3 kg}, '*': {mass: urdf * 2}}", 6),
-        ("{body: {density: 900 kg/m^3}}", None),
-        ("{'*': {mass: urdf * uniform(0.5 .. 2)}}", 2 * 1.25),
-        ("{body: {mass: urdf * uniform(0.5 .. 2)}}", 2 * 1.25),
-    ],
-)
-def test_the_mass_of_a_link_is_changed_where_a_pattern_a_density_or_a_draw_sets_it(
-    tmp_path: Path, links: str, nominal: float | None
-) -> None:
-    path = extended(tmp_path, f"robots: {{cart: {{links: {links}}}}}\n")
-    base, conditions = conditions_of(path, "cart.body")
-    before = api.compile(path).program
-    after = changed_scenario(base, conditions["mass of cart.body"]["x 2"]).program
-    assert nominal is None or masses(before)[0] == pytest.approx(nominal)
-    assert masses(after) == pytest.approx([2 * masses(before)[0], *masses(before)[1:]])
-    names = [{entry.name for entry in EpisodeDraws(program).noted} for program in (before, after)]
-    assert names[0] == names[1]
 
 
 def test_the_observation_of_one_agent_of_several_has_noise_and_that_of_the_other_has_not() -> None:
@@ -716,8 +609,7 @@ SHORT = Training(
 
 
 class PaidByTurn:
-    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE`
-    worlds."""
+    """Builds worlds that pay 1 a step to the models that play in certain turns."""
 
     def __init__(self, *turns: int) -> None:
         self.turns = turns
@@ -726,7 +618,7 @@ class PaidByTurn:
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
         self.count += 1
-        return Paid(program, self, float((self.count - 1) // FORWARD_BATCH_SIZE in self.turns))
+        return Paid(program, self, float(self.count - 1 in self.turns))
 
 
 class Paid(stand_in.CartPole):

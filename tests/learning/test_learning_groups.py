@@ -289,18 +289,6 @@ def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> 
     )
 
 
-def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(
-    trained_group: GroupTraining, tmp_path: Path
-) -> None:
-    variant = train(
-        stand_in.compiled(training=SHORT, speed_range=1.0), run=tmp_path / "other", build=stand_in.build
-    ).run
-    comparison = compare([trained_group.group / "seed-0", variant], episodes=4, build=stand_in.build)
-    assert comparison.scenario is None
-    assert any("observation.speed" in note for note in comparison.notes)
-    assert not any("rewards differ" in note for note in comparison.notes)
-
-
 def test_a_damaged_group_is_refused_in_one_sentence(trained_group: GroupTraining, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(trained_group.group, tmp_path / "copy"))
     record = json.loads((copy / "group.json").read_text())

@@ -29,12 +29,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import stand_in
 import torch
-import yaml
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.envs import BitFlippingEnv
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -44,7 +42,6 @@ from stand_in import hyper
 from deepbots_cli import api
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.cli.records import training_text
-from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import PluginError, RunError, UsageError
 from deepbots_cli.learning import (
     TrainingResult,
@@ -52,11 +49,9 @@ from deepbots_cli.learning import (
     evaluate,
     load_policy,
     resume,
-    resume_group,
     train,
     train_group,
 )
-from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.executor import SERIAL, Executor
@@ -64,11 +59,9 @@ from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
-from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.learning.teaching import Teaching
 from deepbots_cli.learning.training import measure_shards
-from deepbots_cli.program import Program
 from deepbots_cli.program.task import (
     ActionNoise,
     AdaptiveRate,
@@ -79,11 +72,8 @@ from deepbots_cli.program.task import (
     Teacher,
     Training,
 )
-from deepbots_cli.rollout.collector import Order, RunningEpisode, ShardPool, ShardResult
-from deepbots_cli.rollout.source import Source
-from deepbots_cli.rollout.worlds import Array, SingleWorlds, observation_digest
-from deepbots_cli.runtime.batch import EpisodeHistory
-from deepbots_cli.scenario import Scenario
+from deepbots_cli.rollout.collector import EvaluationOrder, Order, RunningEpisode, ShardPool
+from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record
 from tests.few import few
@@ -97,54 +87,42 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(["stand_in", "deepbots_cli.learning.training"])
 
 
-def work(name: str, run: Path, seed: int) -> None:
+def work(name: str, run: Path) -> None:
     """Begin a training, or continue it; checkpoints follow each other fast, and their times change nothing in
     the result."""
-    checkpoints.INTERVAL_S, checkpoints.MIN_INTERVAL_PER_COST = (0.5, 10) if name in SHIPPED else (0.02, 2)
+    checkpoints.INTERVAL_S, checkpoints.MIN_INTERVAL_PER_COST = 0.02, 2
     if (run / "run.json").exists():
         if Run.open(run).record.status != "finished":
             resume(run, build=build_of(name))
     else:
         shutil.rmtree(run, ignore_errors=True)  # killed while it was made
-        train(
-            compiled_of(name), run=run, seed=seed, stop_when_solved=name not in SHIPPED, build=build_of(name)
-        )
+        train(compiled_of(name), run=run, build=build_of(name))
 
 
-def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.SIGKILL, seed: int = 0) -> int:
+def in_a_process(name: str, run: Path, kill_after: float) -> int:
     """Work in a process of its own, and kill it; its exit code."""
-    process = FORKS.Process(target=work, args=(name, run, seed))
+    process = FORKS.Process(target=work, args=(name, run))
     process.start()
     process.join(kill_after)
     if process.is_alive():
-        os.kill(process.pid or 0, number)
+        os.kill(process.pid or 0, signal.SIGKILL)
     process.join(60)
     assert process.exitcode is not None
     return process.exitcode
 
 
-def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = signal.SIGKILL) -> None:
-    """Train twice, once with kills at random moments; a shipped scenario takes its seed, the small ones have
-    a single uninterrupted run."""
-    root = seed if name in SHIPPED else 0
-    whole = folder / f"whole-{root}"
-    parts = folder / f"parts-{seed}"
-    generator = random.Random(seed)
+def survives(name: str, folder: Path, kills: int) -> None:
+    """Train twice, once with kills at random moments."""
+    whole, parts = folder / "whole", folder / "parts"
+    generator = random.Random(0)
     began = time.perf_counter()
-    if not whole.exists():
-        assert in_a_process(name, whole, 1800.0, seed=root) == 0
-        (folder / f"seconds-{root}").write_text(str(time.perf_counter() - began))
-    took = float((folder / f"seconds-{root}").read_text())
-    code = 1
+    assert in_a_process(name, whole, 1800.0) == 0
+    took = time.perf_counter() - began
     for _ in range(kills):
-        code = in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2, number, root)
-        if code == 0 and number == signal.SIGKILL:
-            break
-        assert code == -number or number == signal.SIGINT
+        in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2)
         if (parts / "run.json").exists():
             Run.open(parts)
-    if code != 0 or ((parts / "run.json").exists() and Run.open(parts).record.status != "finished"):
-        assert in_a_process(name, parts, 1800.0, seed=root) == 0
+    assert in_a_process(name, parts, 1800.0) == 0
     expected, continued = outcome(whole), outcome(parts)
     for part in expected:
         assert continued[part] == expected[part], part
@@ -216,36 +194,6 @@ CASES: dict[str, dict[str, Any]] = {
     },
 }
 
-_CARTPOLE = "n_steps: 64, batch_size: 64, learning_rate: 3e-3 -> 0"
-SHIPPED = {
-    "CartPole PPO": ("cartpole", f"algorithm: PPO, total_timesteps: 20000, environments: 4, {_CARTPOLE}"),
-    "FindBall PPO": ("find_ball_random", "algorithm: PPO, total_timesteps: 20000, environments: 4"),
-    **{
-        f"CartPole {algorithm}": (
-            "cartpole_continuous",
-            f"algorithm: {algorithm}, total_timesteps: 3000, environments: 2",
-        )
-        for algorithm in ("TD3", "SAC", "DDPG")
-    },
-    **{
-        f"FindBall {algorithm}": (
-            "find_ball_random",
-            f"algorithm: {algorithm}, total_timesteps: 2400, environments: 2",
-        )
-        for algorithm in ("TD3", "SAC", "DDPG")
-    },
-    "FindBall PPO, teacher": (
-        "find_ball_random",
-        "algorithm: PPO, total_timesteps: 8000, environments: 4, n_steps: 64, batch_size: 64, teacher:"
-        " {script: along_path, share: 0.6}",
-    ),
-    "FindBall SAC, teacher": (
-        "find_ball_random",
-        "algorithm: SAC, total_timesteps: 2400, environments: 2, teacher: along_path",
-    ),
-}
-"""Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its
-curriculum by steps."""
 
 _SMALL_PPO = (
     "algorithm: PPO, environments: 8, n_steps: 16, batch_size: 64, n_epochs: 2, network: {hidden: [16]}"
@@ -264,48 +212,13 @@ def compiled_of(name: str) -> api.Compiled:
     if name in AGENTS:
         scenario, section = AGENTS[name]
         return api.compile(scenario, overrides=[f"train={{{section}}}", "evaluation.episodes=5"])
-    if name in SHIPPED:
-        return _shipped(*SHIPPED[name])
     return stand_in.compiled(**{"solved": Solved(30, mean_return=190.0)} | CASES[name])
 
 
-def _shipped(scenario: str, section: str) -> api.Compiled:
-    """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps
-    each."""
-    base = Scenario.from_yaml(Source.open(scenario).path)
-    training = yaml.safe_load(f"{{{section}}}")
-    changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}, "tests": {}}
-    if base.curriculum:
-        stages = [stage.model_dump(exclude_unset=True) for stage in base.curriculum]
-        changes["curriculum"] = [
-            stage | {"until": f"{training['total_timesteps'] // 4} steps"} if "until" in stage else stage
-            for stage in stages
-        ]
-    return api.compile(Scenario(**base.model_dump(exclude_unset=True) | changes))
-
-
 def build_of(name: str) -> Any:
-    if name in SHIPPED or name in AGENTS:
+    if name in AGENTS:
         return None
-    return Reach if name == "HER" else stand_in.build
-
-
-class Reach(stand_in.CartPole):
-    """The cart-pole, for a policy with goals."""
-
-    def __init__(self, program: Program, render_mode: str | None = None) -> None:
-        super().__init__(program, render_mode)
-        goal = gym.spaces.Box(-1, 1, (1,), np.float32)
-        self.observation_space = gym.spaces.Dict(
-            {"observation": self.observation_space, "achieved_goal": goal, "desired_goal": goal}
-        )
-
-    def _observation(self) -> Any:
-        achieved, desired = np.array([self.x / 0.4], np.float32), np.array([0.25], np.float32)
-        return {"observation": super()._observation(), "achieved_goal": achieved, "desired_goal": desired}
-
-    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
-        return -(np.abs(achieved - desired)[..., 0] > 0.05).astype(np.float32)
+    return stand_in.Reach if name == "HER" else stand_in.build
 
 
 @pytest.mark.parametrize("name", few(list(CASES), ["TD3"]))
@@ -319,73 +232,6 @@ def test_a_training_that_is_killed_becomes_the_same_as_one_that_is_not(tmp_path:
 )
 def test_so_does_every_agent_of_several(tmp_path: Path, name: str, kills: int) -> None:
     survives(name, tmp_path, kills)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "trainings"), [("PPO", 20), ("TD3", 5), ("SAC", 5), ("DDPG", 5)])
-def test_so_do_many(tmp_path: Path, name: str, trainings: int) -> None:
-    for seed in range(trainings):
-        survives(name, tmp_path, 3, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "seed"),
-    [(f"{task} PPO", seed) for task in ("CartPole", "FindBall") for seed in range(10)]
-    + [
-        (f"{task} {name}", seed)
-        for name in ("TD3", "SAC", "DDPG")
-        for task, count in (("CartPole", 3), ("FindBall", 2))
-        for seed in range(count)
-    ]
-    + [(f"FindBall {name}, teacher", seed) for name in ("PPO", "SAC") for seed in range(5)],
-)
-def test_so_does_a_training_in_the_simulator(tmp_path: Path, name: str, seed: int) -> None:
-    survives(name, tmp_path, 1 + seed % 3, seed)
-
-
-@pytest.mark.slow
-def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> None:
-    generator = random.Random(0)
-    run = tmp_path / "run"
-    kills = 0
-    with_checkpoint = 0
-    began = time.perf_counter()
-    assert in_a_process("PPO", tmp_path / "whole", 120.0) == 0
-    took = time.perf_counter() - began
-    while kills < 200:
-        code = in_a_process("PPO", run, generator.uniform(0.0, took))
-        kills += code == -signal.SIGKILL
-        if (run / "run.json").exists():
-            opened = Run.open(run)
-            if (last := checkpoints.latest_checkpoint(opened)) is not None:
-                checkpoints.read_state(last, StableState)
-                assert all(path.is_file() for path in (opened.model("best"), opened.model("last")))
-                with_checkpoint += 1
-        if code == 0:
-            shutil.rmtree(run)
-    assert with_checkpoint > 50
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", few(shipped.scenario_names(), ["find_and_avoid"]))
-def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
-    """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
-    compiled = api.compile(name, permissions=Permissions(code=True))
-    with closing(SingleWorlds([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
-        env.reset()
-        env.action_space.seed(1)
-        ended, steps = 0, 0
-        while steps < 12 or (not ended and steps < 3_000):
-            dones = env.step_all(np.array([env.action_space.sample() for _ in range(env.rows)]))[2]
-            ended = ended + bool(dones[0])
-            steps = 0 if dones[0] else steps + 1
-        (history,) = env.histories()
-        digest = observation_digest(env.observations)
-    kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
-    with closing(SingleWorlds([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
-        env.reset()
-        assert observation_digest(env.repeat([kept])) == digest
 
 
 @pytest.mark.slow
@@ -412,20 +258,6 @@ def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None
     run = train(stand_in.compiled(training=training), run=tmp_path / "run", build=stand_in.build).run
     assert resume(run, total_timesteps=400, build=stand_in.build).steps == 400
     assert resume(run, total_timesteps=480, build=stand_in.build).steps == 480
-
-
-@pytest.mark.slow
-def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
-    run = train(
-        compiled_of("PPO"),
-        run=tmp_path / "run",
-        total_timesteps=1_000,
-        keep_checkpoints=4,
-        build=stand_in.build,
-    ).run
-    kept = sorted(path.name for path in (run / "models" / "agent").glob("step-*.zip"))
-    assert len(kept) == 4
-    assert kept[0] == "step-000000288.zip"  # the first rollout of 96 steps that ends after 250
 
 
 def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_over(tmp_path: Path) -> None:
@@ -491,24 +323,6 @@ def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_aga
         assert not run.exists()
 
 
-@pytest.mark.slow
-def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(
-    tmp_path: Path,
-) -> None:
-    whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=200, build=stand_in.build).run
-    cut = shutil.copytree(whole, tmp_path / "cut")
-    with (
-        files_of_at_most(8_000),
-        pytest.raises(UsageError, match=r"cannot be written: file too large") as caught,
-    ):
-        resume(cut, total_timesteps=400, build=stand_in.build)
-    assert f"is kept; continue from there with: deepbots resume {cut}" in caught.value.full_message
-    for run in (whole, cut):
-        resume(run, total_timesteps=400, build=stand_in.build)
-    for part in ("models", "monitor", "scalars"):
-        assert outcome(cut)[part] == outcome(whole)[part]
-
-
 def test_the_threads_of_torch_are_those_of_the_caller_afterwards(tmp_path: Path) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(2)
@@ -530,18 +344,20 @@ class Forgetful:
         self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Any
     ) -> ShardPool:
         class Pool(LocalShards):
-            def collect(
+            def work(
                 self,
-                order: Order,
-                memories: Sequence[Mapping[str, Array]],
+                order: Order | EvaluationOrder | None,
                 episodes: Sequence[Sequence[RunningEpisode]],
-            ) -> Callable[[], list[ShardResult]]:
-                self.close()
-                self._shards = [
-                    Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))
-                ]
-                self.begin(episodes)
-                return super().collect(order, memories, episodes)
+                memories: Sequence[Mapping[str, Array]],
+            ) -> Callable[[], list[Any]]:
+                if isinstance(order, Order):
+                    self.close()
+                    self._shards = [
+                        Shard(run, build, number, worlds)
+                        for number, worlds in enumerate(world_numbers(training))
+                    ]
+                    super().work(None, episodes, memories)
+                return super().work(order, episodes, memories)
 
         pool = Pool(
             [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
@@ -647,14 +463,6 @@ def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
     options: dict[str, Any] = {"total_timesteps": STEPS, "stop_when_solved": False}
     whole = becomes_the_same(compiled, tmp_path, steps, **options)
     assert {"teacher/weight", "teacher/driven_worlds", "teacher/mean_return"} <= whole["scalars"].keys()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", few(TAUGHT, ["PPO in stages"]))
-def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: Path, name: str) -> None:
-    two = ["train.shards=2"]
-    kept = taught(name, tmp_path / "kept", two, executor=SERIAL)
-    assert taught(name, tmp_path / "lost", two, executor=Forgetful()) == kept
 
 
 def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
@@ -1075,17 +883,6 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path, instal
     assert rest.stopped_by is None
     assert rest.inexact == ("the callbacks changed at 0 steps from gone to none",)
     assert (RunRecord.read(run).callbacks, RunRecord.read(run).loggers) == ((), ())
-
-
-@pytest.mark.slow
-def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path, installed: None) -> None:
-    train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"])
-    with pytest.raises(UsageError, match="there is no callback 'gone'"):
-        resume_group(tmp_path / "group", total_timesteps=200, callbacks=["gone"], build=stand_in.build)
-    assert Group.open(tmp_path / "group").record.callbacks == ("impatient",)
-    rest = resume_group(tmp_path / "group", total_timesteps=200, callbacks=(), build=stand_in.build)
-    assert [result.stopped_by for result in rest.trained] == [None, None]
-    assert Group.open(tmp_path / "group").record.callbacks == ()
 
 
 @pytest.mark.slow

@@ -71,18 +71,6 @@ def test_a_stack_repeats_whole_frames_oldest_first(small: Make) -> None:
     assert observations[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
 
 
-def test_histories_do_not_reach_over_a_reset(small: Make) -> None:
-    environment = small(
-        "reward: {pay: drive}\n",
-        "observation={cart.place: {range: -1 .. 1 m, history: 5}, previous_action: auto}",
-    )
-    first, _ = environment.reset(seed=3)
-    for _ in range(7):
-        environment.step(np.array([1.0], np.float32))
-    again, _ = environment.reset(seed=3)
-    np.testing.assert_array_equal(first, again)
-
-
 def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Make) -> None:
     observations = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
     assert observations == [[0], [1], [-0.5], [1]]
@@ -171,10 +159,6 @@ def test_drawn_noise_of_an_observed_value_is_in_info(small: Make) -> None:
     assert 0.01 <= small(sections, noise).reset(seed=1)[1]["drawn"]["observation.at.noise"] <= 0.05
 
 
-def test_noise_is_the_same_for_the_same_seed(small: Make) -> None:
-    np.testing.assert_array_equal(noisy(small, "1 cm", count=20), noisy(small, "1 cm", count=20))
-
-
 def test_noise_on_one_value_changes_no_other_draw(small: Make) -> None:
     sections = "reward: {pay: drive}\nreset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
     plain = observe(
@@ -219,11 +203,6 @@ def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(
     small: Make, noise: str
 ) -> None:
     assert measured(small, noise)[:, 0].std() == pytest.approx(0.02, rel=0.1)
-
-
-def test_noise_of_a_measurement_is_the_same_for_the_same_seed(small: Make) -> None:
-    np.testing.assert_array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20))
-    assert not np.array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20, seed=2))
 
 
 def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Make) -> None:
@@ -522,21 +501,6 @@ def test_a_reward_that_hindsight_cannot_recompute_is_refused(
 ) -> None:
     with pytest.raises(ScenarioError, match="DB709"):
         small(GOAL + f"reward: {{odd: {reward}}}\n")
-
-
-@pytest.mark.slow
-def test_stable_baselines_learns_from_hindsight(small: Make) -> None:
-    stable_baselines3 = pytest.importorskip("stable_baselines3")
-    model = stable_baselines3.SAC(
-        "MultiInputPolicy",
-        small(GOAL + SPARSE, "truncation.max_steps=20"),
-        replay_buffer_class=stable_baselines3.HerReplayBuffer,
-        learning_starts=40,
-        seed=0,
-        policy_kwargs={"net_arch": [8]},
-    )
-    model.learn(60)
-    assert model.replay_buffer.size() == 60
 
 
 def test_a_goal_is_part_of_what_policy_and_world_agree_on(small: Make) -> None:

@@ -33,6 +33,7 @@ from deepbots_cli.learning.campaigns.study import (
     create_study,
 )
 from deepbots_cli.learning.campaigns.trials import end_trial, next_trial, run_study, score
+from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
@@ -144,9 +145,9 @@ def test_a_study_with_a_failed_trial_without_a_folder_is_listed_as_finished(
         TrialResult("complete", tuple(_seeds([0.5]))),
         TrialResult("failed", reason="it diverged"),
     ):
-        with next_trial(study, journal) as number:
-            assert number is not None
-            end_trial(journal, number, result)
+        number = next_trial(study, journal)
+        assert number is not None
+        end_trial(journal, number, result)
     assert run_study(study)
     assert read_listed(study.path).state == "finished"
     assert main(["resume", str(study.path), "--trials", "2", "-q"]) == 0
@@ -289,21 +290,17 @@ def test_a_study_is_not_a_run_and_the_message_names_a_trial(whole: Study) -> Non
         Group.open(whole.path)
 
 
-def test_a_trial_is_taken_by_one_driver_and_again_when_that_one_has_gone(file: Path, tmp_path: Path) -> None:
+def test_a_study_has_one_process_which_takes_each_trial_once_and_first_those_that_were_left(
+    file: Path, tmp_path: Path
+) -> None:
     study = new_study(file, tmp_path / "study", trials=2)
     journal = study.connect()
-    with (
-        next_trial(study, journal) as first,
-        next_trial(study, study.connect()) as second,
-        next_trial(study, journal) as third,
-    ):
-        assert first == 0
-        assert second == 1
-        assert third is None
+    assert [next_trial(study, journal, taken) for taken in ((), (0,), (0, 1))] == [0, 1, None]
     values = [trial.values for trial in study.trials()]
-    with next_trial(study, study.connect()) as again:
-        assert again == 0
+    assert next_trial(study, study.connect()) == 0
     assert [trial.values for trial in study.trials()] == values
+    with run_lock(study.path), pytest.raises(UsageError, match="another process writes to"):
+        run_study(study)
 
 
 @pytest.mark.slow
@@ -474,9 +471,8 @@ def test_a_last_line_that_a_crash_cut_loses_no_trial(file: Path, tmp_path: Path,
     path.write_text(text.removesuffix(last) + cut)
     journal = study.connect(to_write=True)
     assert [trial.state for trial in study.trials(journal)] == ["complete", "running"]
-    with next_trial(study, journal) as number:
-        assert number == 1
-        end_trial(journal, 1, TrialResult("complete", (SeedScore(0, 0.3, 100, 5.0, 0.5),)))
+    assert next_trial(study, journal) == 1
+    end_trial(journal, 1, TrialResult("complete", (SeedScore(0, 0.3, 100, 5.0, 0.5),)))
     assert [trial.score for trial in study.trials()] == [0.5, 0.3]
 
 
@@ -493,9 +489,8 @@ def _study_with_scores(file: Path, path: Path, *trials: Sequence[SeedScore]) -> 
     study = new_study(file, path, trials=len(trials), seeds=tuple(range(len(trials[0]))))
     journal = study.connect()
     for number, scores in enumerate(trials):
-        with next_trial(study, journal) as taken:
-            assert taken == number
-            end_trial(journal, number, TrialResult("complete", tuple(scores)))
+        assert next_trial(study, journal) == number
+        end_trial(journal, number, TrialResult("complete", tuple(scores)))
     return study
 
 

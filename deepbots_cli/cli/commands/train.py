@@ -52,6 +52,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.campaigns.study import Objective, Study, create_study
+from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import decline_of, run_verdict
@@ -306,8 +307,8 @@ def command_resume(
         check_options(ctx, "a study")
         study = Study.open(source)
         if trials is not None and trials != study.record.trials:
-            with study.locked() as current:
-                study = current.changed(trials=trials, status="running")
+            with run_lock(study.path):
+                study = Study.open(source).changed(trials=trials, status="running")
         studies.continue_study(study, workers, address, **output_options)
         return
     if callbacks or loggers:

@@ -8,8 +8,8 @@ values.
     ├── workers/             the output of workers
     └── trial-0/, trial-1/ ...   a group for each trial
 
-Several processes may work on one study: each takes the next trial under a lock that ends with the process. A
-trial of a process that was killed is taken up again, and its runs continue from their checkpoints. The values
+One process trains a study, with workers for several trials at a time. A trial that was begun before this
+process was killed is taken up again, and its runs continue from their checkpoints. The values
 of a trial depend on the seed of the study, the number of the trial and the trials before it, so one process
 with the same seed gives the same study, with or without an interruption. Importing this module loads neither
 Optuna nor torch.
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PositiveInt, TypeAdapter
 
@@ -38,7 +38,8 @@ from deepbots_cli.errors import MissingExtraError, RunError, StorageError, Usage
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.campaigns.group import Campaign, CampaignRecord
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.runs.directories import is_training, new_directory, run_lock
+from deepbots_cli.learning.runs.directories import new_directory
+from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.runs.order import Measure, Rank, rank
 from deepbots_cli.learning.runs.records import versions
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
@@ -55,10 +56,6 @@ Objective = Literal["solved", "success_rate", "mean_return"]
 TrialState = Literal["running", "complete", "pruned", "failed"]
 
 _MAX_JOURNAL_BYTES = 200_000_000
-_CLAIM_TIMEOUT_S = 300.0
-"""The time that a process waits for another one that takes a trial, in s. Taking a trial lasts less than a
-second."""
-_MAX_SCORE = 1e300  # larger scores, steps and returns are refused, so that sums stay finite
 _MAX_REASON = 10_000  # the largest number of characters of the reason of a failure
 
 
@@ -117,20 +114,20 @@ class StudyRecord(CampaignRecord):
         return {name: space.text(values[name]) for name, space in self.search.items()}
 
 
+_Number = Annotated[float, Field(ge=-1e300, le=1e300)]
+"""A number of a journal; sums stay finite."""
+
+
 @dataclass(frozen=True)
 class SeedScore:
     """The result of one training of a trial. Statistics are None without a model, and `steps` is None if the
     task is not solved."""
 
     seed: int
-    score: float
-    steps: int | None = None
-    mean_return: float | None = None
-    success_rate: float | None = None
-
-    @property
-    def numbers(self) -> tuple[float | None, ...]:
-        return (self.score, self.steps, self.mean_return, self.success_rate)
+    score: _Number
+    steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] | None = None
+    mean_return: _Number | None = None
+    success_rate: _Number | None = None
 
 
 _SEED_SCORES = TypeAdapter(tuple[SeedScore, ...])
@@ -301,16 +298,6 @@ class Study(Campaign[StudyRecord]):
     def planned(self) -> list[Path]:
         return sorted(self.path.glob("trial-*"), key=lambda path: (len(path.name), path.name))
 
-    @property
-    def is_training(self) -> bool:
-        return any(is_training(self.path, lock.name) for lock in self.path.glob(".process-*.lock"))
-
-    @contextmanager
-    def locked(self) -> Iterator[Study]:
-        """Context with the study as it is now, which no other process changes within the block."""
-        with run_lock(self.path, ".next.lock", _CLAIM_TIMEOUT_S):
-            yield Study.open(self.path)
-
     def connect(self, *, to_write: bool = False) -> Journal:
         """Open the journal; `to_write` removes a last line that a crash has left incomplete.
 
@@ -355,12 +342,9 @@ class Study(Campaign[StudyRecord]):
         try:
             seeds = _SEED_SCORES.validate_python(frozen.user_attrs.get("seeds", ()))
             values = self.record.texts(frozen.params)
-            score = frozen.value if state == "complete" else None
+            score = fmean(seed.score for seed in seeds) if state == "complete" else None
             if state == "complete" and [seed.seed for seed in seeds] != [*self.record.seeds]:
                 raise ValueError("a complete trial has the scores of all seeds")
-            for number in (score, *(number for seed in seeds for number in seed.numbers)):
-                if number is not None and not abs(number) <= _MAX_SCORE:
-                    raise ValueError("a number that no training has")
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise RunError(
                 f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the study"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
-from uuid import uuid4
 
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
@@ -76,14 +75,10 @@ def run_study(
     permissions: Permissions = Permissions(),
     executor: Executor = SERIAL,
 ) -> bool:
-    """Take trials until the study has as many as its record defines, or none is left for this process.
+    """Take trials until the study has as many as its record defines, those that were begun and left first.
 
-    Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or
-    SIGTERM.
-
-    This process takes each trial when a worker is free, so that the sampler has all results until then, and
-    keeps its lock; a worker trains it. The lock also outlasts a worker that is lost, and its trial continues
-    on another one.
+    Returns False after Ctrl-C or SIGTERM. This process takes each trial when a worker is free, so that the
+    sampler has all results until then. A trial whose worker is lost continues on another one.
 
     Args:
         study: The study.
@@ -95,12 +90,12 @@ def run_study(
 
     Raises:
         RunError: The study is damaged.
-        UsageError: The first trials fail; the message is that of the last one. Also the errors of
-            `Executor.map`.
+        UsageError: Another process trains the study, or the first trials fail; the message is that of the
+            last one. Also the errors of `Executor.map`.
     """
     with ExitStack() as stack:
-        stack.enter_context(_at_work(study))
-        search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
+        current = stack.enter_context(_at_work(study))
+        search = _Search(current, reporter or StudyReporter(), permissions)
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
             interruption = Interruption()
@@ -123,22 +118,14 @@ def run_study(
 
 
 @contextmanager
-def _at_work(study: Study) -> Iterator[None]:
-    """Context in which this process trains the study. The last process that ends without an error writes
-    whether the study is finished."""
-    name = f".process-{uuid4().hex}.lock"
-    try:
-        with run_lock(study.path, name):
-            with study.locked() as current:
-                current.changed(status="running")
-            yield
-    finally:
-        (study.path / name).unlink(missing_ok=True)
-    with study.locked() as current:
+def _at_work(study: Study) -> Iterator[Study]:
+    """Context in which this process trains the study, as it is now. It ends without an error where the record
+    is to say whether the study is finished."""
+    with run_lock(study.path):
+        current = Study.open(study.path).changed(status="running")
+        yield current
         ended = [trial for trial in current.connect().trials if trial.state.is_finished()]
-        is_done = len(ended) >= current.record.trials
-        if is_done or not current.is_training:
-            current.changed(status="finished" if is_done else "interrupted")
+        current.changed(status="finished" if len(ended) >= current.record.trials else "interrupted")
 
 
 @dataclass(frozen=True)
@@ -155,7 +142,7 @@ def _log_of(trial: TakenTrial) -> Path:
 
 
 class _Search(Watcher):
-    """Takes trials, keeps their locks while they run, and reports their results to Optuna.
+    """Takes trials, and reports their results to Optuna.
 
     Attributes:
         is_stopping: Whether a stop was requested.
@@ -168,20 +155,18 @@ class _Search(Watcher):
         self._permissions = permissions
         self._journal = study.connect(to_write=True)
         self._numbers: list[int] = []
-        self._locks: dict[int, ExitStack] = {}
+        self._running: set[int] = set()
         self.left: set[int] = set()
         self.is_stopping = False
 
     def trials(self) -> Iterator[TakenTrial]:
         while True:
-            with ExitStack() as stack:
-                number = stack.enter_context(next_trial(self._study, self._journal))
-                if number is None:
-                    return
-                self._reporter.begin_trial(self._study.trial(self._journal, number))
-                # The lock outlasts this block. `on_done` releases it.
-                self._locks[number] = stack.pop_all()
+            number = next_trial(self._study, self._journal, self._running)
+            if number is None:
+                return
+            self._reporter.begin_trial(self._study.trial(self._journal, number))
             self._numbers.append(number)
+            self._running.add(number)
             self.left.add(number)
             yield TakenTrial(self._study.path, number, self._permissions)
 
@@ -193,7 +178,9 @@ class _Search(Watcher):
 
     def on_report(self, item: int, value: object) -> None:
         number = self._numbers[item]
-        if isinstance(value, TrialProgress) and number in self._locks:  # a last report may come after the end
+        if (
+            isinstance(value, TrialProgress) and number in self._running
+        ):  # a last report may come after the end
             self._reporter.update(number, value)
 
     def on_note(self, item: int, text: str) -> None:
@@ -206,69 +193,50 @@ class _Search(Watcher):
 
     def on_done(self, item: int, outcome: object) -> None:
         number = self._numbers[item]
-        with self._locks.pop(number):
-            # This is an error of the study or the worker; errors of a training are in a `TrialResult`.
-            if isinstance(outcome, UsageError):
-                raise outcome
-            result = (
-                TrialResult("failed", reason=outcome.full_message)
-                if isinstance(outcome, DeepbotsError)
-                else outcome
-            )
-            if not isinstance(result, TrialResult) or result.state == "running":
-                return
-            end_trial(self._journal, number, result)
-            self.left.discard(number)
-            self._reporter.end_trial(self._study.trial(self._journal, number))
+        self._running.discard(number)
+        # This is an error of the study or the worker; errors of a training are in a `TrialResult`.
+        if isinstance(outcome, UsageError):
+            raise outcome
+        result = (
+            TrialResult("failed", reason=outcome.full_message)
+            if isinstance(outcome, DeepbotsError)
+            else outcome
+        )
+        if not isinstance(result, TrialResult) or result.state == "running":
+            return
+        end_trial(self._journal, number, result)
+        self.left.discard(number)
+        self._reporter.end_trial(self._study.trial(self._journal, number))
         ended = self._study.trials(self._journal)
         if len(ended) >= _MAX_FAILED_FIRST and all(trial.state == "failed" for trial in ended):
             raise UsageError(f"all trials fail: {result.reason}")
 
-    def close(self) -> None:
-        for lock in self._locks.values():
-            lock.close()
 
+def next_trial(study: Study, journal: Journal, running: Collection[int] = ()) -> int | None:
+    """Return the next trial, with its values; None if there is none left.
 
-@contextmanager
-def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
-    """Context with a trial that no other process takes within the block; None if there is none left.
-
-    A trial that is unfinished and locked by nobody comes first; then a new one with values of the sampler.
+    A trial that is unfinished and not `running` comes first; then a new one with values of the sampler.
     """
     from optuna.samplers import TPESampler
 
-    def lock(number: int) -> AbstractContextManager[None]:
-        return run_lock(study.path, f".trial-{number}.lock", wait_s=0.0)
-
-    with ExitStack() as stack:
-        # One process at a time: two could choose the same trial.
-        with study.locked() as current:
-            trials = journal.trials
-            number = None
-            for trial in trials:
-                if trial.state.name == "RUNNING":
-                    with ExitStack() as attempt, suppress(UsageError):  # another process works on it
-                        attempt.enter_context(lock(trial.number))
-                        # A worker whose driver has died may still train it.
-                        is_left = not is_training(study.trial_folder(trial.number))
-                        if is_left and journal.trials[trial.number].state.name == "RUNNING":
-                            number = trial.number
-                            stack.enter_context(attempt.pop_all())
-                            break
-            # A sampler for each trial: that of a process would begin again with the same numbers after an
-            # interruption.
-            seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
-            journal.study.sampler = TPESampler(seed=seed)
-            is_waiting = any(trial.state.name == "WAITING" for trial in trials)
-            with journal_errors(journal.path):
-                if number is None and (is_waiting or len(trials) < current.record.trials):
-                    if not trials and study.record.present:
-                        journal.study.enqueue_trial(dict(study.record.present))
-                    number = journal.study.ask().number
-                    stack.enter_context(lock(number))
-                if number is not None:
-                    _suggest(journal.trial(number), study.record.search)
-        yield number
+    trials = journal.trials
+    begun = [trial.number for trial in trials if trial.state.name == "RUNNING"]
+    # A worker whose driver has died may still train a trial.
+    left = (n for n in begun if n not in running and not is_training(study.trial_folder(n)))
+    number = next(left, None)
+    # A sampler for each trial: that of a process would begin again with the same numbers after an
+    # interruption.
+    seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
+    journal.study.sampler = TPESampler(seed=seed)
+    is_waiting = any(trial.state.name == "WAITING" for trial in trials)
+    with journal_errors(journal.path):
+        if number is None and (is_waiting or len(trials) < study.record.trials):
+            if not trials and study.record.present:
+                journal.study.enqueue_trial(dict(study.record.present))
+            number = journal.study.ask().number
+        if number is not None:
+            _suggest(journal.trial(number), study.record.search)
+    return number
 
 
 def _suggest(trial: optuna.trial.Trial, search: Mapping[str, SearchSpace]) -> None:

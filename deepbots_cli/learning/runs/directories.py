@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -40,31 +40,21 @@ _KEYS, _BYTES_PER_KEY = 150_000, 12
 """The limits of lists and objects, and of keys: so many, or one in so many bytes of a longer text. Each takes
 200 bytes in pydantic. An episode of CartPole has 4 groups and 15 keys in 285 bytes."""
 _ESCAPED = re.compile(r"\\(?:[^u]|u[0-9a-fA-F]{4}(?:\\u[0-9a-fA-F]{4})*)|[^\x00-\x7e]", re.DOTALL)
-_AT = re.compile(r"(.*?)(?: - at `(?:key in )?\$\.?(.*)`)?", re.DOTALL)
 
 
 class UnfitError(ValueError):
     """The text is not that of the model; the message has the field and the reason."""
 
 
-class _Shape(NamedTuple):
-    """The types of msgspec for a record: `checked` is compared with the text, and `kept` has the parts of the
-    text that the model reads."""
-
-    checked: Any
-    kept: Any
-
-
-def fitting_text(content: bytes, model: type[BaseModel]) -> bytes:
-    """Return the JSON object of a record with those keys alone that `model` reads. Its strings are lines:
-    control characters and invisible ones become escapes that can be read.
+def fitting_text(content: bytes, model: type[BaseModel]) -> str:
+    """Return the JSON text of a record. Its strings are lines: control characters and invisible ones become
+    escapes that can be read.
 
     Raises:
         UnfitError: It is not JSON, has other keys or types, lacks a key, or has a number beyond the limits.
     """
     import msgspec  # of the extra `sim`, without which there are no runs
 
-    shape = _shape_of(model)
     try:
         text = content.decode()
         if "\\" in text or "\x7f" in text or not text.isascii():
@@ -74,28 +64,16 @@ def fitting_text(content: bytes, model: type[BaseModel]) -> bytes:
             _KEYS, len(text) // _BYTES_PER_KEY
         ):
             raise UnfitError("it has more values than deepbots writes")
-        msgspec.json.decode(text, type=shape.checked)
-        kept = msgspec.json.decode(text, type=shape.kept)
+        msgspec.json.decode(text, type=_struct(model))
     except UnfitError:
         raise
     except msgspec.ValidationError as error:
-        raise UnfitError(_reason(error)) from None
+        reason, _, place = str(error).replace(" | null`", "`").partition(" - at ")
+        field = place.strip("`").removeprefix("$.")
+        raise UnfitError(f"'{field[-120:]}': {reason}" if field else reason) from None
     except (ValueError, RecursionError) as error:
         raise UnfitError("it is not valid JSON") from error
-    parts = ((name, getattr(kept, name)) for name in kept.__struct_fields__)
-    return b"{%b}" % b",".join(b'"%b":%b' % (name.encode(), part) for name, part in parts if part)
-
-
-def _reason(error: Exception) -> str:
-    """Return the field that does not fit, and the reason."""
-    match = _AT.fullmatch(str(error))
-    text, field = (str(error), "") if match is None else (match[1], match[2] or "")
-    reason = text.replace(" | null`", "`")
-    name = re.search(r"(?:unknown|required) field `(.*)`", reason, re.DOTALL)
-    if name is not None:
-        field = f"{field}.{name[1][:40]}".lstrip(".")
-        reason = "Field required" if "required" in reason else "deepbots writes no such key here"
-    return f"'{field[-120:]}': {reason}" if field else reason
+    return text
 
 
 def _with_visible_letters(match: re.Match[str]) -> str:
@@ -106,38 +84,23 @@ def _with_visible_letters(match: re.Match[str]) -> str:
     return raw if letters.isprintable() else printable(letters).replace("\\", "\\\\")
 
 
-@cache
-def _shape_of(model: type[BaseModel]) -> _Shape:
-    import msgspec
-
-    names = [field.alias or name for name, field in model.model_fields.items()]
-    kept = msgspec.defstruct("Kept", [(name, msgspec.Raw, msgspec.Raw()) for name in names])
-    return _Shape(_struct(model), kept)
-
-
 _Entry = tuple[str, Any, bool]
 """A key of an object, the type of its value, and whether it must be there."""
 
 
 @cache
-def _struct(*models: type[Any]) -> Any:
-    """Return the struct for the objects of a model or a dataclass; of several, for those of any of them."""
+def _struct(model: type[Any]) -> Any:
+    """Return the struct for the objects of a model or a dataclass."""
     import msgspec
 
-    all_entries = [_entries(model) for model in models]
-    unread = {name for model in models for name in _skipped(model) or ()}
-    types: dict[str, Any] = {}
-    for name, kind, _ in (entry for entries in all_entries for entry in entries):
-        types[name] = kind if types.get(name, kind) == kind else msgspec.Raw
-    required = [name for name, _, needed in all_entries[0] if needed and len(models) == 1]
+    entries, unread = _entries(model), _skipped(model)
     return msgspec.defstruct(
-        models[0].__name__,
+        model.__name__,
         [
-            *((name, types[name]) for name in required),
-            *((name, kind, None) for name, kind in types.items() if name not in required),
-            *((name, msgspec.Raw, None) for name in sorted(unread)),
+            *((name, kind) if needed else (name, kind, None) for name, kind, needed in entries),
+            *((name, msgspec.Raw, None) for name in unread or ()),
         ],
-        forbid_unknown_fields=all(_skipped(model) is not None for model in models),
+        forbid_unknown_fields=unread is not None,
         kw_only=True,
     )
 
@@ -188,7 +151,7 @@ def _type(kind: Any, metadata: Sequence[Any] = (), within: type[Any] | None = No
     if kind is Path:
         return str
     if origin in (Union, UnionType):
-        return _union([_without_metadata(part) for part in parts], within)
+        return _union(parts, within)
     if origin in (dict, Mapping):
         return dict[str, _type(parts[1], (), within)]  # type: ignore[misc]
     if origin is tuple and parts[-1] is not Ellipsis:
@@ -206,15 +169,12 @@ def _union(parts: Sequence[Any], within: type[Any] | None) -> Any:
     """Return the type for a union, in which msgspec allows one kind of objects."""
     import msgspec
 
-    models = [part for part in parts if _is_object(part)]
-    types = [_type(part, (), within) for part in parts if part not in models]
-    types += [_struct(*models)] if models and within not in models else []
-    return msgspec.Raw if msgspec.Raw in types or not types else Union[tuple(types)]  # noqa: UP007
-
-
-def _without_metadata(kind: Any) -> Any:
-    is_model = get_origin(kind) is Annotated and _is_object(get_args(kind)[0])
-    return get_args(kind)[0] if is_model else kind
+    models = [
+        part for part in parts if _is_object(get_args(part)[0] if get_origin(part) is Annotated else part)
+    ]
+    types = [_type(part, (), within) for part in parts]
+    is_any = len(models) > 1 or msgspec.Raw in types
+    return msgspec.Raw if is_any else Union[tuple(types)]  # noqa: UP007
 
 
 def _is_object(kind: Any) -> bool:
@@ -258,7 +218,7 @@ def read_record(path: Path, model: type[M], noun: str, number: int, limit: int) 
     try:
         return read_json(path, model, limit)
     except RunError as error:
-        if "Field required" in str(error):
+        if "missing required field" in str(error):
             error.add_note(
                 f"an earlier checkout of deepbots {written.deepbots}, which had no such entry, may have written it;"
                 " that checkout reads it"

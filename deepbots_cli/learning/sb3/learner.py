@@ -29,7 +29,7 @@ from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
-from deepbots_cli.learning.checkpoints import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.checkpoints import Array
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, internals, models, networks, rollouts
 from deepbots_cli.learning.sb3.algorithms import DivergenceRate
@@ -262,12 +262,6 @@ class StableLearner(Learner):
         if isinstance(buffer := self._buffer, HerReplayBuffer):
             arrays["episode_starts"] = internals.episode_starts(buffer)
         return arrays
-
-    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        if state.steps % self.model.n_envs:
-            raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
-        drift = ArraySpec(np.dtype(float), self.model.action_space.shape, is_optional=True)
-        return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._actor.noises))}
 
     def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         model = self.model

@@ -39,13 +39,13 @@ from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.checkpoints import (
     Array,
-    ArraySpec,
     CheckpointPart,
     CheckpointState,
     Count,
     GeneratorState,
     Number,
     check_actions,
+    check_alike,
     flush_to_disk,
     read_arrays,
     write_arrays,
@@ -140,28 +140,28 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
     # The weights and the two moments of Adam take at most three times the size of the policy.
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    # Everything is checked before the first tensor is set, so a refused file leaves the model as it was.
-    names = set(tensors)
-    expected = {*_parts(model), _VARIABLES}
-    if names != expected:
-        _refuse(path, ", ".join(sorted(expected - names)), ", ".join(sorted(names - expected)))
-    for name in _parts(model):
-        part = attrgetter(name)(model)
-        if isinstance(part, torch.optim.Optimizer):
-            _check_optimizer(path, name, part, tensors[name])
-        else:
-            _check_tensors(path, name, part.state_dict(), tensors[name])
-    _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
-    for name in _parts(model):
-        part = attrgetter(name)(model)
-        state = tensors[name]
-        if isinstance(part, torch.optim.Optimizer):
+    variables = tensors.pop(_VARIABLES, {})
+    # Before the library looks the names up in the model.
+    if tensors.keys() != set(_parts(model)):
+        raise RunError(
+            f"{path} has the parts {', '.join(sorted(tensors))[:200]}; the policy of this scenario has"
+            f" {', '.join(sorted(_parts(model)))}"
+        )
+    try:
+        for name, optimizer in _optimizers(model):
             # The settings of the optimizer are those of the scenario, not of the file.
-            part.load_state_dict({**part.state_dict(), "state": state["state"]})
-        else:
-            part.load_state_dict(state)
-    for name, variable in _variables(model):
-        variable.data.copy_(tensors[_VARIABLES][name])
+            tensors[name] = {**optimizer.state_dict(), "state": tensors[name]["state"]}
+        model.set_parameters(dict(tensors))  # type: ignore[arg-type]  # a dictionary of parts
+        for name, variable in _variables(model):
+            variable.data.copy_(variables[name])
+    except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise RunError(f"{path} does not fit the policy of this scenario ({reason})") from error
+    for name, tensor in {**model.policy.state_dict(), **dict(_variables(model))}.items():
+        if not torch.isfinite(tensor).all():
+            raise RunError(f"{path}: '{name}' contains infinite or NaN values")
+    for name, optimizer in _optimizers(model):
+        _check_moments(path, name, optimizer)
 
 
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
@@ -193,6 +193,13 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
 
 def _parts(model: BaseAlgorithm) -> list[str]:
     return internals.saved_members(model)[0]
+
+
+def _optimizers(model: BaseAlgorithm) -> Iterator[tuple[str, torch.optim.Optimizer]]:
+    for name in _parts(model):
+        part = attrgetter(name)(model)
+        if isinstance(part, torch.optim.Optimizer):
+            yield name, part
 
 
 def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
@@ -247,76 +254,15 @@ def _check_pickle(archive: zipfile.ZipFile) -> None:
             raise ValueError("it contains objects other than plain tensors")
 
 
-def _check_tensors(
-    path: Path, where: str, tensors: Mapping[str, torch.Tensor], file_tensors: Mapping[Any, Any]
-) -> None:
-    if set(tensors) != set(file_tensors):
-        missing = sorted(set(tensors) - set(file_tensors))
-        strange = sorted(str(name) for name in set(file_tensors) - set(tensors))
-        _refuse(path, f"{where}/{missing[0]}" if missing else "", f"{where}/{strange[0]}" if strange else "")
-    for name, tensor in tensors.items():
-        _check_tensor(path, f"{where}/{name}", tensor.dtype, tuple(tensor.shape), file_tensors[name])
-
-
-def _check_optimizer(
-    path: Path, where: str, optimizer: torch.optim.Optimizer, file_state: Mapping[str, Any]
-) -> None:
-    """Check that an optimizer has moments of the right names and shapes for parameters that exist.
-    `param_groups` is not taken over."""
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    moments = _moments(optimizer)
-    state = file_state.get("state")
-    if not isinstance(state, dict):
-        raise RunError(f"{path} lacks '{where}/state'")
-    for index, memory in state.items():
-        # Not isinstance, which accepts True as 1.
-        if type(index) is not int or not 0 <= index < len(parameters) or not isinstance(memory, dict):
-            _refuse(path, "", f"{where}/{index}")
-        missing, strange = [m for m in moments if m not in memory], [m for m in memory if m not in moments]
-        if missing or strange:
-            _refuse(
-                path,
-                f"{where}/{index}/{missing[0]}" if missing else "",
-                f"{where}/{index}/{strange[0]}" if strange else "",
-            )
-        for moment, value in memory.items():
-            shape = () if moment == "step" else tuple(parameters[index].shape)
-            _check_tensor(path, f"{where}/{index}/{moment}", torch.float32, shape, value)
-            if moment == "step" and value < 0:
-                raise RunError(f"{path}: '{where}/{index}/step' counts below zero")
-
-
-def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, ...], tensor: Any) -> None:
-    if not isinstance(tensor, torch.Tensor):
-        raise RunError(f"{path}: '{name}' is not a tensor")
-    if tensor.dtype != dtype or tuple(tensor.shape) != shape or tensor.layout != torch.strided:
-        description = f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
-        raise RunError(
-            f"{path}: '{name}' is {description}, the scenario's policy needs"
-            f" {str(dtype).removeprefix('torch.')} of shape {shape}"
+def _check_moments(path: Path, name: str, optimizer: torch.optim.Optimizer) -> None:
+    """Refuse moments with which the next update would fail."""
+    states = [*optimizer.state.items()]
+    for parameter, moments in states:
+        fits = moments.keys() == states[0][1].keys() and all(
+            value.shape in ((), parameter.shape) and torch.isfinite(value).all() for value in moments.values()
         )
-    if not torch.isfinite(tensor).all():
-        raise RunError(f"{path}: '{name}' contains infinite or NaN values")
-
-
-def _refuse(path: Path, missing: str, strange: str) -> None:
-    problem = (
-        f"lacks '{missing}'"
-        if missing
-        else f"contains '{strange[:80]}', which the policy of this scenario does not have"
-    )
-    raise RunError(f"{path} {problem}")
-
-
-def _moments(optimizer: torch.optim.Optimizer) -> list[str]:
-    """Return the names of the moments that an optimizer keeps of each parameter, found with a separate
-    parameter."""
-    probe = torch.nn.Parameter(torch.zeros(1))
-    probe.grad = torch.zeros(1)
-    build: Any = type(optimizer)
-    likewise = build([{**optimizer.param_groups[0], "params": [probe]}])
-    likewise.step()
-    return list(likewise.state[probe])
+        if not fits or moments.get("step", 0) < 0:
+            raise RunError(f"{path}: '{name}' has moments of another training")
 
 
 _BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
@@ -418,11 +364,11 @@ class ReplayFiles:
         if not is_complete:
             raise ValueError("the segments of the replay buffer are not all there")
         for first, last in self.segments:
-            specs = {
-                name: ArraySpec(column.dtype, (last - first, *column.shape[1:]))
-                for name, column in columns.items()
-            }
-            arrays = read_arrays(self._path(first, last), specs)
+            arrays = read_arrays(self._path(first, last))
+            check_alike(
+                {name: array[:0] for name, array in arrays.items()},
+                {name: column[:0] for name, column in columns.items()},
+            )
             # The newest rows of a segment that is longer than a smaller buffer.
             rows = self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
