@@ -15,7 +15,7 @@ from deepbots_cli.compiler.namespace import (
     ParameterScope,
     SupervisorScope,
 )
-from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
+from deepbots_cli.compiler.places import Layouts, Places
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
@@ -382,8 +382,7 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
     that it does not place has no copy.
     """
     spec = namespace.scenario
-    room = PlacementChecker(namespace, world)
-    places = Places(namespace, world, room)
+    places = Places(namespace, world)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
     weighted = layouts.weighted_layouts()
@@ -400,7 +399,7 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
         for layout in weighted
     )
     _require_places(namespace)
-    room.check_surroundings(common, completed)
+    places.check_tops(common, completed)
     require = _requirement(namespace)
     return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(
         layouts.walls

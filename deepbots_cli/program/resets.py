@@ -58,6 +58,15 @@ class Region:
             else 1.0
         )
 
+    @property
+    def is_too_small(self) -> bool:
+        """Whether no cell fits into it."""
+        # 0.3 / 0.1 is 2.9999999999999996.
+        return any(
+            (high - low) * (1 + 1e-9) < (self.mesh or 0.0)
+            for low, high in zip(self.low, self.high, strict=True)
+        )
+
 
 @dataclass(frozen=True)
 class Cells:
