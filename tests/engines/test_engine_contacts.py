@@ -118,19 +118,6 @@ def test_links_of_a_robot_have_contacts_of_their_own(engine_name, worlds, build)
     assert body()
 
 
-def test_watching_contacts_changes_nothing(engine_name, worlds, build):
-    watched, unwatched = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
-    for name in ("robot", "ball"):
-        watched.contact((name, None))
-        watched.clearance((name, None), ("crate", None))
-    for engine in (watched, unwatched):
-        engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([20.0] * 4)
-        for _ in range(60):
-            engine.step(4)
-    assert watched.pose("robot")() == unwatched.pose("robot")()
-    assert watched.pose("ball")() == unwatched.pose("ball")()
-
-
 SOLIDS = {
     "sphere": (Sphere(0.1), 0.1),
     "box": (Box((0.2, 0.3, 0.4)), 0.1),
@@ -511,25 +498,6 @@ def test_a_flat_disc_is_not_shaded_as_a_cone(engine_name, build):
     colors = image.colors[image.bodies == image.body_names.index("disc")]
     assert len(colors) > 500
     assert (colors.max(axis=0) - colors.min(axis=0)).max() < 3
-
-
-def test_looking_changes_nothing(engine_name, build):
-    observed, unobserved = (
-        build(engine_name, seen_world(wall(2.0))),
-        build(engine_name, seen_world(wall(2.0))),
-    )
-    look = observed.camera(("scout", "head"), frames.IDENTITY_FRAME, 16, 16, FOV)
-    for engine in (observed, unobserved):
-        engine.set_joint("scout", "neck", 0.1, 2.0)
-        for _ in range(20):
-            engine.step(1)
-            if engine is observed:
-                look()
-    assert (
-        observed.joint_states("scout", ["neck"])()[0][:2]
-        == unobserved.joint_states("scout", ["neck"])()[0][:2]
-    )
-    assert (look().colors == look().colors).all()
 
 
 def test_lines_are_seen_painted_on_a_floor_of_its_own_color(engine_name, build):

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import pickle
-import runpy
 import subprocess
 import sys
 from dataclasses import replace
 from hashlib import sha256
-from math import pi
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,9 +28,6 @@ from deepbots_cli.robots.model import (
     RobotModel,
     Sphere,
 )
-
-EPISODE = Path(__file__).with_name("arena_episode.py")
-trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 
 
 def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
@@ -101,15 +95,6 @@ def test_a_fixed_object_that_is_placed_is_met_where_it_was_placed(worlds, build)
     for _ in range(150):
         engine.step(4)
     assert engine.pose("ball")()[0][0] == pytest.approx(0.7, abs=2e-3)
-
-
-def test_friction_of_a_joint_holds_what_is_weaker(worlds, build):
-    engine = build("pybullet", worlds.rail(friction=5.0))
-    engine.set_joint("robot", "hinge", pi, 0.0)
-    engine.set_joint("robot", "slide", 0.0, 1.0)
-    for _ in range(30):
-        engine.step(4)
-    assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_joint_may_turn_faster_than_the_library_allows_by_itself(worlds, build):
@@ -228,9 +213,3 @@ def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
     engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
     for eye in ((0.0, 0.0, 2.0), (0.3, 0.2, -1.0)):
         assert engine.render(View(eye, (0.0, 0.0, 0.0), 40, 40)).shape == (40, 40, 3)
-
-
-def test_drawing_changes_nothing_that_follows(worlds, build):
-    rendered, plain = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
-    rendered.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert trajectory(rendered, worlds.arena(), 3, 20) == trajectory(plain, worlds.arena(), 3, 20)
