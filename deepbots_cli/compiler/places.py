@@ -121,8 +121,9 @@ class Places(NamespaceReader):
         elif pose.region is not None:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            help = "add one, as in `region: arena`"
-            self._values.add_at_key("DB102", (*pose.path, "grid"), "`grid` needs a `region`", help)
+            self._values.add_at_key(
+                "DB102", (*pose.path, "grid"), "`grid` needs a `region`", "add one, as in `region: arena`"
+            )
         self._check_spots(place.spot, pose.path)
         self._check_copies(place, pose.path, used=used and not has_finding)
         return self.resting_placement(place)
@@ -189,11 +190,10 @@ class Places(NamespaceReader):
         if self._namespace.origin(name) is None:
             self._values.report_unknown(span, "object", name, flat)
         elif name not in flat and not self._values.is_invalid(name):
-            headline = f"`{name}` has no flat top to place a body on"
             self._values.add(
                 "DB203",
                 span,
-                headline,
+                f"`{name}` has no flat top to place a body on",
                 f"use a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}",
             )
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
@@ -233,11 +233,19 @@ class Places(NamespaceReader):
             )
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
-            headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
-            self._values.add("DB005", (*path, "grid"), headline, "write a larger `grid`")
+            self._values.add(
+                "DB005",
+                (*path, "grid"),
+                f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}",
+                "write a larger `grid`",
+            )
         elif isinstance(spot, Region) and spot.is_too_small:
-            help = "use a larger region, or a smaller `grid`"
-            self._values.add_at_key("DB105", (*path, "grid"), "the region has no room for a cell", help)
+            self._values.add_at_key(
+                "DB105",
+                (*path, "grid"),
+                "the region has no room for a cell",
+                "use a larger region, or a smaller `grid`",
+            )
 
     def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Report keys that only a group may have, and copies of a group that would overlap."""
@@ -248,9 +256,11 @@ class Places(NamespaceReader):
             return
         for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if spec and not self._values.is_invalid(place.body):
-                headline = f"`{key}` applies only to groups, but `{place.body}` is a single body"
                 self._values.add_at_key(
-                    "DB203", (*path, key), headline, f"remove it, or add a `count` to `{place.body}`"
+                    "DB203",
+                    (*path, key),
+                    f"`{key}` applies only to groups, but `{place.body}` is a single body",
+                    f"remove it, or add a `count` to `{place.body}`",
                 )
 
     def _check_spread(self, place: Placement, group: ObjectGroup, path: NodePath) -> None:
@@ -261,12 +271,12 @@ class Places(NamespaceReader):
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            help = (
-                "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
-                " copy with `at_most: 1`"
-            )
             self._values.add_at_key(
-                "DB105", path, f"up to {copies} copies of `{place.body}` at one position", help
+                "DB105",
+                path,
+                f"up to {copies} copies of `{place.body}` at one position",
+                "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
+                " copy with `at_most: 1`",
             )
 
     def check_tops(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
@@ -279,8 +289,12 @@ class Places(NamespaceReader):
                 if not isinstance(place.spot, Top) or self._check_stack(place, standing, span):
                     continue
                 if _is_tilted(standing[place.spot.of]):
-                    help = f"remove `roll` and `pitch` of `{place.spot.of}`"
-                    self._values.add("DB203", span, f"the top of `{place.spot.of}` is not level", help)
+                    self._values.add(
+                        "DB203",
+                        span,
+                        f"the top of `{place.spot.of}` is not level",
+                        f"remove `roll` and `pitch` of `{place.spot.of}`",
+                    )
 
     def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
         """Return whether a body stands on itself, or on bodies that stand on each other, with DB207 once for
@@ -296,8 +310,13 @@ class Places(NamespaceReader):
         is_first = below.body == next(body for body in standing if body in stack)
         if is_first and below.body == place.body:
             notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            help = f"remove `on` of `{place.body}`, which then rests on the ground"
-            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
+            self._values.add(
+                "DB207",
+                span,
+                f"`{place.body}` is placed on itself",
+                f"remove `on` of `{place.body}`, which then rests on the ground",
+                notes=notes,
+            )
         return not is_first or below.body == place.body
 
 
@@ -326,11 +345,13 @@ class Layouts(NamespaceReader):
             shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             first, second = list(layouts)[:2]
-            help = (
+            self._values.add_at_key(
+                "DB102",
+                ("reset", "layouts"),
+                "missing key `layout`",
                 f"choose one with `layout: {first}`, or draw one with"
-                f" `layout: {{{first}: 50 %, {second}: 50 %}}`"
+                f" `layout: {{{first}: 50 %, {second}: 50 %}}`",
             )
-            self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
                 path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
@@ -353,8 +374,12 @@ class Layouts(NamespaceReader):
         shares = {name: share for name, share in all_shares.items() if share is not None}
         # 0.7 + 0.2 + 0.1 is 0.9999999999999999.
         if len(shares) == len(all_shares) and abs(sum(shares.values()) - 1.0) > 1e-6:
-            headline = f"the shares add up to {100 * sum(shares.values()):g} %"
-            self._values.add_at_key("DB105", ("reset", "layout"), headline, "make the shares add up to 100 %")
+            self._values.add_at_key(
+                "DB105",
+                ("reset", "layout"),
+                f"the shares add up to {100 * sum(shares.values()):g} %",
+                "make the shares add up to 100 %",
+            )
         return shares
 
     # Maps
@@ -411,11 +436,10 @@ class Layouts(NamespaceReader):
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
-                headline = f"this row has {len(row)} cells, but the first row has {len(rows[0])}"
                 self._values.add(
                     "DB106",
                     row[0][1],
-                    headline,
+                    f"this row has {len(row)} cells, but the first row has {len(rows[0])}",
                     "separate cells by spaces, and write a dot for an empty cell",
                 )
                 return False
@@ -424,11 +448,13 @@ class Layouts(NamespaceReader):
     def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
-            headline = (
+            self._values.add_at_key(
+                "DB105",
+                path,
                 f"the map is {width:g} by {depth:g} m, but the arena is only {arena.size[0]:g} by"
-                f" {arena.size[1]:g} m"
+                f" {arena.size[1]:g} m",
+                "use smaller cells, or a larger arena",
             )
-            self._values.add_at_key("DB105", path, headline, "use smaller cells, or a larger arena")
 
     def _standing(
         self,
@@ -463,11 +489,11 @@ class Layouts(NamespaceReader):
             + count
         )
         if bodies > MAX_BODIES:
-            headline = (
-                f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
-            )
             self._values.add(
-                "DB005", span, headline, "write long walls under `world.walls`, or use larger cells"
+                "DB005",
+                span,
+                f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}",
+                "write long walls under `world.walls`, or use larger cells",
             )
             return
         group = ObjectGroup(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
