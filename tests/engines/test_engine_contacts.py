@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import asin, atan2, hypot, inf, pi, radians, sqrt, tan
+from math import asin, atan2, hypot, pi, radians, sqrt, tan
 
 import numpy as np
 import pytest
@@ -31,7 +31,6 @@ from deepbots_cli.robots.model import (
     RobotModel,
     Sphere,
 )
-from tests.few import few
 
 STAYS = {"fixed": True}
 
@@ -116,46 +115,6 @@ def test_links_of_a_robot_have_contacts_of_their_own(engine_name, worlds, build)
     assert crate()
     assert all_but_ground()
     assert body()
-
-
-SOLIDS = {
-    "sphere": (Sphere(0.1), 0.1),
-    "box": (Box((0.2, 0.3, 0.4)), 0.1),
-    "cylinder": (Cylinder(0.1, 0.3), 0.1),
-    "capsule": (Capsule(0.1, 0.3), 0.1),
-}
-
-
-@pytest.mark.parametrize("one", SOLIDS)
-@pytest.mark.parametrize("other", SOLIDS)
-@pytest.mark.parametrize("apart", few([0.003, 0.5, 30.0], ["0.003"]))
-def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(
-    engine_name, one, other, apart, build
-):
-    (shape, half), (other_shape, other_half) = SOLIDS[one], SOLIDS[other]
-    place = Pose((half + other_half + apart, 0, 1))
-    world = things(
-        ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS)
-    )
-    engine = build(engine_name, world)
-    assert engine.clearance(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
-
-
-def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(engine_name, build):
-    turned = ObjectBody("turned", Box((0.2, 0.2, 0.2)), Pose((1, 0, 1), (0, 0, pi / 4)), **STAYS)
-    engine = build(engine_name, things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
-    assert engine.clearance(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
-    # a corner is rounded by the library's margin of 1 mm: 0.4 mm too far
-    assert engine.clearance(("ball", None), ("turned", None))() == pytest.approx(
-        1 - 0.05 - 0.1 * sqrt(2), abs=5e-4
-    )
-    assert engine.clearance(("ball", None), ("inside", None))() == 0.0
-
-
-def test_a_gap_to_nothing_is_infinite(engine_name, build):
-    ghost = ObjectBody("ghost", Sphere(0.1), Pose((1, 0, 1)), solid=False)
-    engine = build(engine_name, things(ball("ball", (0, 0, 1)), ghost))
-    assert engine.clearance(("ball", None), ("ghost", None))() == inf
 
 
 # What lies within something else
@@ -331,15 +290,6 @@ ROUND = {
     "cylinder": (Cylinder(0.5, 8.0), Pose((3, 0, 1))),
     "capsule": (Capsule(0.5, 8.0), Pose((3, 0, 1))),
 }
-
-
-def test_a_body_that_stays_where_it_is_has_no_velocity(engine_name, build):
-    post = ObjectBody("post", Box((1, 1, 1)), fixed=True)
-    mark = ObjectBody("mark", Box((1, 1, 1)), mass=1.0, solid=False)
-    engine = build(engine_name, world(post, mark))
-    for body in ("post", "mark", "scout"):
-        engine.place(body, (9.0, 0.0, 1.0), frames.IDENTITY_ROTATION, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
-        assert engine.velocity(body)() == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("kind", ROUND)

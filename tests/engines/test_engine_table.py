@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import cos, exp, pi, sin, sqrt
+from math import cos, exp, inf, pi, sin, sqrt
 from typing import Any
 
 import pytest
 
 from deepbots_cli.port import Engine
-from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
     Inertial,
     Joint,
     Limit,
@@ -23,6 +27,7 @@ from deepbots_cli.robots.model import (
     Mimic,
     Pose,
     RobotModel,
+    Shape,
     Sphere,
     with_joint,
     with_link,
@@ -266,6 +271,56 @@ def lead(multiplier: float, offset: float, limit: Limit | None = None) -> WorldM
     return fixed(*links, joints=slides, substeps=4)
 
 
+def thing(name: str, shape: Shape, at: Vector, **figures: Any) -> ObjectBody:
+    return ObjectBody(name, shape, Pose(at), **figures)
+
+
+def things(
+    *objects: ObjectBody, slope: tuple[float, float] = (0, 0), arena: Arena | None = None
+) -> WorldModel:
+    """Objects on ground that leans, as gravity does instead of it."""
+    return WorldModel(0.02, 4, (*slope, -9.81), arena=arena, objects=objects)
+
+
+CRATE, ROLLER = Box((0.1, 0.1, 0.1)), Sphere(0.05)
+SOLIDS: dict[str, tuple[Shape, float]] = {
+    "sphere": (Sphere(0.1), 0.1),
+    "box": (Box((0.2, 0.3, 0.4)), 0.1),
+    "cylinder": (Cylinder(0.1, 0.3), 0.1),
+    "capsule": (Capsule(0.1, 0.3), 0.1),
+}
+"""Solids, and half their width along x."""
+
+
+def gap(one: str, other: str) -> Call:
+    return lambda engine: lambda: [engine.clearance((one, None), (other, None))()]
+
+
+def gap_between(one: str, other: str, apart: float) -> Row:
+    (shape, half), (other_shape, other_half) = SOLIDS[one], SOLIDS[other]
+    world = things(
+        thing("one", shape, (0, 0, 1), fixed=True),
+        thing("other", other_shape, (half + other_half + apart, 0, 1), fixed=True),
+    )
+    return Row(world, (), 0, (gap("one", "other"),), [((), [apart])], rel=0.0, abs=1e-6)
+
+
+def tray() -> WorldModel:
+    """A lever whose weight is at its axis; frames beside it have none."""
+    frames = [Link(f"frame_{i}") for i in range(5)]
+    joints = [Joint(f"hold_{i}", "fixed", "body", f"frame_{i}", Pose((0.3, 0, 0))) for i in range(5)]
+    hinge = Joint("hinge", "continuous", "wall", "body", axis=(0, 1, 0))
+    return fixed(Link("wall"), block("body"), *frames, joints=[*joints, hinge], substeps=4)
+
+
+def spinner() -> WorldModel:
+    """A wheel of 80 g in the air, with a range of half a turn."""
+    tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
+    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire)
+    axle = Joint("axle", "revolute", "base", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2))
+    return replace(fixed(BASE, wheel, joints=[axle], substeps=1), timestep=0.016)
+
+
 BALL = ObjectBody("ball", Sphere(0.05), mass=0.1, restitution=0.8)
 
 
@@ -362,6 +417,99 @@ ROWS |= {
     for inertia in (1e-12, 1e-14)
 }
 ROWS |= {
+    f"the gap between a {one} and a {other} is {apart}": gap_between(one, other, apart)
+    for one in SOLIDS
+    for other in SOLIDS
+    for apart in (0.003, 0.5, 30.0)
+}
+ROWS |= {
+    f"a strong motor on a light wheel is stable, and its range is in radians ({timesteps})": Row(
+        spinner(),
+        (motor("velocity_motor", "axle", [10.0], to=5.0),),
+        timesteps,
+        (state("axle", *parts),),
+        [((), expected)],
+        rel=1e-3,
+        abs=0.05 if timesteps > 10 else 0.0,
+    )
+    for timesteps, parts, expected in ((10, (1,), [5.0]), (60, (0,), [pi / 2]))
+}
+ROWS |= {
+    "the gap to the ground, to what overlaps and to nothing solid": Row(
+        things(
+            thing("ball", ROLLER, (0, 0, 1), mass=0.2),
+            thing("inside", ROLLER, (0.05, 0, 1), mass=0.2),
+            thing("ghost", Sphere(0.1), (1, 0, 1), solid=False),
+        ),
+        (),
+        0,
+        (gap("ball", "ground"), gap("ball", "inside"), gap("ball", "ghost")),
+        [((), (0.95, 0.0, inf))],
+        abs=1e-6,
+        rel=0.0,
+    ),
+    "the gap to a corner, which a margin of 1 mm rounds": Row(
+        things(
+            thing("ball", ROLLER, (0, 0, 1), mass=0.2),
+            ObjectBody("turned", Box((0.2, 0.2, 0.2)), Pose((1, 0, 1), (0, 0, pi / 4)), fixed=True),
+        ),
+        (),
+        0,
+        (gap("ball", "turned"),),
+        [((), [0.95 - 0.1 * sqrt(2)])],
+        abs=5e-4,
+        rel=0.0,
+    ),
+    "a body that stays where it is has no velocity": Row(
+        things(
+            thing("post", Box((1, 1, 1)), (0, 0, 0), fixed=True),
+            thing("mark", Box((1, 1, 1)), (0, 0, 0), mass=1.0, solid=False),
+        ),
+        [
+            lambda engine, body=body: engine.place(body, (9, 0, 1), (0, 0, 0, 1), (1, 2, 3), (4, 5, 6))
+            for body in ("post", "mark")
+        ],
+        0,
+        (flat("velocity", "post"), flat("velocity", "mark")),
+        [((), (0.0,) * 12)],
+    ),
+    "an object stays within the walls": Row(
+        things(thing("ball", ROLLER, (0, 0, 0.05), mass=0.2), slope=(6, 2), arena=Arena((0.6, 0.4), 0.1)),
+        (),
+        200,
+        (lambda engine: lambda: engine.pose("ball")()[0],),
+        [((), (0.25, 0.15, 0.05))],
+        abs=2e-3,
+    ),
+    "a fixed object stands, also where it was placed, and one that is not solid stops nothing": Row(
+        things(
+            thing("wall", CRATE, (0.5, 0, 0.05), fixed=True),
+            thing("ghost", CRATE, (0.5, 1, 0.05), solid=False),
+            thing("stopped", ROLLER, (0, 0, 0.05), mass=0.2),
+            thing("passes", ROLLER, (0, 1, 0.05), mass=0.2),
+            slope=(3, 0),
+        ),
+        (),
+        150,
+        [
+            lambda engine, name=name: lambda: [engine.pose(name)()[0][0]]
+            for name in ("stopped", "passes", "wall")
+        ],
+        [
+            ((), (0.4, 0.5 * 5 / 7 * 3.0 * 9.0, 0.5)),
+            (
+                [lambda engine: engine.place("wall", (0.8, 0, 0.05), (0, 0, 0, 1))],
+                (0.7, 0.5 * 5 / 7 * 3.0 * 9.0, 0.8),
+            ),
+        ],
+        rel=0.01,
+    ),
+    "a joint may turn fast": Row(
+        Worlds.rotor(), (joint("hinge", 0.0, 500.0),), 1, (state("hinge", 1),), [((), [500.0])], rel=1e-6
+    ),
+    "links without inertial weigh nothing": Row(
+        tray(), (), 1, (state("hinge", 1),), [((), [0.0])], abs=1e-12
+    ),
     "a strong velocity motor reaches its target within a timestep, on several joints": Row(
         Worlds.rail(),
         (motor("velocity_motor", "slide hinge", [1000.0, 1000.0], to=(0.7, -0.4)),),

@@ -286,35 +286,6 @@ def test_distances_to_terrain_are_refused(build):
         engine.clearance(("ball", None), ("ground", None))
 
 
-def spinner() -> RobotModel:
-    """A wheel of 80 g in the air, on a heavy stand, with a range of half a turn."""
-    tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
-    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire, Friction(1.0))
-    joints = (
-        Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),
-    )
-    return RobotModel(
-        "spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand"
-    )
-
-
-def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(build):
-    engine = build(
-        "mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),))
-    )
-    drive = engine.velocity_motor("robot", ["axle"], [10.0])
-    read = engine.joint_states("robot", ["axle"])
-    for target, speed in ((5.0, 5.0), (-5.0, -5.0), (5.0, 5.0)):
-        for _ in range(10):
-            drive([target])
-            engine.step(1)
-        assert read()[0][1] == pytest.approx(speed, rel=1e-3)
-    for _ in range(60):
-        drive([5.0])
-        engine.step(1)
-    assert read()[0][0] == pytest.approx(pi / 2, abs=0.05)
-
-
 @pytest.mark.parametrize("right_angle", [1.57, 1.571, 1.5708, pi / 2])
 def test_a_wheel_whose_file_rounds_a_right_angle_rolls_on_its_tire(right_angle, build):
     """A tire touches the ground in one point, a cylinder in two."""
