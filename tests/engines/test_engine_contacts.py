@@ -17,7 +17,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.frames import quaternion
-from deepbots_cli.port import CAMERA_RANGE_M, Engine, View
+from deepbots_cli.port import CAMERA_RANGE_M, Engine
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import (
     Box,
@@ -470,21 +470,6 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_color(engine_name, build):
     assert (image.colors[track].argmax(axis=-1) == 0).all()
     beside = bare & (abs(largest - 0.5) > 0.06) & (np.hypot(x, y) > 0.12)
     assert (image.colors[beside].argmax(axis=-1) == 1).all()
-
-
-def test_the_floor_gets_another_color_until_the_next_reset(engine_name, build):
-    engine = build(engine_name, replace(seen_world(), light=0.8))
-    view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
-    look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
-    usual = engine.render(view)
-    colors = look().colors
-    engine.set_parameter("color", ("ground", ""), *RED)
-    assert engine.render(view)[-1, 0].argmax() == look().colors[-1, 0].argmax() == 0
-    engine.set_parameter("light", (), 0.4)
-    assert look().colors[0, 0, 2] < 0.6 * colors[0, 0, 2]
-    engine.reset()
-    assert (engine.render(view) == usual).all()
-    assert (look().colors == colors).all()
 
 
 def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name, build):

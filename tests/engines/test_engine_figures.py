@@ -192,16 +192,27 @@ def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, bui
         WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)),
     )
     view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
-    usual = engine.render(view)
+    look = engine.camera(("robot", None), IDENTITY_FRAME, 60, 40, 0.9)
+    usual = (engine.render(view), look().colors)
+
+    def is_usual() -> bool:
+        return all(
+            (now == before).all()
+            for now, before in zip((engine.render(view), look().colors), usual, strict=True)
+        )
+
     engine.set_parameter("color", ("robot", ""), 1.0, 1.0, 0.0, 1.0)
     engine.set_parameter("color", ("robot", ""), 1.0, 0.0, 1.0, 1.0)
-    assert (engine.render(view) != usual).any()
+    assert not is_usual()
     engine.reset()
-    assert (engine.render(view) == usual).all()
+    assert is_usual()
+    engine.set_parameter("color", ("ground", ""), 1.0, 0.0, 0.0, 1.0)
+    assert engine.render(view)[-1, 0].argmax() == look().colors[-1, 0].argmax() == 0
     engine.set_parameter("light", (), 0.4)
-    assert engine.render(view).mean() < 0.7 * usual.mean()
+    assert engine.render(view).mean() < 0.7 * usual[0].mean()
+    assert look().colors[0, 0, 2] < 0.6 * usual[1][0, 0, 2]
     engine.reset()
-    assert (engine.render(view) == usual).all()
+    assert is_usual()
 
 
 def test_the_mass_of_a_fixed_base_means_nothing_and_sets_nothing_loose(engine_name, worlds, build):

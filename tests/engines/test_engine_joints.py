@@ -90,28 +90,6 @@ def test_a_motor_on_the_leader_moves_the_follower(engine_name, build, kinds, mul
         assert second == pytest.approx(-first, abs=RESTING * abs(multiplier))
 
 
-@pytest.mark.parametrize(("multiplier", "offset"), LAWS)
-@pytest.mark.parametrize("pushed", ["lead", "first"])
-def test_a_passive_follower_and_its_leader_move_together_whichever_is_pushed(
-    engine_name, build, pushed, multiplier, offset
-):
-    """A force on one side moves both as a gear does: the mass that it moves is that of the leader +
-    multiplier^2 * that of the follower."""
-    masses = (0.2, 0.3)
-    engine = build(engine_name, world(pair(multiplier, offset, masses=masses), WEIGHTLESS, substeps=20))
-    push = engine.torque_motor("robot", [pushed], [100.0])
-    read = engine.joint_states("robot", ["lead", "first"])
-    mass = masses[0] + multiplier**2 * (masses[1] + 1e-3)
-    force = 1.0 if pushed == "lead" else multiplier
-    for _ in range(10):
-        push([1.0])
-        engine.step(20)
-    (lead, speed, *_), (first, *_) = read()
-    assert lead == pytest.approx(0.5 * force / mass * 0.2**2, rel=0.02)
-    assert speed == pytest.approx(force / mass * 0.2, rel=0.02)
-    assert first == pytest.approx(multiplier * lead + offset, abs=MOVING * abs(multiplier))
-
-
 def test_a_heavy_follower_keeps_up(engine_name, build):
     engine = build(engine_name, world(pair(-1.0, masses=(0.1, 1.0))))
     aim = engine.position_motor("robot", ["lead"], [50.0], None, None)

@@ -250,9 +250,16 @@ def carrying(kind: str, axis: Vector, driven: str) -> Row:
     )
 
 
-def lead(multiplier: float, offset: float, limit: Limit | None = None) -> WorldModel:
+def lead(
+    multiplier: float,
+    offset: float,
+    limit: Limit | None = None,
+    a: float = 0.1,
+    b: float = 0.1,
+    **figures: Any,
+) -> WorldModel:
     """A joint, one that follows it, and one that follows the follower with the opposite sign."""
-    masses = {"base": 1.0, "a": 0.1, "b": 0.1, "c": 1e-3}
+    masses = {"base": 1.0, "a": a, "b": b, "c": 1e-3}
     links = [Link(name, Inertial(m, ixx=1e-3 * m, iyy=1e-3 * m, izz=1e-3 * m)) for name, m in masses.items()]
     slides = [
         Joint("second", "prismatic", "base", "c", axis=(0, 0, 1), mimic=Mimic("first", -1.0)),
@@ -268,7 +275,23 @@ def lead(multiplier: float, offset: float, limit: Limit | None = None) -> WorldM
             mimic=Mimic("lead", multiplier, offset),
         ),
     ]
-    return fixed(*links, joints=slides, substeps=4)
+    return fixed(*links, joints=slides, **({"substeps": 4} | figures))
+
+
+def pushed(name: str, multiplier: float, offset: float) -> Row:
+    """A force on one side moves both as a gear does: the mass that it moves is that of the leader + multiplier^2
+    * that of the follower."""
+    pace = (1.0 if name == "lead" else multiplier) / (0.2 + multiplier**2 * (0.3 + 1e-3))
+    way = 0.5 * pace * 0.2**2
+    return Row(
+        lead(multiplier, offset, a=0.2, b=0.3, substeps=20, gravity=WEIGHTLESS),
+        (motor("torque_motor", name, [100.0], to=1.0),),
+        10,
+        (state("lead", 0, 1), state("first", 0)),
+        [((), (way, 0.2 * pace, multiplier * way + offset))],
+        rel=0.02,
+        abs=1e-3,
+    )
 
 
 def thing(name: str, shape: Shape, at: Vector, **figures: Any) -> ObjectBody:
@@ -415,6 +438,11 @@ ROWS |= {
         abs=1e-6,
     )
     for inertia in (1e-12, 1e-14)
+}
+ROWS |= {
+    f"a force on {name} moves leader and follower ({multiplier}, {offset})": pushed(name, multiplier, offset)
+    for name in ("lead", "first")
+    for multiplier, offset in ((1.0, 0.0), (-1.0, 0.0), (0.5, 0.1), (-2.0, 0.05))
 }
 ROWS |= {
     f"the gap between a {one} and a {other} is {apart}": gap_between(one, other, apart)
