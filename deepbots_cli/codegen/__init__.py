@@ -17,18 +17,21 @@ from __future__ import annotations
 
 import linecache
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from types import CodeType, ModuleType
 from typing import Any
 
 from deepbots_cli.codegen.names import (
     COLUMN_NAMES,
     RUNTIME_NAMES,
+    WIDTH,
     Constants,
     class_name,
     fill_template,
-    wrap_line,
 )
 from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
@@ -71,6 +74,7 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 # calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
+_FORMATTERS = (("ruff", "format", "--isolated"), ("black", "--quiet"))
 _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
 
 
@@ -114,7 +118,7 @@ def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[st
         constants=[*constants.lines, "", ""] if constants.lines else [""],
         classes=classes,
     )
-    return "\n".join(part for line in _without_gaps(lines) for part in wrap_line(line)).rstrip("\n") + "\n"
+    return "\n".join(_without_gaps(lines)).rstrip("\n") + "\n"
 
 
 def _classes(
@@ -211,6 +215,17 @@ def _without_gaps(lines: list[str]) -> list[str]:
         if any(result[-most:]):
             result.append(line)
     return result
+
+
+def formatted(code: str) -> str:
+    """Return a module for readers: as ruff or Black formats it if one of them is installed, else as it is."""
+    for name, *options in _FORMATTERS:
+        if find_spec(name) is not None:
+            command = [sys.executable, "-m", name, *options, f"--line-length={WIDTH}", "-"]
+            done = subprocess.run(command, input=code, capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                return done.stdout
+    return code
 
 
 def load_module(code: str, name: str, filename: str) -> ModuleType:

@@ -235,8 +235,10 @@ def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
     if supervisor.agent.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
-    head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
-    return block(head, [*doc, "return self.reward_for(achieved_goal, desired_goal)"])
+    return block(
+        "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:",
+        [*doc, "return self.reward_for(achieved_goal, desired_goal)"],
+    )
 
 
 # Hand-written policies

@@ -12,7 +12,7 @@ sensing.py      its sensors: kinds, frames on links, rays, cameras, errors; ROS 
 policy.py       action, observation, goal, scripts, copies of a robot
 agents.py       several agents: a scenario for each of them
 multi_agent.py  their programs as one, and their tests
-places.py       placements, layouts, maps, and whether there is room
+places.py       placements, layouts, maps
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names none; the search of `tune`
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario

@@ -180,8 +180,12 @@ class RobotBuilder:
             return Symbol(full, None)
         heard = namespace.definitions.get(source)
         if heard is not None and heard.path[2:3] == ("hear",):
-            help = "hear the robot that sends the value, or send a value of `emit`"
-            self.values.add("DB407", path, f"`{sender}` hears `{source}`, and does not send it", help)
+            self.values.add(
+                "DB407",
+                path,
+                f"`{sender}` hears `{source}`, and does not send it",
+                "hear the robot that sends the value, or send a value of `emit`",
+            )
             return Symbol(full, None)
         if namespace.origin(source) is not Origin.FIELD:
             fields = [
@@ -333,15 +337,15 @@ class RobotBuilder:
                     report = self.values.reporter(
                         self.values.text((*self.path, "apply", command.name), command.target.text)
                     )
-                    headline = (
+                    report(
+                        "DB407",
+                        node.start,
+                        node.end,
                         f"the start of `{node.function}` is a received value; with `on_loss: zero`,"
-                        " it is 0 if the first message is lost"
-                    )
-                    help = (
+                        " it is 0 if the first message is lost",
                         "write `on_loss: hold` or `skip` under `messages.to_robot`: the robot applies"
-                        " nothing until a message arrives"
+                        " nothing until a message arrives",
                     )
-                    report("DB407", node.start, node.end, headline, help)
 
     def _command(
         self, name: str, command: object, path: NodePath, driven: ResolvedActuator | None, scope: RobotScope
@@ -542,8 +546,12 @@ class Actuators(NamespaceReader):
             spec, "damping", None, dimension=dimension * TIME, per_component=names
         )
         if spec.damping is not None and spec.stiffness is None:
-            help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
-            self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
+            self._values.add_at_key(
+                "DB102",
+                (*spec.path, "damping"),
+                "`damping` needs `stiffness`",
+                "add `stiffness`, or remove `damping` to use the built-in position control of the engine",
+            )
         return stiffness, damping
 
     def _torque_curve(self, spec: specs.SpeedLimitedMotor, joint: Joint) -> _TorqueCurve:
@@ -575,9 +583,12 @@ class Actuators(NamespaceReader):
         model = self._robot.model
         idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
-            headline = f"the joint `{idle[0]}` does not move `{spec.link}`"
-            help = "name the joints between the base and the link"
-            self._values.add("DB203", (*spec.path, "joints"), headline, help)
+            self._values.add(
+                "DB203",
+                (*spec.path, "joints"),
+                f"the joint `{idle[0]}` does not move `{spec.link}`",
+                "name the joints between the base and the link",
+            )
             return None
         names = tuple(joint.name for joint in joints)
         limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
@@ -608,7 +619,6 @@ class Actuators(NamespaceReader):
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
                 text = self._values.field(spec, key)
-                help = f"write a value within the limits of `{joint.name}`"
                 warn_beyond_limits(
                     self._values,
                     text,
@@ -616,7 +626,7 @@ class Actuators(NamespaceReader):
                     reach,
                     "a position of",
                     single(position),
-                    help,
+                    f"write a value within the limits of `{joint.name}`",
                 )
                 return
 
@@ -651,9 +661,11 @@ class Actuators(NamespaceReader):
             directions |= dict.fromkeys(members, self._fields.fixed(spec, "spin", pattern))
         missing_links = [link for link in links if link not in directions]
         if missing_links and not unknown:
-            help = f"write 1 or -1 for each link, as in `{missing_links[0]}: 1`"
             self._values.add_at_key(
-                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{missing_links[0]}`", help
+                "DB102",
+                (*spec.path, "spin"),
+                f"`spin` has no value for `{missing_links[0]}`",
+                f"write 1 or -1 for each link, as in `{missing_links[0]}: 1`",
             )
         spins = [spin for link in links if (spin := directions.get(link)) is not None]
         return tuple(spins) if len(spins) == len(links) else None
@@ -728,11 +740,16 @@ class Actuators(NamespaceReader):
             text = self._values.field(spec, key)
             allowed = Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
-            help = (
+            warn_beyond_limits(
+                self._values,
+                text,
+                dimension,
+                allowed,
+                "a limit of",
+                single(limit),
                 "deepbots uses the smaller limit: lower this value or, if the motor is stronger, write"
-                f" its `{key}` under `{joints}`"
+                f" its `{key}` under `{joints}`",
             )
-            warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
 def _tighter(file_limits: Limits, limit: float) -> Limits:

@@ -15,7 +15,7 @@ from deepbots_cli.compiler.namespace import (
     ParameterScope,
     SupervisorScope,
 )
-from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
+from deepbots_cli.compiler.places import Layouts, Places
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ValueReader
@@ -91,9 +91,11 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
-        help = "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly"
         values.add_at_key(
-            "DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", help
+            "DB407",
+            spec.path,
+            f"`{direction}` needs messages, but `messages.format` is `none`",
+            "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly",
         )
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
@@ -104,12 +106,12 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
         # most.
         if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
             least = f"{highest / (1.0 - highest):.3g}"
-            headline = (
-                f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages,"
-                f" but it is {burst:g}"
-            )
             values.add(
-                "DB105", values.field(spec, "burst").span, headline, f"write a `burst` of at least {least}"
+                "DB105",
+                values.field(spec, "burst").span,
+                f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages,"
+                f" but it is {burst:g}",
+                f"write a `burst` of at least {least}",
             )
     return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
@@ -143,12 +145,11 @@ def is_repeated_as_a_whole(
     repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
-    help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
     values.add(
         "DB407",
         text.span,
         "a single random draw cannot be combined with a value that changes within the episode",
-        help,
+        "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`",
     )
     return False
 
@@ -180,8 +181,12 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
     if interval is not None and duration is not None:
         longest, soonest = duration.typed.type.interval.high, interval.typed.type.interval.low
         if longest > soonest * (1 + 1e-9):
-            headline = f"a push can last {longest:g} s, but the next one can begin after {soonest:g} s"
-            namespace.values.add("DB105", duration.span, headline, "make `duration` shorter than `every`")
+            namespace.values.add(
+                "DB105",
+                duration.span,
+                f"a push can last {longest:g} s, but the next one can begin after {soonest:g} s",
+                "make `duration` shorter than `every`",
+            )
     is_broken = any(
         value is None and getattr(spec, key) is not None for key, value in zip(keys, expressions, strict=True)
     )
@@ -299,8 +304,9 @@ def _report_whole_robot(
     movable = [f"{key}.{part}" for part in _movable_parts(robot)]
     help = choices_help(key, movable) if movable else "no joint of this robot can move"
     help = _pose_help(robot, str(namespace.scenario.reset.joints[key]), poses) or help
-    headline = f"expected a joint or a group of joints, found the robot `{key}`"
-    namespace.values.add("DB203", text.span, headline, help)
+    namespace.values.add(
+        "DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help
+    )
 
 
 def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
@@ -367,10 +373,15 @@ def _start_value(
     reached = typed.type.intervals or (typed.type.interval,) * len(allowed)
     for reach, limits in zip(reached, allowed, strict=True):
         if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
-            help = (
-                "set a position within the limits; otherwise the physics engine pushes the joint back at once"
+            warn_beyond_limits(
+                values,
+                text,
+                dimension,
+                limits,
+                "an initial position of",
+                reach,
+                "set a position within the limits; otherwise the physics engine pushes the joint back at once",
             )
-            warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
@@ -382,8 +393,7 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
     that it does not place has no copy.
     """
     spec = namespace.scenario
-    room = PlacementChecker(namespace, world)
-    places = Places(namespace, world, room)
+    places = Places(namespace, world)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
     weighted = layouts.weighted_layouts()
@@ -400,7 +410,7 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
         for layout in weighted
     )
     _require_places(namespace)
-    room.check_surroundings(common, completed)
+    places.check_tops(common, completed)
     require = _requirement(namespace)
     return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(
         layouts.walls
@@ -437,9 +447,11 @@ def _require_places(namespace: Namespace) -> None:
             and namespace.origin(name) is Origin.OBJECT
             and not namespace.values.is_invalid(name)
         ):
-            help = f"write where they start, as in `{name}: {{region: arena}}`"
             namespace.values.add(
-                "DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", help
+                "DB102",
+                group.count.span,
+                f"`reset.place` does not place the copies of `{name}`",
+                f"write where they start, as in `{name}: {{region: arena}}`",
             )
 
 
@@ -480,11 +492,13 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     if not values.is_invalid("world.timestep"):
         values.check_whole_timesteps(settle, timestep, span, "the settling time")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
-        headline = (
+        values.add(
+            "DB105",
+            span,
             f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps"
-            " in every reset"
+            " in every reset",
+            "write a shorter time; a few seconds are usual",
         )
-        values.add("DB105", span, headline, "write a shorter time; a few seconds are usual")
     return settle
 
 
@@ -501,13 +515,19 @@ def python_term(name: str, term: PythonTerm, namespace: Namespace, *, boolean: b
     values = namespace.values
     text = namespace.values.field(term, "python")
     if namespace.document.permissions.code:
-        headline = f"`{name}` runs Python code: {term.python}"
         values.add(
-            "DB410", text.span, headline, "write it as an expression, if the language has its functions"
+            "DB410",
+            text.span,
+            f"`{name}` runs Python code: {term.python}",
+            "write it as an expression, if the language has its functions",
         )
     else:
-        help = "write an expression, or allow it with --allow-code if you trust the package"
-        values.add("DB409", text.span, f"`{name}` would run Python code: {term.python}", help)
+        values.add(
+            "DB409",
+            text.span,
+            f"`{name}` would run Python code: {term.python}",
+            "write an expression, or allow it with --allow-code if you trust the package",
+        )
     module, _, function = term.python.partition(":")
     kind = ValueType(
         boolean=boolean,
@@ -530,15 +550,12 @@ class Signals(NamespaceReader):
         if isinstance(spec.augment, dict):
             for name, value in spec.augment.items():
                 if value == name and self._is_defined_elsewhere(name):
-                    help = (
-                        f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an"
-                        " entry of a mapping needs a new name"
-                    )
                     self._values.add(
                         "DB202",
                         self._values.key_span(("augment", name)),
                         f"`{name}` under `augment` exists already",
-                        help,
+                        f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an"
+                        " entry of a mapping needs a new name",
                     )
                     continue
                 self._define(name, value, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
@@ -638,8 +655,14 @@ def _reward_value(text: SourceText, namespace: Namespace) -> TypedNode | None:
             "write the reward for it, as in `1 when"
             f" {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
         )
-        worth = "expected a number, found a truth value"
-        report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
+        report(
+            "DB403",
+            0,
+            len(text.text),
+            "expected a number, found a truth value",
+            help,
+            Replacement(f"1 when {text.text}", safe=False),
+        )
         return None
     return typed and expect_value(typed, report, "a reward", dimension=NUMBER)
 
@@ -651,9 +674,11 @@ def truncation(namespace: Namespace) -> Truncation:
     if limits is None:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
-            help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
             values.add_at_key(
-                "DB803", (key,), "the scenario has no time limit, so an episode could last forever", help
+                "DB803",
+                (key,),
+                "the scenario has no time limit, so an episode could last forever",
+                "add `truncation: {max_steps: 1000}`, or a `max_time`",
             )
         return Truncation()
     steps = namespace.fields.fixed(*_limit(limits, "max_steps"))

@@ -128,15 +128,12 @@ def training(
     if replay is not None and starts is not None and longest_episode is not None:
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
-            headline = (
-                f"learning begins after {starts:,} steps, but the first episode may not be complete by then,"
-                " and hindsight replay samples "
-                "goals from complete episodes"
-            )
             values.add(
                 "DB105",
                 ("train", "learning_starts"),
-                headline,
+                f"learning begins after {starts:,} steps, but the first episode may not be complete by then,"
+                " and hindsight replay samples "
+                "goals from complete episodes",
                 f"set `learning_starts` to at least {longest:_}",
             )
     _check_shards(spec.train, values)
@@ -523,11 +520,13 @@ class _VariantCompiler:
             isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
         ):
             return False
-        help = (
+        self._values.add(
+            "DB407",
+            entry.key.span,
+            f"a {word} cannot change `{head}`",
             f"remove this change; a {word} can change the world, the reset, the reward, the endings and"
-            " the parameters"
+            " the parameters",
         )
-        self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, name_span: Span) -> bool:
@@ -611,8 +610,12 @@ class _Reader(NamespaceReader):
         errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
         if spec.agent is not None:
-            headline = "`agent` of a test belongs to a scenario with several `agents`"
-            self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
+            self._values.add_at_key(
+                "DB101",
+                (*spec.path, "agent"),
+                "`agent` of a test belongs to a scenario with several `agents`",
+                "remove it",
+            )
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, driver)
         if len(self._values.findings.errors) > errors_before or driver is None:
@@ -635,8 +638,12 @@ class _Reader(NamespaceReader):
 
     def _driver(self, spec: TestSpec) -> str | None:
         if isinstance(spec.driver, dict):
-            headline = "a driver of each agent belongs to a scenario with several `agents`"
-            self._values.add("DB103", (*spec.path, "driver"), headline, "write one driver")
+            self._values.add(
+                "DB103",
+                (*spec.path, "driver"),
+                "a driver of each agent belongs to a scenario with several `agents`",
+                "write one driver",
+            )
             return None
         name = spec.driver or ""
         drivers = [*self._spec.scripts, *PLAIN_DRIVERS]
@@ -656,8 +663,12 @@ class _Reader(NamespaceReader):
         names = list(self._spec.action)
         if not isinstance(value, dict):
             if len(names) > 1:
-                help = f"write `{{{': ..., '.join(names)}: ...}}`"
-                self._values.add("DB103", path, f"one value for an action of {len(names)} parts", help)
+                self._values.add(
+                    "DB103",
+                    path,
+                    f"one value for an action of {len(names)} parts",
+                    f"write `{{{': ..., '.join(names)}: ...}}`",
+                )
                 return None
             value = dict.fromkeys(names, value)
         return self._fixed(path, self._decisions.read(path, value, "the action"))
@@ -679,9 +690,11 @@ class _Reader(NamespaceReader):
                     for number in constant_values(value.typed) or (math.nan,)
                 ]
                 if not all(map(math.isfinite, numbers)):
-                    help = "write fixed values, or use a script from `scripts`"
                     self._values.add(
-                        "DB407", path, f"the value of `{part.name}` must be the same in every episode", help
+                        "DB407",
+                        path,
+                        f"the value of `{part.name}` must be the same in every episode",
+                        "write fixed values, or use a script from `scripts`",
                     )
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
@@ -704,9 +717,11 @@ class _Reader(NamespaceReader):
         total = steps * self._program.action_repeat * spec.episodes
         # An episode without a time limit has 2**63 steps here, and DB803 reports it.
         if total > MAX_STEPS and self._program.truncation != Truncation():
-            help = "lower `episodes`, `max_steps` or `max_time`"
             self._values.add_at_key(
-                "DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", help
+                "DB105",
+                spec.path,
+                f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}",
+                "lower `episodes`, `max_steps` or `max_time`",
             )
         return steps
 
@@ -727,11 +742,13 @@ class _Reader(NamespaceReader):
                         if key == "success_rate"
                         else "a failure rate needs a failure, but the scenario does not define one"
                     )
-                    help = (
+                    self._values.add(
+                        "DB407",
+                        text.span,
+                        headline,
                         f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect"
-                        " something else, such as `ends_by`"
+                        " something else, such as `ends_by`",
                     )
-                    self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
                     yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
@@ -763,9 +780,11 @@ class _Reader(NamespaceReader):
             return None
         low, high = (*bounds, math.inf)[:2]
         if key != "mean_return" and not (0 <= low <= 1 and (high == math.inf or 0 <= high <= 1)):
-            help = "write a number from 0 to 1, or a percentage such as `90 %`"
             self._values.add(
-                "DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", help
+                "DB105",
+                text.span,
+                f"{called} is {text.text}, but a rate is between 0 and 1",
+                "write a number from 0 to 1, or a percentage such as `90 %`",
             )
             return None
         return low, high

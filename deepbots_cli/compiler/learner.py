@@ -176,11 +176,10 @@ def compile_search(
     if document.root is None or not entries:
         return spaces
     if len(entries) > MAX_SEARCHED:
-        headline = f"a search over {len(entries)} keys"
         findings.add(
             "DB005",
             next(iter(entries.values())).key.span,
-            headline,
+            f"a search over {len(entries)} keys",
             f"search over at most {MAX_SEARCHED} keys",
         )
         return spaces
@@ -283,13 +282,13 @@ class _Prober:
             else []
         )
         if lines:
-            headline = f"`{name}: {text}` changes the interface of the policy"
-            help = (
-                "search only over values that leave the observation, the action and the messages as they are"
-            )
             source = Source("", f"{name}={text}")
             yield Finding(
-                "DB613", Span(source, len(name), len(source.text)), headline, help, notes=tuple(lines[:5])
+                "DB613",
+                Span(source, len(name), len(source.text)),
+                f"`{name}: {text}` changes the interface of the policy",
+                "search only over values that leave the observation, the action and the messages as they are",
+                notes=tuple(lines[:5]),
             )
 
 

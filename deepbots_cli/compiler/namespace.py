@@ -167,11 +167,10 @@ class Namespace:
         help = "define one of these values without the others" + (
             ", or use `previous(...)`, the value of the step before" if again else ""
         )
-        headline = f"`{definition.name}` depends on itself"
         self.values.add_at_key(
             "DB207",
             definition.path,
-            headline,
+            f"`{definition.name}` depends on itself",
             help,
             notes=(f"the cycle is {chain}",) if len(cycle) > 1 else (),
         )

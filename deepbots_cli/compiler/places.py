@@ -1,12 +1,15 @@
-"""The places of bodies at the start: placements, regions, layouts and maps, and checks that there is room for
-them."""
+"""The places of bodies at the start: placements, regions, layouts and maps.
+
+Whether there is room for them is found by placing them: a reset that finds no position names the body, and
+`lint --deep` reports it.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import atan2, degrees, hypot, pi
+from math import atan2, pi
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin
@@ -26,19 +29,14 @@ from deepbots_cli.expressions.types import (
     Known,
     ValueType,
 )
-from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOR, ObjectBody, WorldModel
-from deepbots_cli.robots import kinematics
-from deepbots_cli.robots.model import Box, Cylinder, Mesh
+from deepbots_cli.robots.model import Box, Cylinder
 from deepbots_cli.scenario.task import MapLayout
 from deepbots_cli.scenario.task import Placement as PlacementSpec
 from deepbots_cli.scenario.task import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
-
-_MAX_AREA_RATIO = 16.0
-"""The multiple of the area of a top from which on the unit of a body on it is probably wrong."""
 
 _ROTATION_KEYS = ("roll", "pitch", "yaw")
 
@@ -52,289 +50,10 @@ def has_top(body: ObjectBody) -> bool:
     return body.solid and not body.pooled and not body.variants and isinstance(body.shape, (Box, Cylinder))
 
 
-class PlacementChecker(NamespaceReader):
-    """Checks that there is room for the bodies of a world where they are placed."""
-
-    def __init__(self, namespace: Namespace, world: WorldModel) -> None:
-        super().__init__(namespace)
-        self._world = world
-
-    def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
-        """Report DB105 if the region is too small or beyond the walls: for one body with its clearance, the
-        grid, all copies together."""
-        kinds = self._footprints(place)
-        if not kinds:
-            return
-        inradius = min(kind.inradius for kind in kinds)
-        is_fixed = self._is_fixed(place)
-        needed = 2 * inradius + (0.0 if is_fixed else 2 * place.clearance)
-        width, depth = (region.high[axis] - region.low[axis] for axis in (0, 1))
-        arena = self._world.arena
-        span = self._values.key_span((*path, "region"))
-        copies = self.copies(place)
-        if arena is not None and needed > min(arena.size):
-            size = f"{needed:.3g} m{'' if is_fixed else ' with its clearance'}"
-            headline = f"`{place.body}` needs {size}, but the arena is only {min(arena.size):.3g} m wide"
-            self._values.add("DB105", span, headline, "use a larger arena, or less clearance")
-        elif arena is not None and any(
-            region.low[axis] > arena.size[axis] / 2 - needed / 2
-            or region.high[axis] < needed / 2 - arena.size[axis] / 2
-            for axis in (0, 1)
-        ):
-            headline = (
-                f"`{place.body}` fits nowhere in the region: the region is outside the arena, or too"
-                " close to its walls"
-            )
-            self._values.add(
-                "DB105", span, headline, "move the region into the arena, whose center is the origin"
-            )
-        elif (
-            region.mesh
-            # 0.3 / 0.1 is 2.9999999999999996, which `int` alone cuts to 2.
-            and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies
-        ):
-            headline = (
-                f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
-            )
-            self._values.add_at_key(
-                "DB105", (*path, "grid"), headline, "use a larger region, or a smaller `grid`"
-            )
-        elif (
-            arena is not None
-            and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]
-        ):
-            headline = (
-                f"{copies} copies that need {area:.3g} m^2 each do not fit into an arena of"
-                f" {arena.size[0] * arena.size[1]:.3g} m^2"
-            )
-            self._values.add("DB105", span, headline, "use a larger arena, or fewer copies")
-
-    def check_surroundings(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
-        """Report a body that has no free spot in any layout, with the cause: the top that it should stand on
-        is too small, or another body covers its region."""
-        for layout in layouts or (Layout("", 1.0, ()),):
-            standing = {place.body: place for place in (*common, *layout.placements)}
-            for place in standing.values():
-                path: NodePath = tuple(place.owner.split("."))
-                match place.spot:
-                    case Top() as spot:
-                        self._check_top(place, spot, standing, path)
-                    case Region() as region:
-                        self._check_covered(place, region, standing, path)
-
-    def _check_top(
-        self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath
-    ) -> None:
-        """Report DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one
-        that is too small or elsewhere."""
-        span = self._values.span((*path, "on"))
-        if self._check_stack(place, standing, span):
-            return
-        support = standing[spot.of]
-        if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            headline = f"the top of `{spot.of}` is not level"
-            self._values.add("DB203", span, headline, f"remove `roll` and `pitch` of `{spot.of}`")
-            return
-        top = footprint.shape_footprint(
-            next(body.shape for body in self._world.objects if body.name == spot.of)
-        )
-        if self._check_room(place, support, top, span) or spot.region is None:
-            return
-        patch = _patch(support, top)
-        if patch is not None and _misses(spot.region, patch):
-            reach_x, reach_y = patch.half_extents
-            sides = (
-                f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .."
-                f" {patch.y + reach_y:g} m"
-            )
-            help = f"leave out `region` to use the whole top, which covers {sides}"
-            self._values.add_at_key(
-                "DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help
-            )
-
-    def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
-        """Return whether a body stands on itself, or on bodies that stand on each other, with DB207 once for
-        each cycle."""
-        stack: list[str] = []
-        below: Placement | None = place
-        while below is not None and below.body not in stack:
-            stack.append(below.body)
-            below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
-        if below is None:
-            return False
-        # The cycle is reported once, of the first of its bodies.
-        is_first = below.body == next(body for body in standing if body in stack)
-        if is_first and below.body == place.body:
-            notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            help = f"remove `on` of `{place.body}`, which then rests on the ground"
-            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
-        return not is_first or below.body == place.body
-
-    def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
-        """Return whether a body, or all its copies, are too large for the top of another one: DB105."""
-        kinds = self._footprints(place)
-        copies = self.copies(place)
-        if not kinds or _is_tilted(place):
-            return False
-        margin = 0.0 if self._is_fixed(place) else place.clearance
-        turns = _turn_between(place, support)
-        area = min(kind.area for kind in kinds)
-        if not any(_fits(top, kind, turns, margin) for kind in kinds):
-            edge = f", with a clearance of {margin:.3g} m" if margin else ""
-            turn_text = f" when turned by {degrees(turns):.3g} deg" if turns else ""
-            covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
-            ways = [
-                f"make `{support.body}` larger",
-                *(["reduce `clearance`"] if margin else []),
-                *(["use another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
-            ]
-            help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
-            if area > _MAX_AREA_RATIO * top.area:
-                help = f"check the unit of the size of `{place.body}`"
-            headline = f"{covers} does not fit on the top of `{support.body}` ({_size(top)}){turn_text}"
-        elif copies * area > top.area:
-            headline = (
-                f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
-                f" of `{support.body}`"
-            )
-            help = f"make `{support.body}` larger, or place fewer copies"
-        else:
-            return False
-        self._values.add("DB105", span, headline, help)
-        return True
-
-    def _check_covered(
-        self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath
-    ) -> None:
-        """Report DB105 if a body at known coordinates covers the whole region, so that no spot of it is ever
-        free.
-
-        The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
-        """
-        kinds = self._footprints(place)
-        if not kinds or self._world.terrain is not None:
-            return
-        inner = 0.0 if _is_tilted(place) else min(kind.inradius - hypot(*kind.middle) for kind in kinds)
-        corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
-        for body in self._world.objects:
-            placement = standing.get(body.name)
-            if placement is place or body.pooled or body.variants or isinstance(body.shape, Mesh):
-                continue
-            patch = _standing_patch(body, placement)
-            needed = inner + max(place.clearance, placement.clearance if placement else 0.0)
-            if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
-                headline = f"the region has no free position for `{place.body}`: `{body.name}` covers it"
-                onto = (
-                    f"write `on: {body.name}` to put it on the top of `{body.name}`, or "
-                    if has_top(body) and placement
-                    else ""
-                )
-                self._values.add_at_key(
-                    "DB105", (*path, "region"), headline, f"{onto}move the region away from `{body.name}`"
-                )
-                return
-
-    def copies(self, place: Placement) -> int:
-        """Return how many copies are placed at most."""
-        group = self._namespace.groups.get(place.body)
-        return (
-            1
-            if group is None
-            else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
-        )
-
-    def _is_fixed(self, place: Placement) -> bool:
-        group = self._namespace.groups.get(place.body)
-        return any(
-            body.name in (place.body, *(group.copies if group else ())) and body.fixed
-            for body in self._world.objects
-        )
-
-    def _footprints(self, place: Placement) -> list[Footprint]:
-        """Return the footprint of each form that a body may take; a mesh has none."""
-        group = self._namespace.groups.get(place.body)
-        first = group.copies[0] if group else place.body
-        for robot in self._world.robots:
-            if robot.name in (place.body, first):
-                return [footprint.robot_footprint(robot.model)]
-        for body in self._world.objects:
-            if body.name == first:
-                shapes = [variant.shape for variant in body.variants] or [body.shape]
-                return (
-                    []
-                    if any(isinstance(shape, Mesh) for shape in shapes)
-                    else [footprint.shape_footprint(shape) for shape in shapes]
-                )
-        return []
-
-
-def _standing_patch(body: ObjectBody, place: Placement | None) -> Patch | None:
-    """Return the patch of an object that rises above level ground; None if it does not, or if its place is
-    not fixed."""
-    low, high = kinematics.bounds_of_shape(body.shape)
-    if place is None:  # a piece of a wall
-        x, y, z = body.pose.xyz
-        rpy = body.pose.rpy
-        return footprint.shape_footprint(body.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
-    height = -low[2] if place.rests else _coordinate(place, "z")
-    if _is_tilted(place) or height is None or height + high[2] < 1e-6:
-        return None
-    return _patch(place, footprint.shape_footprint(body.shape))
-
-
-def _patch(place: Placement, covered: Footprint) -> Patch | None:
-    """Return the patch of a body that stands upright at fixed coordinates; None if they are drawn."""
-    x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
-    yaw = 0.0 if covered.half is None else yaw
-    return (
-        None
-        if place.spot is not None or x is None or y is None or yaw is None
-        else covered.at(x, y, yaw + place.heading)
-    )
-
-
-def _coordinate(place: Placement, key: str) -> float | None:
-    """Return a coordinate in m or rad; None where it is drawn."""
-    coordinate = place.coordinates.get(key)
-    if coordinate is None:
-        return 0.0
-    constants = constant_values(coordinate.typed)
-    return None if constants is None else float(constants[0])
-
-
 def _is_tilted(place: Placement) -> bool:
-    return any(_coordinate(place, turn) != 0.0 for turn in ("roll", "pitch"))
-
-
-def _turn_between(place: Placement, support: Placement) -> float | None:
-    """Return the angle (rad) between a body and its support about the vertical; None if it is drawn."""
-    yaw, below = _coordinate(place, "yaw"), _coordinate(support, "yaw")
-    return None if yaw is None or below is None else yaw + place.heading - below - support.heading
-
-
-def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) -> bool:
-    """Return whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
-    # 1e-6 m: a body exactly as wide as the top fits despite rounding.
-    if turn is not None or top.half is None or kind.half is None:
-        middle = kind._replace(middle=(0.0, 0.0))
-        return top.at(0.0, 0.0, 0.0).contains(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
-    return kind.inradius + margin <= top.inradius + 1e-6 and kind.radius + margin <= top.radius + 1e-6
-
-
-def _misses(region: Region, patch: Patch) -> bool:
-    reach = patch.half_extents
-    return any(
-        region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis]
-        for axis, middle in ((0, patch.x), (1, patch.y))
-    )
-
-
-def _size(covered: Footprint) -> str:
-    return (
-        f"{2 * covered.half[0]:.3g} by {2 * covered.half[1]:.3g} m"
-        if covered.half
-        else f"{2 * covered.radius:.3g} m across"
-    )
+    """Return whether a body may stand otherwise than upright."""
+    turns = [place.coordinates[turn] for turn in ("roll", "pitch") if turn in place.coordinates]
+    return any(constant_values(turn.typed) != (0.0,) for turn in turns)
 
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
@@ -357,9 +76,8 @@ _ANY_ANGLE = Invocation(
 class Places(NamespaceReader):
     """Reads placements in the scope of a reset, where values may be drawn."""
 
-    def __init__(self, namespace: Namespace, world: WorldModel, room: PlacementChecker) -> None:
+    def __init__(self, namespace: Namespace, world: WorldModel) -> None:
         super().__init__(namespace)
-        self._room = room
         self._world = world
         self._scope = namespace.scope(Context.RESET)
 
@@ -403,11 +121,10 @@ class Places(NamespaceReader):
         elif pose.region is not None:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            help = "add one, as in `region: arena`"
-            self._values.add_at_key("DB102", (*pose.path, "grid"), "`grid` needs a `region`", help)
+            self._values.add_at_key(
+                "DB102", (*pose.path, "grid"), "`grid` needs a `region`", "add one, as in `region: arena`"
+            )
         self._check_spots(place.spot, pose.path)
-        if isinstance(place.spot, Region) and used:
-            self._room.check_region(place, place.spot, pose.path)
         self._check_copies(place, pose.path, used=used and not has_finding)
         return self.resting_placement(place)
 
@@ -473,11 +190,10 @@ class Places(NamespaceReader):
         if self._namespace.origin(name) is None:
             self._values.report_unknown(span, "object", name, flat)
         elif name not in flat and not self._values.is_invalid(name):
-            headline = f"`{name}` has no flat top to place a body on"
             self._values.add(
                 "DB203",
                 span,
-                headline,
+                f"`{name}` has no flat top to place a body on",
                 f"use a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}",
             )
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
@@ -517,37 +233,91 @@ class Places(NamespaceReader):
             )
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
-            headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
-            self._values.add("DB005", (*path, "grid"), headline, "write a larger `grid`")
+            self._values.add(
+                "DB005",
+                (*path, "grid"),
+                f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}",
+                "write a larger `grid`",
+            )
+        elif isinstance(spot, Region) and spot.is_too_small:
+            self._values.add_at_key(
+                "DB105",
+                (*path, "grid"),
+                "the region has no room for a cell",
+                "use a larger region, or a smaller `grid`",
+            )
 
     def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Report keys that only a group may have, and copies of a group that would overlap."""
         group = self._namespace.groups.get(place.body)
         if group is not None:
             if used:
-                self._check_spread(place, self._room.copies(place), path)
+                self._check_spread(place, group, path)
             return
         for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if spec and not self._values.is_invalid(place.body):
-                headline = f"`{key}` applies only to groups, but `{place.body}` is a single body"
                 self._values.add_at_key(
-                    "DB203", (*path, key), headline, f"remove it, or add a `count` to `{place.body}`"
+                    "DB203",
+                    (*path, key),
+                    f"`{key}` applies only to groups, but `{place.body}` is a single body",
+                    f"remove it, or add a `count` to `{place.body}`",
                 )
 
-    def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
-        """Report DB105 if up to so many `copies` are placed at the same coordinates."""
+    def _check_spread(self, place: Placement, group: ObjectGroup, path: NodePath) -> None:
+        """Report DB105 if several copies of a group may be placed at the same coordinates."""
+        copies = group.capacity if place.at_most is None else min(group.capacity, place.at_most)
         if any(self._values.is_present((*path, key)) for key in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            help = (
-                "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
-                " copy with `at_most: 1`"
-            )
             self._values.add_at_key(
-                "DB105", path, f"up to {copies} copies of `{place.body}` at one position", help
+                "DB105",
+                path,
+                f"up to {copies} copies of `{place.body}` at one position",
+                "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
+                " copy with `at_most: 1`",
             )
+
+    def check_tops(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
+        """Report bodies that stand on each other (DB207), or on a top that is not level (DB203), in any
+        layout."""
+        for layout in layouts or (Layout("", 1.0, ()),):
+            standing = {place.body: place for place in (*common, *layout.placements)}
+            for place in standing.values():
+                span = self._values.span((*place.owner.split("."), "on"))
+                if not isinstance(place.spot, Top) or self._check_stack(place, standing, span):
+                    continue
+                if _is_tilted(standing[place.spot.of]):
+                    self._values.add(
+                        "DB203",
+                        span,
+                        f"the top of `{place.spot.of}` is not level",
+                        f"remove `roll` and `pitch` of `{place.spot.of}`",
+                    )
+
+    def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
+        """Return whether a body stands on itself, or on bodies that stand on each other, with DB207 once for
+        each cycle."""
+        stack: list[str] = []
+        below: Placement | None = place
+        while below is not None and below.body not in stack:
+            stack.append(below.body)
+            below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
+        if below is None:
+            return False
+        # The cycle is reported once, of the first of its bodies.
+        is_first = below.body == next(body for body in standing if body in stack)
+        if is_first and below.body == place.body:
+            notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
+            self._values.add(
+                "DB207",
+                span,
+                f"`{place.body}` is placed on itself",
+                f"remove `on` of `{place.body}`, which then rests on the ground",
+                notes=notes,
+            )
+        return not is_first or below.body == place.body
 
 
 def draws_owner(path: NodePath) -> str:
@@ -575,11 +345,13 @@ class Layouts(NamespaceReader):
             shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             first, second = list(layouts)[:2]
-            help = (
+            self._values.add_at_key(
+                "DB102",
+                ("reset", "layouts"),
+                "missing key `layout`",
                 f"choose one with `layout: {first}`, or draw one with"
-                f" `layout: {{{first}: 50 %, {second}: 50 %}}`"
+                f" `layout: {{{first}: 50 %, {second}: 50 %}}`",
             )
-            self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
                 path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
@@ -602,8 +374,12 @@ class Layouts(NamespaceReader):
         shares = {name: share for name, share in all_shares.items() if share is not None}
         # 0.7 + 0.2 + 0.1 is 0.9999999999999999.
         if len(shares) == len(all_shares) and abs(sum(shares.values()) - 1.0) > 1e-6:
-            headline = f"the shares add up to {100 * sum(shares.values()):g} %"
-            self._values.add_at_key("DB105", ("reset", "layout"), headline, "make the shares add up to 100 %")
+            self._values.add_at_key(
+                "DB105",
+                ("reset", "layout"),
+                f"the shares add up to {100 * sum(shares.values()):g} %",
+                "make the shares add up to 100 %",
+            )
         return shares
 
     # Maps
@@ -660,11 +436,10 @@ class Layouts(NamespaceReader):
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
-                headline = f"this row has {len(row)} cells, but the first row has {len(rows[0])}"
                 self._values.add(
                     "DB106",
                     row[0][1],
-                    headline,
+                    f"this row has {len(row)} cells, but the first row has {len(rows[0])}",
                     "separate cells by spaces, and write a dot for an empty cell",
                 )
                 return False
@@ -673,11 +448,13 @@ class Layouts(NamespaceReader):
     def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
-            headline = (
+            self._values.add_at_key(
+                "DB105",
+                path,
                 f"the map is {width:g} by {depth:g} m, but the arena is only {arena.size[0]:g} by"
-                f" {arena.size[1]:g} m"
+                f" {arena.size[1]:g} m",
+                "use smaller cells, or a larger arena",
             )
-            self._values.add_at_key("DB105", path, headline, "use smaller cells, or a larger arena")
 
     def _standing(
         self,
@@ -712,11 +489,11 @@ class Layouts(NamespaceReader):
             + count
         )
         if bodies > MAX_BODIES:
-            headline = (
-                f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
-            )
             self._values.add(
-                "DB005", span, headline, "write long walls under `world.walls`, or use larger cells"
+                "DB005",
+                span,
+                f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}",
+                "write long walls under `world.walls`, or use larger cells",
             )
             return
         group = ObjectGroup(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))

@@ -196,11 +196,10 @@ class Actions(NamespaceReader):
                 if part == name and constant_values(condition.typed) == (True,)
             }
             if always == set(part.choices):
-                headline = f"every option of `{name}` is always forbidden"
                 self._values.add_at_key(
                     "DB105",
                     (*part.path, "forbid"),
-                    headline,
+                    f"every option of `{name}` is always forbidden",
                     "change `forbid` so that at least one option is allowed",
                 )
         return forbidden
@@ -261,17 +260,23 @@ class Actions(NamespaceReader):
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(value, dict):
             if named:
-                help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
                 self._values.add(
-                    "DB103", path, "this option is a number, but other options assign variables", help
+                    "DB103",
+                    path,
+                    "this option is a number, but other options assign variables",
+                    f"assign the variables, as in `{{{variables[0]}: 1}}`",
                 )
                 self._values.mark_invalid(str(path[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in value]
         if missing:
-            headline = f"the option `{path[-1]}` does not assign `{missing[0]}`, but other options do"
-            self._values.add_at_key("DB102", path, headline, f"add `{missing[0]}: 0`, or another value")
+            self._values.add_at_key(
+                "DB102",
+                path,
+                f"the option `{path[-1]}` does not assign `{missing[0]}`, but other options do",
+                f"add `{missing[0]}: 0`, or another value",
+            )
         numbers = {variable: number(variable) for variable in value}
         return tuple(numbers.get(variable) or 0.0 for variable in variables)
 
@@ -476,11 +481,10 @@ class Observations(NamespaceReader):
             if size > limit:
                 frames = f" ({size // stack:,} in each of {stack} frames)" if stack > 1 else ""
                 subject = "the observation" if section == "observation" else "the observation of the critic"
-                headline = f"{subject} has {size:,} {noun}{frames}; the limit is {limit:,}"
                 self._values.add_at_key(
                     "DB105",
                     (section,),
-                    headline,
+                    f"{subject} has {size:,} {noun}{frames}; the limit is {limit:,}",
                     "lower `history` of its entries, or `agent.frame_stack`",
                 )
 
@@ -521,11 +525,13 @@ class Observations(NamespaceReader):
         for entry in entries:
             key = entry.value.name.replace(".", "_")
             if entry.value.typed.type.picture and key in keys:
-                headline = (
+                self._values.add(
+                    "DB202",
+                    entry.value.span,
                     f"the picture `{entry.value.name}` needs the key `{key}` of the observation, but"
-                    " this key is already used"
+                    " this key is already used",
+                    "rename the picture",
                 )
-                self._values.add("DB202", entry.value.span, headline, "rename the picture")
             keys |= {key} if entry.value.typed.type.picture else set()
 
 
@@ -568,9 +574,11 @@ class Goals(NamespaceReader):
             )
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
-            help = "remove `action_repeat`, and use a longer timestep instead"
             self._values.add(
-                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help
+                "DB709",
+                span,
+                "hindsight replay cannot recompute a reward over several timesteps",
+                "remove `action_repeat`, and use a longer timestep instead",
             )
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
@@ -627,12 +635,16 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
             )
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
-            headline = f"the term `{term.name}` depends on values other than the goal"
             help = (
                 "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER)"
                 " recomputes the reward for other goals"
             )
-            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
+            namespace.values.add(
+                "DB709",
+                text.part(odd.start, odd.end),
+                f"the term `{term.name}` depends on values other than the goal",
+                help,
+            )
             break
 
 
@@ -738,9 +750,11 @@ class Decisions(NamespaceReader):
             )
         for name in part.components:
             if name not in decisions and not strange:  # otherwise it probably stands there under another name
-                headline = f"{self._called} sets no value for `{name}` of `{part.name}`"
                 self._values.add(
-                    "DB102", key, headline, "write a value for each component, or one value for all of them"
+                    "DB102",
+                    key,
+                    f"{self._called} sets no value for `{name}` of `{part.name}`",
+                    "write a value for each component, or one value for all of them",
                 )
         aims = [
             self._aim((*path, name), part, decisions[name], None)
@@ -770,11 +784,13 @@ class Decisions(NamespaceReader):
         span = self._values.span(path)
         options = [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            help = (
+            self._values.add(
+                "DB103",
+                span,
+                f"expected an option of `{part.name}`, found an expression",
                 f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
-                f" {options[-1]}: true}}`"
+                f" {options[-1]}: true}}`",
             )
-            self._values.add("DB103", span, f"expected an option of `{part.name}`, found an expression", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
         elif word not in options:

@@ -205,8 +205,12 @@ def report_missing_joint(
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
     """Report DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
-    help = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
-    values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
+    values.add(
+        "DB303",
+        span,
+        f"the joint `{joint}` follows `{leader}` and cannot be moved on its own",
+        f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`",
+    )
 
 
 def report_motionless_joint(
@@ -507,11 +511,10 @@ class Overrides:
         """Return `limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
             span = self.values.field(change, "range").span
-            headline = "a continuous joint cannot have a range"
             self.values.add(
                 "DB203",
                 span,
-                headline,
+                "a continuous joint cannot have a range",
                 "remove `range`, or change the type of the joint to revolute in the robot file",
             )
             return limit

@@ -94,11 +94,12 @@ class SensorsCompiler(NamespaceReader):
             (values, MAX_OBSERVED_BYTES, "bytes of pictures"),
         ):
             if count > limit:
-                headline = (
-                    f"the sensors of `{self._robot.name}` have {count:,} {noun}; the limit is {limit:,}"
+                self._values.add_at_key(
+                    "DB005",
+                    (*self._robot.spec.path, "sensors"),
+                    f"the sensors of `{self._robot.name}` have {count:,} {noun}; the limit is {limit:,}",
+                    "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep",
                 )
-                help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
-                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         reading = self._read(name, spec)
@@ -186,8 +187,12 @@ class SensorsCompiler(NamespaceReader):
         """Return the link on which a sensor is mounted; none after a finding."""
         links = self._robot.links_of(spec, self._values)
         if isinstance(spec, ReactionSensor) and self._robot.model.root in links:
-            headline = f"no joint carries `{spec.link}`, the root link of `{self._robot.name}`"
-            self._values.add("DB105", (*spec.path, "link"), headline, "name a link that a joint carries")
+            self._values.add(
+                "DB105",
+                (*spec.path, "link"),
+                f"no joint carries `{spec.link}`, the root link of `{self._robot.name}`",
+                "name a link that a joint carries",
+            )
             return ()
         return links
 
@@ -261,8 +266,12 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
-            help = "write `channels: depth`, or remove `range`"
-            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
+            values.add_at_key(
+                "DB203",
+                (*spec.path, "range"),
+                "`range` applies to depth cameras only",
+                "write `channels: depth`, or remove `range`",
+            )
         ends = namespace.fields.ends(spec, "range", description="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
@@ -276,8 +285,12 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
 
 
 def _report_angle_of_view(namespace: Namespace, spec: LinkSensor, key: str, angle: float, help: str) -> None:
-    headline = f"the angle of view is {math.degrees(angle):g} deg"
-    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, help)
+    namespace.values.add(
+        "DB105",
+        namespace.values.span((*spec.path, key)),
+        f"the angle of view is {math.degrees(angle):g} deg",
+        help,
+    )
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
@@ -347,8 +360,12 @@ def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
     values = namespace.values
     for key in ("rays", "angle_range"):
         if key in spec.model_fields_set:
-            help = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
-            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", help)
+            values.add_at_key(
+                "DB101",
+                (*spec.path, key),
+                f"`{key}` does not apply to a grid of rays",
+                "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid",
+            )
             return None
     size = namespace.fields.pair(spec, "grid")
     spacing = namespace.fields.fixed(spec, "spacing")
@@ -586,12 +603,12 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         try:
             part_of(field, topic)
         except ValueError as error:
-            help = (
-                "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types"
-                " that fit"
-            )
             values.add(
-                "DB321", ("ros", name, "type" if topic_spec.part is None else "part"), str(error), help
+                "DB321",
+                ("ros", name, "type" if topic_spec.part is None else "part"),
+                str(error),
+                "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types"
+                " that fit",
             )
         else:
             topics_by_field[name] = (field, topic)
@@ -604,8 +621,12 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     commanded = {topic.name for name, (_, topic) in all_topics.items() if name not in sensors}
     for name, (_, given_topic) in topics_by_field.items():
         if given_topic.name in measured & commanded:
-            headline = f"the topic {given_topic.name} carries sensors and commands"
-            values.add_at_key("DB321", ("ros", name), headline, "use topics of their own for commands")
+            values.add_at_key(
+                "DB321",
+                ("ros", name),
+                f"the topic {given_topic.name} carries sensors and commands",
+                "use topics of their own for commands",
+            )
         elif name in problems:
             values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
     return {name: topic for name, (_, topic) in topics_by_field.items()}
@@ -626,5 +647,9 @@ def report_topics_of_no_agent(document: Document, programs: Iterable[Program]) -
         )
     )
     for name in entries.keys() - set(names):
-        headline = f"there is no sensor, reading or actuator `{name}`"
-        document.findings.add("DB201", entries[name].key.span, headline, choices_help(name, names))
+        document.findings.add(
+            "DB201",
+            entries[name].key.span,
+            f"there is no sensor, reading or actuator `{name}`",
+            choices_help(name, names),
+        )

@@ -58,9 +58,12 @@ class _LevelsReader(NamespaceReader):
         up, down = self._outcomes("up"), self._outcomes("down")
         shared = sorted(up & down - {SUCCESS})
         if shared:
-            headline = f"after `{shared[0]}` a world cannot be one level higher and one level lower"
-            help = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
-            self._values.add("DB407", (*spec.path, "down"), headline, help)
+            self._values.add(
+                "DB407",
+                (*spec.path, "down"),
+                f"after `{shared[0]}` a world cannot be one level higher and one level lower",
+                f"remove `{shared[0]}` from `up` or `down`, or name the single endings",
+            )
         if len(self._values.findings.errors) > errors_before or start is None or None in values.values():
             return None
         return Levels(
@@ -215,8 +218,12 @@ class _LevelsReader(NamespaceReader):
             return None
         low, high = bounds
         if not (low.is_integer() and high.is_integer() and 0 <= low <= high < self._levels.levels):
-            help = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
-            self._values.add("DB105", text.span, f"`start` is {text.text}, which is not a level", help)
+            self._values.add(
+                "DB105",
+                text.span,
+                f"`start` is {text.text}, which is not a level",
+                f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`",
+            )
             return None
         return int(low), int(high)
 
@@ -251,8 +258,12 @@ class _LevelsReader(NamespaceReader):
                 defined = "a limit under `truncation`" if name == "truncation" else f"`termination.{name}`"
                 if name == "termination":
                     defined = "an ending under `termination`"
-                help = f"define {defined}, or name another ending"
-                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", help)
+                self._values.add(
+                    "DB407",
+                    path,
+                    f"no episode of the scenario ends by `{name}`",
+                    f"define {defined}, or name another ending",
+                )
             return outcomes
         if name not in single and not self._values.is_invalid("termination"):
             self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])

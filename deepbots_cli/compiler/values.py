@@ -208,8 +208,12 @@ class FieldReader:
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
         unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
-        help = f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`"
-        self._values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help)
+        self._values.add(
+            "DB105",
+            text.span,
+            f"`{text.path[-1]}` is drawn without a {end}",
+            f"keep it within bounds, as in `clamp(normal(2 +- 1{unit}), 1 .. 3{unit})`",
+        )
         return False
 
     def ends(
@@ -293,8 +297,12 @@ class FieldReader:
             return None
         text = self._values.field(section, "noise")
         if of.type.boolean or of.type.picture:
-            help = "remove it, or put the noise on the number from which the value is computed"
-            self._values.add("DB403", text.span, f"noise on {of.type.description}", help)
+            self._values.add(
+                "DB403",
+                text.span,
+                f"noise on {of.type.description}",
+                "remove it, or put the noise on the number from which the value is computed",
+            )
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -326,8 +334,12 @@ class FieldReader:
             # A link that two patterns match has the color of the later one.
             self.colors[:] = [parameter for parameter in self.colors if parameter.of != of]
         if len(options) > 1 and of is None:
-            help = "write one color for all episodes"
-            self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
+            self._values.add(
+                "DB407",
+                text.span,
+                "this color must be fixed, but the value is random",
+                "write one color for all episodes",
+            )
         elif len(options) > 1 and of is not None:
             single = ValueType(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
@@ -537,8 +549,12 @@ class ValueReader:
         # 3 * 0.1 is 0.30000000000000004.
         is_multiple = abs(seconds - round(seconds / timestep) * timestep) <= 1e-9 * seconds
         if not is_multiple:
-            headline = f"{description} of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
-            self.add("DB308", span, headline, "write a multiple of the timestep")
+            self.add(
+                "DB308",
+                span,
+                f"{description} of {seconds:g} s is not a multiple of the timestep of {timestep:g} s",
+                "write a multiple of the timestep",
+            )
         return is_multiple
 
     # Names
@@ -686,8 +702,12 @@ class ValueReader:
             return True
         unit = value.type.dimension
         example = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
-        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
-        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", help)
+        self.add(
+            "DB404",
+            text.span,
+            f"{description} must be a vector; this is a single value",
+            f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`",
+        )
         return False
 
     def _is_within(self, value: TypedNode, text: SourceText, description: str) -> bool:
@@ -745,11 +765,13 @@ class ValueReader:
         computed."""
         values = constant_values(value)
         if values is None:
-            help = (
+            self.add(
+                "DB105",
+                text.span,
+                f"{description} cannot be computed",
                 "correct it: the expression divides by zero, leaves the domain of a function, or gives"
-                " too large a number"
+                " too large a number",
             )
-            self.add("DB105", text.span, f"{description} cannot be computed", help)
         return values
 
     def ends(

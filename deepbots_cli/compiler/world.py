@@ -123,8 +123,12 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
         )
         return None
     if highest > MAX_BODIES:
-        help = "use fewer bodies: an engine would take minutes to build this world"
-        values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
+        values.add(
+            "DB005",
+            count.span,
+            f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}",
+            "use fewer bodies: an engine would take minutes to build this world",
+        )
         return None
     return ObjectGroup(name, max(1, int(highest)), count)
 
@@ -208,8 +212,12 @@ def lines(namespace: Namespace) -> tuple[Line, ...]:
     compiled = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
     complete = tuple(line for line in compiled if line is not None)
     if sum(len(line.points) for line in complete) > MAX_POINTS:
-        headline = f"the lines together have more than {MAX_POINTS:,} points"
-        namespace.values.add_at_key("DB005", ("world", "lines"), headline, "leave out points")
+        namespace.values.add_at_key(
+            "DB005",
+            ("world", "lines"),
+            f"the lines together have more than {MAX_POINTS:,} points",
+            "leave out points",
+        )
     namespace.lengths |= {line.name: line.length for line in complete}
     return complete
 
@@ -421,8 +429,9 @@ def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
                 return None
             if key == "angle" and max(low, high) > _MAX_SLOPE:
                 span = namespace.values.span((*spec.path, key))
-                headline = f"a slope of {math.degrees(max(low, high)):g} deg"
-                namespace.values.add("DB105", span, headline, "write at most 80 deg")
+                namespace.values.add(
+                    "DB105", span, f"a slope of {math.degrees(max(low, high)):g} deg", "write at most 80 deg"
+                )
                 return None
             measures.append((key, low, high))
         else:
@@ -543,9 +552,11 @@ def _variant(
     are fixed."""
     for key in _OF_ALL:
         if getattr(spec, key) is not None:
-            help = f"write one `{key}` for all variants, next to `one_of`"
             namespace.values.add_at_key(
-                "DB108", (*spec.path, key), f"`{key}` of one variant is not supported yet", help
+                "DB108",
+                (*spec.path, key),
+                f"`{key}` of one variant is not supported yet",
+                f"write one `{key}` for all variants, next to `one_of`",
             )
     variant_shape = shape(spec, namespace)
     massive, rough, painted, still = (
@@ -691,12 +702,12 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         most = max(counts, key=lambda section: counts[section])
-        headline = (
-            f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit"
-            f" is {MAX_BODIES}"
-        )
         namespace.values.add_at_key(
-            "DB005", most, headline, "use fewer bodies: an engine would take minutes to build this world"
+            "DB005",
+            most,
+            f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit"
+            f" is {MAX_BODIES}",
+            "use fewer bodies: an engine would take minutes to build this world",
         )
 
 

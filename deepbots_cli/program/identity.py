@@ -19,7 +19,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import PurePath
@@ -27,10 +27,20 @@ from typing import Any
 
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, names_in, walk
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import MessageField, MessageLayout, Robot, Sensor
-from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber
+from deepbots_cli.program.resets import JointStart, Placement, RandomizedParameter
+from deepbots_cli.program.robots import (
+    Command,
+    MessageField,
+    MessageLayout,
+    Motor,
+    RayConfig,
+    Robot,
+    Sensor,
+    Thrust,
+)
+from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber, Training
 from deepbots_cli.program.values import Expression, NamedScalars
-from deepbots_cli.program.world import Picture
+from deepbots_cli.program.world import Picture, RobotBody
 from deepbots_cli.robots.model import Mesh
 
 Node = tuple[Robot | None, Scalar]
@@ -109,15 +119,51 @@ def task_digest(program: Program) -> str:
     return digest(replace(nameless, curriculum=(), levels=None, evaluation=Evaluation(), cases=()))
 
 
+_COUNTED: Mapping[type, Sequence[str]] = {
+    Command: ("name", "scalars"),
+    JointStart: ("robot", "states"),
+    Placement: (
+        *("body", "xyz", "rpy", "velocity", "angular_velocity"),
+        *("seeks_height", "spot", "clearance", "at_most", "spacing", "stream"),
+    ),
+    RandomizedParameter: ("what", "of", "scalars"),
+}
+"""The members that count for records that are not written field by field."""
+_UNCOUNTED: Mapping[type, Sequence[str]] = {Sensor: ("reader", "world_function")}
+_LATER: Mapping[type, Sequence[str]] = {
+    Agent: ("critic",),
+    Motor: ("stall_torque", "no_load_speed"),
+    RayConfig: ("upright", "behind"),
+    RobotBody: ("self_collision",),
+    Thrust: ("axis",),
+    Training: (
+        *("shards", "teacher", "staleness", "patience"),
+        *("symmetry", "agents", "self_play", "turns"),
+    ),
+}
+"""Fields that are left out where they have their defaults, as in digests from before they were fields."""
+
+
 def record_members(part: object) -> dict[str, Any] | None:
     """Return the members of a record by name, as they count for the digest; None if it is not a record. For a
     path, the suffix counts."""
+    kind = type(part)
     if isinstance(part, Scalar):
         return part._asdict()
     if hasattr(part, "digest_fields"):
         return part.digest_fields()  # type: ignore[no-any-return]
+    if kind in _COUNTED:
+        return {name: getattr(part, name) for name in _COUNTED[kind]}
     if is_dataclass(part) and not isinstance(part, type):
-        members = {field.name: getattr(part, field.name) for field in fields(part)}
+        later = _LATER.get(kind, ())
+        members = {
+            field.name: value
+            for field in fields(part)
+            for value in [getattr(part, field.name)]
+            if not (field.name in later and value == field.default)
+        }
+        for name in _UNCOUNTED.get(kind, ()):
+            del members[name]
         return members | {"path": PurePath(part.path).suffix} if isinstance(part, Mesh | Picture) else members
     return None
 

@@ -58,6 +58,15 @@ class Region:
             else 1.0
         )
 
+    @property
+    def is_too_small(self) -> bool:
+        """Whether no cell fits into it."""
+        # 0.3 / 0.1 is 2.9999999999999996.
+        return any(
+            (high - low) * (1 + 1e-9) < (self.mesh or 0.0)
+            for low, high in zip(self.low, self.high, strict=True)
+        )
+
 
 @dataclass(frozen=True)
 class Cells:
@@ -153,22 +162,6 @@ class Placement:
         velocities = (("velocity", self.velocity), ("angular_velocity", self.angular_velocity))
         return tuple((name, value.scalars) for name, value in velocities if value is not None)
 
-    def digest_fields(self) -> dict[str, object]:
-        names = (
-            "body",
-            "xyz",
-            "rpy",
-            "velocity",
-            "angular_velocity",
-            "seeks_height",
-            "spot",
-            "clearance",
-            "at_most",
-            "spacing",
-            "stream",
-        )
-        return {name: getattr(self, name) for name in names}
-
     @property
     def pose(self) -> dict[str, Scalar]:
         """The values of x, y, z, roll, pitch and yaw."""
@@ -219,9 +212,6 @@ class JointStart:
         """Each joint with its position and its velocity."""
         velocities = self.velocity.scalars if self.velocity else (Const(0.0),) * len(self.joints)
         return tuple(zip(self.joints, self.position.scalars, velocities, strict=True))
-
-    def digest_fields(self) -> dict[str, object]:
-        return {"robot": self.robot, "states": self.states}
 
 
 class OfWorld(NamedTuple):
@@ -296,9 +286,6 @@ class RandomizedParameter:
             scalar if limit is None else fold_operation("min", scalar, Const(limit))
             for scalar, limit in pairs
         )
-
-    def digest_fields(self) -> dict[str, object]:
-        return {"what": self.what, "of": self.of, "scalars": self.scalars}
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -12,7 +12,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
-from deepbots_cli.robots.model import Pose, RobotModel
+from deepbots_cli.robots.model import Pose
 
 # Sensors
 
@@ -73,15 +73,6 @@ class RayConfig:
     lookup: CalibrationTable | None = None
     upright: bool = False
     behind: float = 0.0
-
-    def digest_fields(self) -> dict[str, object]:
-        """Return the fields that count for the digest: those of rays that begin in frames of their link are
-        the same as before other rays existed."""
-        return {
-            entry.name: getattr(self, entry.name)
-            for entry in fields(self)
-            if entry.name not in ("upright", "behind") or getattr(self, entry.name)
-        }
 
 
 @dataclass(frozen=True)
@@ -146,20 +137,10 @@ class Sensor:
         """Whether readings are truth values: these and pictures have no unit."""
         return not self.unit and self.optics is None
 
-    def digest_fields(self) -> dict[str, object]:
-        left_out = {"reader", "world_function"}
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
-
 
 # Actuators
 
 MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
-_PRISMATIC_UNITS: dict[MotorKind, str] = {"velocity_motor": "m/s", "position_motor": "m", "torque_motor": "N"}
-_REVOLUTE_UNITS: dict[MotorKind, str] = {
-    "velocity_motor": "rad/s",
-    "position_motor": "rad",
-    "torque_motor": "N*m",
-}
 
 
 @dataclass(frozen=True)
@@ -197,33 +178,10 @@ class Motor:
     stall_torque: float | None = None
     no_load_speed: float | None = None
 
-    def digest_fields(self) -> dict[str, object]:
-        """Return the fields; without a curve of torques those of it are left out, as in digests from before
-        they were fields."""
-        members = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        if self.no_load_speed is None:
-            del members["stall_torque"], members["no_load_speed"]
-        return members
-
     @property
     def components(self) -> tuple[str, ...]:
         """The joints, each of which has one number in the command."""
         return self.joints
-
-    @property
-    def topic_kind(self) -> str:
-        """The kind of the command, for its default topic."""
-        return self.kind
-
-    @property
-    def topic_joints(self) -> tuple[str, ...]:
-        """The joints that the command drives, one number each."""
-        return self.joints
-
-    def command_unit(self, model: RobotModel) -> str:
-        """Return the unit of the command, for joints of this robot."""
-        is_prismatic = model.joint(self.joints[0]).type == "prismatic"
-        return (_PRISMATIC_UNITS if is_prismatic else _REVOLUTE_UNITS)[self.kind]
 
 
 @dataclass(frozen=True)
@@ -242,25 +200,9 @@ class Thrust:
     response: Response = Response()
     axis: str = "z"
 
-    def digest_fields(self) -> dict[str, object]:
-        """Return the fields; `axis` is left out where it is z, as in digests from before it was a field."""
-        members = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return {name: member for name, member in members.items() if (name, member) != ("axis", "z")}
-
     @property
     def components(self) -> tuple[str, ...]:
         return self.links
-
-    @property
-    def topic_kind(self) -> str:
-        return "thrust"
-
-    @property
-    def topic_joints(self) -> tuple[str, ...]:
-        return ()
-
-    def command_unit(self, model: RobotModel) -> str:
-        return "N"
 
 
 @dataclass(frozen=True)
@@ -283,17 +225,6 @@ class Cartesian:
     @property
     def components(self) -> tuple[str, ...]:
         return ("x", "y", "z")
-
-    @property
-    def topic_kind(self) -> str:
-        return "cartesian"
-
-    @property
-    def topic_joints(self) -> tuple[str, ...]:
-        return ()
-
-    def command_unit(self, model: RobotModel) -> str:
-        return "m"
 
 
 @dataclass(frozen=True)
@@ -319,17 +250,6 @@ class CustomActuator:
     @property
     def components(self) -> tuple[str, ...]:
         return self.joints
-
-    @property
-    def topic_kind(self) -> str:
-        return "customactuator"
-
-    @property
-    def topic_joints(self) -> tuple[str, ...]:
-        return ()
-
-    def command_unit(self, model: RobotModel) -> str:
-        return "1"
 
 
 Actuator = Motor | Thrust | Cartesian | CustomActuator
@@ -486,9 +406,6 @@ class Command:
                 return tuple(_clamped(value, low, high, reach) for value in values)
             case _:
                 return values
-
-    def digest_fields(self) -> dict[str, object]:
-        return {"name": self.name, "scalars": self.scalars}
 
 
 def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:

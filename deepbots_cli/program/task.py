@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
@@ -608,21 +608,6 @@ class Training:
     self_play: SelfPlay | None = None
     turns: int | None = None
 
-    def digest_fields(self) -> dict[str, object]:
-        later = {
-            "shards": 1,
-            "teacher": None,
-            "staleness": 0,
-            "patience": None,
-            "symmetry": None,
-            "agents": (),
-            "self_play": None,
-            "turns": None,
-        }
-        return {
-            name: value for name, value in vars(self).items() if name not in later or value != later[name]
-        }
-
 
 # Agent
 
@@ -678,9 +663,6 @@ class Agent:
     scripts: tuple[Script, ...] = ()
     training: Training | None = None
     critic: tuple[Observation, ...] = ()
-
-    def digest_fields(self) -> dict[str, object]:
-        return {name: getattr(self, name) for name in _AGENT_FIELDS if name != "critic" or self.critic}
 
     @property
     def with_critic(self) -> Agent:
@@ -767,9 +749,6 @@ class Agent:
     @property
     def images(self) -> tuple[ImageObservation, ...]:
         return tuple(entry for entry in self.observation if isinstance(entry, ImageObservation))
-
-
-_AGENT_FIELDS = tuple(field.name for field in fields(Agent))
 
 
 # Evaluation

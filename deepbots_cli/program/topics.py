@@ -10,7 +10,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.scalar import EngineRead, walk
 from deepbots_cli.expressions.types import Components
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Actuator, Robot, Sensor
+from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 from deepbots_robot.topics import Field, Topic, first_mapping
 
 
@@ -79,16 +79,35 @@ def sensor_field(robot: Robot, sensor: Sensor) -> Field:
     )
 
 
+_MOTOR_UNITS = {
+    "velocity_motor": ("rad/s", "m/s"),
+    "position_motor": ("rad", "m"),
+    "torque_motor": ("N*m", "N"),
+}
+"""The units of commands for joints that turn, and for those that slide."""
+
+
 def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
     """Return the command of an actuator as a field."""
-    model = next(body.model for body in program.world.robots if body.name == robot.name)
+    kind: str
+    joints: tuple[str, ...] = ()
+    match actuator:
+        case Motor(kind=kind, joints=joints):
+            model = next(body.model for body in program.world.robots if body.name == robot.name)
+            unit = _MOTOR_UNITS[kind][model.joint(joints[0]).type == "prismatic"]
+        case Thrust():
+            kind, unit = "thrust", "N"
+        case Cartesian():
+            kind, unit = "cartesian", "m"
+        case CustomActuator():
+            kind, unit = "customactuator", "1"
     return Field(
         f"{robot.name}.{actuator.name}",
         robot.name,
-        actuator.topic_kind,
-        actuator.command_unit(model),
+        kind,
+        unit,
         (len(actuator.components),),
-        actuator.topic_joints,
+        joints,
         actuator.components,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.expressions.scalar import Scalar
@@ -238,12 +238,6 @@ class RobotBody:
     pose: Pose = Pose()
     self_collision: bool = False
     """Whether its links touch each other."""
-
-    def digest_fields(self) -> dict[str, object]:
-        """Return the fields; `self_collision` is left out where it is false, as in digests from before it was
-        a field."""
-        members = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return {name: member for name, member in members.items() if name != "self_collision" or member}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partialmethod, reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -164,19 +164,6 @@ class BatchOfCopies:
         readers = [getattr(view, kind)(*subjects, **options) for view in self._views]
         return lambda: _readings_by_row([read() for read in readers])
 
-    contact = partialmethod(_reader, "contact")
-    contact_force = partialmethod(_reader, "contact_force")
-    contact_force_vector = partialmethod(_reader, "contact_force_vector")
-    clearance = partialmethod(_reader, "clearance")
-    rays = partialmethod(_reader, "rays")
-    joint_states = partialmethod(_reader, "joint_states")
-    joint_torques = partialmethod(_reader, "joint_torques")
-    joint_wrench = partialmethod(_reader, "joint_wrench")
-    pose = partialmethod(_reader, "pose")
-    velocity = partialmethod(_reader, "velocity")
-    angular_momentum = partialmethod(_reader, "angular_momentum")
-    motion = partialmethod(_reader, "motion")
-
     def _motor(self, kind: str, *subjects: Any, **curve: Any) -> MotorWriter:
         writers = [getattr(view, kind)(*subjects, **curve) for view in self._views]
 
@@ -189,9 +176,11 @@ class BatchOfCopies:
 
         return write
 
-    velocity_motor = partialmethod(_motor, "velocity_motor")
-    position_motor = partialmethod(_motor, "position_motor")
-    torque_motor = partialmethod(_motor, "torque_motor")
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        """Return the method that binds readers or motors for all copies."""
+        if method.startswith("_") or not hasattr(EngineProxy, method):
+            raise AttributeError(method)
+        return partial(self._motor if method.endswith("_motor") else self._reader, method)
 
 
 def _readings_by_row(readings: Sequence[Any]) -> Any:

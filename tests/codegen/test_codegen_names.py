@@ -13,8 +13,6 @@ import io
 import json
 import random
 import re
-import subprocess
-import sys
 import tokenize
 from collections.abc import Iterator
 from contextlib import closing, suppress
@@ -25,12 +23,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.codegen import generate_module
-from deepbots_cli.codegen.names import WIDTH, Constants, docstring, wrap_line
+from deepbots_cli.codegen.names import Constants, docstring
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document.load import loads
@@ -38,7 +34,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every
-from tests.worlds import CART, SCENARIOS, Make
+from tests.worlds import CART, Make
 
 # Python's words, the words of generated code, and what the compiler would call its own variables.
 AWKWARD = [
@@ -200,72 +196,6 @@ def test_a_constant_is_explained_by_its_parameter_if_no_other_number_is_in_it() 
     assert constants.lines == ["SIZE = (1.0, 2.0, 3.0)  # [1, 2, 3]", "SIZE_1 = (1.0, 2.0, 7.0)"]
 
 
-# The layout of generated code
-
-
-ROOT = Path(__file__).parents[2]
-WRITTEN = ["cartpole", *map(str, sorted(SCENARIOS.glob("*.yaml")))]
-LONG = [
-    "first_quantity",
-    "another(1.0, 2.0)",
-    "self.memory_third",
-    "table[0][1]",
-    '"a (text, with = signs + ] "',
-] * 5
-
-LINES = {
-    "call": f"self.read = engine.thing({', '.join(LONG)})",
-    "call of calls": f"self.read = engine.thing(hypot({', '.join(LONG)}), {LONG[0]})",
-    "sum": f"self.reward = reward = {' + '.join(LONG)}",
-    "increment": f"memory += ({' + '.join(LONG)} - memory) * (0.01 / (0.5 + 0.01))",
-    "sum of products": f"total = {' + '.join(f'{item} * {item}' for item in LONG)}",
-    "choice": f"value = {' + '.join(LONG)} if {' and '.join(LONG)} else 0.0",
-    "condition": f"if {' or '.join(LONG)}:",
-    "tuple": f"one, two = {' and '.join(LONG[:10])}, {LONG[0]}",
-    "targets": f"stamp, {', '.join(f'a_long_name_{number}' for number in range(20))} = self.decode(message)",
-    "addition": f"value += ({' + '.join(LONG)}) * ({LONG[0]} / {LONG[1]})",
-    "return": f"return {{{', '.join(f'{number}: {item}' for number, item in enumerate(LONG))}}}",
-    "one item": f"self.drive(({' * '.join(LONG)},))",
-    "product of a keyword": f"x = Motor(1, rates={' + '.join(f'({name},) * 2' for name in LONG)}, last=2)",
-    "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",
-    "comparison": f"value = {' + '.join(LONG)} < {' - '.join(LONG)}",
-    "negated comparison": f"if not {' + '.join(LONG)} < 1.5 and not {' * '.join(LONG)} == 2.0:",
-    "negations": f"if not not not {' + '.join(LONG)} < 1.5:",
-    "definition": f"def apply(self, {', '.join(f'a_long_name_{number}: Any' for number in range(20))}) ->"
-    " None:",
-    "comment": f"table = {{{', '.join(f'{number}: 1.0' for number in range(30))}}}  # {', '.join(LONG)}",
-}
-
-
-@pytest.mark.parametrize("line", LINES.values(), ids=LINES)
-def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
-    lines = wrap_line(f"        {line}")
-    body = "\n            pass" if line.endswith(":") else ""
-    whole, broken = (
-        ast.dump(ast.parse("if True:\n" + text + body)) for text in (f"        {line}", "\n".join(lines))
-    )
-    assert broken == whole
-    assert [text for text in lines if len(text) > WIDTH and not text.lstrip().startswith("#")] == []
-
-
-def _combined(parts: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
-    signs = st.sampled_from([" + ", " - ", " * ", " / ", " < ", " >= ", " == ", " and ", " or "])
-    bracketed = parts.map("({})".format)
-    chains = st.builds(str.join, signs, st.lists(bracketed, min_size=2, max_size=5))
-    choices = st.builds("{} if {} else {}".format, bracketed, bracketed, bracketed)
-    return chains | choices | bracketed.map("not {}".format)
-
-
-PARTS = st.sampled_from(["a_name_of_a_quantity_of_a_robot", "self.memory_of_a_call(1.0, x)", "2.5"])
-
-
-@settings(max_examples=500)
-@given(st.recursive(PARTS, _combined, max_leaves=60))
-def test_any_long_line_means_the_same(expression: str) -> None:
-    line = "value = " + ast.unparse(ast.parse(expression, mode="eval"))  # without needless brackets
-    assert ast.dump(ast.parse("\n".join(wrap_line(line)))) == ast.dump(ast.parse(line))
-
-
 @pytest.mark.parametrize(
     "text",
     ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"],
@@ -273,32 +203,6 @@ def test_any_long_line_means_the_same(expression: str) -> None:
 def test_a_docstring_says_what_the_text_says(text: str) -> None:
     docstring_text = ast.literal_eval("\n".join(docstring(text)))
     assert docstring_text.split() == text.split()
-
-
-@pytest.mark.parametrize("format", ["struct", "none"])
-@pytest.mark.parametrize("source", every(3, WRITTEN, lambda source: Path(source).stem))
-def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -> None:
-    file = tmp_path / "environment.py"
-    overrides = (
-        ["messages={format: none}"] if format == "none" else [f"messages.format={format}"]
-    )  # without messages, nothing is late
-    file.write_text(api.compile(source, overrides=overrides).code)
-    command = [
-        sys.executable,
-        "-m",
-        "ruff",
-        "format",
-        "--diff",
-        "--config",
-        str(ROOT / "pyproject.toml"),
-        "--line-length",
-        str(WIDTH),
-        str(file),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0
-    assert done.stdout == ""
-    assert max(map(len, file.read_text().splitlines())) <= WIDTH
 
 
 # Memories of stateful functions that several methods of generated code update

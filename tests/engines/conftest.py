@@ -148,6 +148,16 @@ class Worlds:
         crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=friction)
         return WorldModel(0.02, 4, down, Ground(1.0), objects=(crate,))
 
+    @staticmethod
+    def stand(drop: float) -> WorldModel:
+        """A trunk of 5 kg on a leg of 1 kg, above the ground."""
+        foot = (Geometry(Box((0.2, 0.2, 0.1))),)
+        leg = Link("leg", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01), foot, foot)
+        trunk = Link("trunk", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1))
+        knee = Joint("knee", "revolute", "trunk", "leg", Pose((0, 0, -0.1)), (0, 1, 0))
+        model = RobotModel("stand", (trunk, leg), (knee,), root="trunk")
+        return WorldModel(0.02, 4, robots=(RobotBody("robot", model, pose=Pose((0, 0, 0.15 + drop))),))
+
 
 @pytest.fixture(params=sorted(ENGINES))
 def engine_name(request: pytest.FixtureRequest) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import fields, replace
-from math import dist, exp, inf, pi, radians, sqrt, tan
+from math import dist, inf, pi
 from typing import get_args
 
 import numpy as np
@@ -40,10 +40,6 @@ from deepbots_cli.scenario.world import World
 CART = ("robot", "cart")
 
 
-def weightless(world: WorldModel) -> WorldModel:
-    return replace(world, gravity=(0.0, 0.0, 0.0))
-
-
 def test_what_is_called_before_engine_steps_is_called_in_each_and_in_order(engine_name, worlds, build):
     engine = build(engine_name, worlds.ball())
     read = engine.pose("ball")
@@ -64,93 +60,6 @@ def test_a_target_that_is_set_before_an_engine_step_acts_in_it(engine_name, worl
     engine.step(1)
     assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(10.0)
     assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(10.0 / 1.1 * 0.005, rel=0.01)
-
-
-def test_a_motor_that_is_bound_again_replaces_the_earlier(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
-    engine.set_joint("robot", "hinge", pi / 2, 0.0)
-    engine.position_motor("robot", ["slide"], [1000.0], [100.0], None)([0.1])
-    engine.position_motor("robot", ["slide"], [4.0], [100.0], [0.0])([0.1])
-    engine.step(1)
-    assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(4.0)
-
-
-def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
-    aim = engine.position_motor("robot", ["slide"], [5.0], [20.0], [3.0])
-    torque = engine.joint_torques("robot", ["slide"])
-    for velocity, target, expected in ((0.0, 0.1, 2.0), (0.5, 0.1, 0.5), (0.0, -9.0, -5.0), (0.0, 9.0, 5.0)):
-        engine.reset()
-        engine.set_joint("robot", "slide", 0.0, velocity)
-        aim([target])
-        engine.step(1)
-        assert torque()[0] == pytest.approx(expected, rel=0.01)
-
-
-STALL, NO_LOAD, LIMIT = 8.0, 10.0, 5.0
-"""Stall torque (N m), no-load speed (rad/s) and limit (N m) of a motor on the hinge of `Worlds.rotor`."""
-
-
-@pytest.mark.parametrize("kind", ["torque_motor", "position_motor"])
-@pytest.mark.parametrize(
-    ("velocity", "wanted", "expected"),
-    [
-        (0.0, 99.0, LIMIT),
-        (2.0, 99.0, LIMIT),
-        (6.0, 99.0, STALL * 0.4),
-        (6.0, 1.5, 1.5),
-        (12.0, 99.0, 0.0),
-        (6.0, -99.0, -LIMIT),
-        (-4.0, 99.0, LIMIT),
-        (-6.0, -99.0, -STALL * 0.4),
-    ],
-)
-def test_the_torque_of_a_motor_falls_with_its_speed(
-    engine_name, worlds, build, kind, velocity, wanted, expected
-):
-    engine = build(engine_name, worlds.rotor(timestep=0.0001, substeps=1))
-    gains = ([10.0], [0.5])
-    curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
-    drive = getattr(engine, kind)(
-        "robot", ["hinge"], [LIMIT], *(gains if kind == "position_motor" else ()), **curve
-    )
-    engine.set_joint("robot", "hinge", 0.3, velocity)
-    drive([wanted if kind == "torque_motor" else 0.3 + (wanted + 0.5 * velocity) / 10.0])
-    engine.step(1)
-    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(expected, abs=1e-9)
-    inertia = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2)
-    gained = engine.joint_states("robot", ["hinge"])()[0][1] - velocity
-    assert gained == pytest.approx(expected / inertia * 0.0001, abs=2e-6)
-
-
-def test_a_motor_approaches_its_no_load_speed_by_an_exponential(engine_name, worlds, build):
-    """Its torque is renewed in each engine step of one timestep, and starts again with the next episode."""
-    engine = build(engine_name, worlds.rotor(timestep=0.2, substeps=2000))
-    curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
-    drive = engine.torque_motor("robot", ["hinge"], [100.0], **curve)
-    rate = STALL / NO_LOAD / (ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2))
-    for _ in range(2):
-        engine.reset()
-        drive([100.0])
-        engine.step(2000)
-        speed = engine.joint_states("robot", ["hinge"])()[0][1]
-        assert speed == pytest.approx(NO_LOAD * (1.0 - exp(-rate * 0.2)), rel=1e-3)
-    drive([1.0])
-    engine.step(1)
-    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(1.0)
-
-
-def test_a_motor_without_a_curve_takes_over_from_one_with_a_curve(worlds, build):
-    engine = build("mujoco", worlds.rotor(timestep=0.001, substeps=1))
-    curved = engine.torque_motor("robot", ["hinge"], [5.0], stall_torque=[1.0], no_load_speed=[1.0])
-    plain = engine.torque_motor("robot", ["hinge"], [4.0])
-    torque = engine.joint_torques("robot", ["hinge"])
-    for drive, expected in ((curved, 1.0), (plain, 4.0)):
-        engine.reset()
-        for each in (plain, curved, drive):
-            each([100.0])
-        engine.step(1)
-        assert torque()[0] == pytest.approx(expected)
 
 
 def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, build):
@@ -185,49 +94,6 @@ def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, b
         assert follow() == expected
 
 
-def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
-    push = engine.torque_motor("robot", ["slide"], [10.0])
-    read = engine.joint_states("robot", ["slide"])
-    for mass in (None, 3.0, None):
-        engine.reset()
-        if mass:
-            engine.set_parameter("mass", ("robot", "cart"), mass)
-        engine.set_joint("robot", "hinge", pi / 2, 0.0)
-        push([2.0])
-        engine.step(1)
-        assert read()[0][1] == pytest.approx(2.0 / ((mass or 1.0) + 0.1) * 0.01, rel=0.01)
-
-
-ARM_MASS = 2.0
-ARM_INERTIA = 0.02
-"""Of the link of `Worlds.rotor`: mass (kg), moment of inertia about its center (kg m^2)."""
-
-
-def spin_up(engine) -> float:
-    """The moment of inertia (kg m^2) about the hinge of `Worlds.rotor`, from the speed that a torque of 2 N m
-    gives in 1 ms."""
-    engine.torque_motor("robot", ["hinge"], [10.0])([2.0])
-    engine.step(1)
-    return 2.0 * 0.001 / engine.joint_states("robot", ["hinge"])()[0][1]
-
-
-def test_a_factor_scales_the_inertia_beside_the_mass_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rotor(timestep=0.001, substeps=1))
-    arm = ("robot", "arm")
-    for mass, factor in ((None, None), (None, 5.0), (3.0, 5.0), (3.0, None), (None, None)):
-        engine.reset()
-        if factor is not None:
-            engine.set_parameter("inertia", arm, factor)
-        if mass is not None:
-            engine.set_parameter("mass", arm, mass)
-        share = (mass or ARM_MASS) / ARM_MASS
-        expected = ARM_INERTIA * share * (factor or 1.0) + ARM_MASS * share * (0.3**2 + 0.1**2)
-        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
-    with pytest.raises(EngineError, match="cannot be multiplied by 0"):
-        engine.set_parameter("inertia", arm, 0.0)
-
-
 def with_varying_center(world: WorldModel, name: str) -> WorldModel:
     """The world, in which episodes may move the center of mass of a link of its robot."""
     (robot,) = world.robots
@@ -235,23 +101,23 @@ def with_varying_center(world: WorldModel, name: str) -> WorldModel:
     return replace(world, robots=(replace(robot, model=with_link(robot.model, link)),))
 
 
-def test_the_center_of_mass_moves_until_the_next_reset(engine_name, worlds, build):
-    fixed = worlds.rotor(timestep=0.001, substeps=1)
-    arm = ("robot", "arm")
-    engine = build(engine_name, fixed)
+def test_what_an_engine_does_not_vary_is_refused_by_name(engine_name, worlds, build):
+    rotor = worlds.rotor()
+    engine = build(engine_name, rotor)
     with pytest.raises(EngineError, match="center"):
-        engine.set_parameter("center_of_mass", arm, 0.1, 0.0, 0.0)
+        engine.set_parameter("center_of_mass", ("robot", "arm"), 0.1, 0.0, 0.0)
+    with pytest.raises(EngineError, match="cannot be multiplied by 0"):
+        engine.set_parameter("inertia", ("robot", "arm"), 0.0)
     if "center_of_mass" not in engine.capabilities:
         with pytest.raises(EngineError, match="such as 'arm' of 'robot'; write a fixed `com`, or use"):
-            build(engine_name, with_varying_center(fixed, "arm"))
-        return
-    engine = build(engine_name, with_varying_center(fixed, "arm"))
-    for x, y in ((0.0, 0.0), (-0.3, -0.1), (0.2, -0.4), (0.0, 0.0)):
-        engine.reset()
-        if x or y:
-            engine.set_parameter("center_of_mass", arm, x, y, 0.0)
-        expected = ARM_INERTIA + ARM_MASS * ((0.3 + x) ** 2 + (0.1 + y) ** 2)
-        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
+            build(engine_name, with_varying_center(rotor, "arm"))
+    if "armature" not in engine.capabilities:
+        (robot,) = rotor.robots
+        geared = replace(robot, model=with_joint(robot.model, "hinge", armature=0.3))
+        with pytest.raises(EngineError, match=r"armature in .* 'hinge' of 'robot'; remove `armature`"):
+            build(engine_name, replace(rotor, robots=(geared,)))
+        with pytest.raises(EngineError, match="`joint_armature` of 'robot' 'hinge'"):
+            engine.set_parameter("joint_armature", ("robot", "hinge"), 0.3)
 
 
 def course_of_a_ball(engine: Engine, offset: tuple[float, float, float] | None) -> np.ndarray:
@@ -289,128 +155,6 @@ def test_a_center_of_mass_that_an_episode_moves_is_that_of_a_model_with_it(build
         assert np.allclose(course_of_a_ball(engine, offset if moves else None), moved, atol=1e-6) is moves
 
 
-def test_an_armature_adds_to_the_inertia_at_its_joint(engine_name, worlds, build):
-    rotor = worlds.rotor(timestep=0.001, substeps=1)
-    (robot,) = rotor.robots
-    geared = replace(rotor, robots=(replace(robot, model=with_joint(robot.model, "hinge", armature=0.3)),))
-    message = "a joint cannot have an armature in .*, such as 'hinge' of 'robot'; remove `armature`"
-    if "armature" not in build(engine_name, rotor).capabilities:
-        with pytest.raises(EngineError, match=message):
-            build(engine_name, geared)
-        with pytest.raises(EngineError, match="`joint_armature` of 'robot' 'hinge'"):
-            build(engine_name, rotor).set_parameter("joint_armature", ("robot", "hinge"), 0.3)
-        return
-    engine = build(engine_name, geared)
-    usual = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2)
-    for armature in (None, 0.1, 0.0, None):
-        engine.reset()
-        if armature is not None:
-            engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
-        expected = usual + (0.3 if armature is None else armature)
-        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
-
-
-def test_a_velocity_motor_moves_a_joint_with_the_armature_of_the_episode(worlds, build):
-    """Its limit accelerates the joint, which reads the torque of the motor alone."""
-    engine = build("mujoco", worlds.rotor(timestep=0.001, substeps=1))
-    drive = engine.velocity_motor("robot", ["hinge"], [2.0])
-    for armature in (0.5, 0.1, 0.5):
-        engine.reset()
-        engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
-        for _ in range(10):
-            drive([1000.0])
-            engine.step(1)
-        inertia = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2) + armature
-        assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.02 / inertia, rel=0.001)
-        assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(2.0, rel=0.001)
-
-
-def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):
-    """A pendulum's acceleration does not depend on its mass, if its inertia follows; with a made-up inertia
-    it would."""
-    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
-    rates = []
-    for mass in (0.1, 5.0):
-        engine.reset()
-        engine.set_parameter("mass", ("robot", "cart"), 1e6)
-        engine.set_parameter("mass", ("robot", "pole"), mass)
-        engine.set_joint("robot", "hinge", 0.3, 0.0)
-        engine.step(1)
-        rates.append(engine.joint_states("robot", ["hinge"])()[0][1])
-    assert rates[1] == pytest.approx(rates[0], rel=1e-4)
-    assert rates[0] == pytest.approx(1.5 * 9.81 * 0.29552 * 0.001, rel=1e-3)
-
-
-def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, worlds.ball())
-    for gravity, expected in (((1.0, 0.0, -2.0), (0.02, 0.0, -0.04)), (None, (0.0, 0.0, -0.1962))):
-        engine.reset()
-        if gravity:
-            engine.set_parameter("gravity", (), *gravity)
-        engine.step(4)
-        assert engine.velocity("ball")()[0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_friction_of_a_joint_slows_until_the_next_reset(engine_name, worlds, build):
-    engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=4)))
-    for friction in (0.0, 2.2, 0.0):
-        engine.reset()
-        if friction:
-            engine.set_parameter("joint_friction", ("robot", "slide"), friction)
-        engine.set_joint("robot", "slide", 0.0, 1.0)
-        engine.set_joint("robot", "hinge", pi / 2, 0.0)
-        for _ in range(10):
-            engine.step(4)
-        assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(
-            1.0 - friction / 1.1 * 0.1, rel=0.01
-        )
-
-
-@pytest.mark.parametrize("angle", [10, 25])
-def test_a_crate_slides_once_the_slope_is_steeper_than_its_friction(engine_name, angle, worlds, build):
-    engine = build(engine_name, worlds.slope(radians(angle), 1.0))
-    for factor, slides in ((0.97, True), (1.03, False), (None, False)):
-        engine.reset()
-        if factor:
-            engine.set_parameter("lateral_friction", ("crate", ""), factor * tan(radians(angle)))
-        for _ in range(200):
-            engine.step(4)
-        assert (engine.velocity("crate")()[0][0] > 0.05) is slides
-
-
-def test_the_ground_is_a_body_whose_friction_may_vary(engine_name, worlds, build):
-    engine = build(engine_name, worlds.slope(radians(20), 1.0))
-    for lateral, slides in ((0.1, True), (None, False)):
-        engine.reset()
-        if lateral:
-            engine.set_parameter("lateral_friction", ("ground", ""), lateral)
-        for _ in range(50):
-            engine.step(4)
-        assert (engine.velocity("crate")()[0][0] > 0.5) is slides
-
-
-def bounce(engine, height: float) -> float:
-    """The share of its speed that a ball of 5 cm has left after it fell from `height`."""
-    engine.place("ball", (0, 0, height), (0, 0, 0, 1))
-    fastest = 0.0
-    for _ in range(400):
-        engine.step(1)
-        fastest = max(fastest, engine.velocity("ball")()[0][2])
-    return fastest / sqrt(2 * 9.81 * (height - 0.05))
-
-
-def test_a_ball_bounces_as_its_restitution_says(engine_name, build):
-    ball = ObjectBody("ball", Sphere(0.05), mass=0.1, restitution=0.8)
-    engine = build(engine_name, WorldModel(0.001, 1, ground=Ground(1.0, 1.0), objects=(ball,)))
-    for height in (0.3, 0.31, 0.32, 0.33, 0.35, 0.4):
-        engine.reset()
-        assert bounce(engine, height) == pytest.approx(0.8, rel=0.02)
-    engine.set_parameter("restitution", ("ball", ""), 0.4)
-    assert bounce(engine, 0.3) == pytest.approx(0.4, rel=0.02)
-    engine.reset()
-    assert bounce(engine, 0.3) == pytest.approx(0.8, rel=0.02)
-
-
 def test_restitution_of_one_body_leaves_others_at_rest(engine_name, build):
     things = (
         ObjectBody("ball", Sphere(0.05), Pose((1, 0, 0.3)), mass=0.1, restitution=0.8),
@@ -420,18 +164,6 @@ def test_restitution_of_one_body_leaves_others_at_rest(engine_name, build):
     for _ in range(100):
         engine.step(5)
     assert engine.pose("crate")()[0] == pytest.approx((0, 0, 0.1), abs=2e-3)
-
-
-@pytest.mark.parametrize("frame", ["world", "link"])
-def test_a_push_on_a_link_turns_its_joint(engine_name, frame, worlds, build):
-    engine = build(engine_name, worlds.rotor(timestep=0.001, substeps=1))
-    engine.set_joint("robot", "hinge", 0.6, 0.0)
-    engine.step(1)
-    engine.pusher(("robot", "arm"), frame)((3.0, 2.0, 0.0), (0.0, 0.0, 0.4))
-    engine.step(1)  # the force acts on the axis and turns nothing
-    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(
-        0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3
-    )
 
 
 def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, build):
@@ -460,16 +192,27 @@ def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, bui
         WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)),
     )
     view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
-    usual = engine.render(view)
+    look = engine.camera(("robot", None), IDENTITY_FRAME, 60, 40, 0.9)
+    usual = (engine.render(view), look().colors)
+
+    def is_usual() -> bool:
+        return all(
+            (now == before).all()
+            for now, before in zip((engine.render(view), look().colors), usual, strict=True)
+        )
+
     engine.set_parameter("color", ("robot", ""), 1.0, 1.0, 0.0, 1.0)
     engine.set_parameter("color", ("robot", ""), 1.0, 0.0, 1.0, 1.0)
-    assert (engine.render(view) != usual).any()
+    assert not is_usual()
     engine.reset()
-    assert (engine.render(view) == usual).all()
+    assert is_usual()
+    engine.set_parameter("color", ("ground", ""), 1.0, 0.0, 0.0, 1.0)
+    assert engine.render(view)[-1, 0].argmax() == look().colors[-1, 0].argmax() == 0
     engine.set_parameter("light", (), 0.4)
-    assert engine.render(view).mean() < 0.7 * usual.mean()
+    assert engine.render(view).mean() < 0.7 * usual[0].mean()
+    assert look().colors[0, 0, 2] < 0.6 * usual[1][0, 0, 2]
     engine.reset()
-    assert (engine.render(view) == usual).all()
+    assert is_usual()
 
 
 def test_the_mass_of_a_fixed_base_means_nothing_and_sets_nothing_loose(engine_name, worlds, build):
@@ -626,21 +369,6 @@ def test_readers_follow_the_form_that_was_chosen(engine_name, build):
         assert (pose()[0][2] == 0.9) is stays
     with pytest.raises(EngineError, match="no variant 'oval'; there are round, square, pillar"):
         engine.choose("thing#1", "oval")
-
-
-def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(engine_name, build):
-    engine = build(engine_name, WorldModel(0.01, 1, gravity=(0, 0, 0), ground=None, objects=pooled(1)))
-    push = engine.pusher(("thing#1", None))
-    for mass in (None, 1.5, None):
-        engine.reset()
-        if mass:
-            engine.set_parameter("mass", ("thing#1", ""), mass)
-        engine.place("thing#1", (0, 0, 0), IDENTITY_ROTATION)
-        push((3.0, 0, 0), (0, 0, 0.01))
-        engine.step(1)
-        linear, angular = engine.velocity("thing#1")()
-        assert linear[0] == pytest.approx(0.03 / (mass or 0.3), rel=1e-6)
-        assert angular[2] == pytest.approx(1e-4 / (0.4 * (mass or 0.3) * 0.05**2), rel=1e-6)
 
 
 # How engines are found

@@ -24,7 +24,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines import create, create_batch
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
-from deepbots_cli.port import View
+from deepbots_cli.port import Engine, View
 from deepbots_cli.program.world import Formula, Ground, ObjectBody, RobotBody, Terrain, WorldModel
 from deepbots_cli.robots.model import (
     Box,
@@ -40,6 +40,7 @@ from deepbots_cli.robots.model import (
     RobotModel,
     Sphere,
 )
+from tests.engines.conftest import Worlds
 from tests.named import constant
 from tests.robots.meshes import ball, block
 
@@ -300,53 +301,6 @@ def test_distances_to_terrain_are_refused(build):
         engine.clearance(("ball", None), ("ground", None))
 
 
-@pytest.mark.parametrize(("one", "other"), [(0.5, 0.6), (0.9, 0.4), (1.0, 0.3)])
-def test_the_friction_of_a_pair_is_the_product(one, other, build):
-    """On a slope of 30 degrees what slides gains g (sin a - mu cos a)."""
-    crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=one)
-    engine = build(
-        "mujoco",
-        WorldModel(0.01, 10, (9.81 * sin(pi / 6), 0, -9.81 * cos(pi / 6)), Ground(1.0), objects=(crate,)),
-    )
-    for drawn in (other, None):
-        engine.reset()
-        if drawn is not None:
-            engine.set_parameter("lateral_friction", ("ground", ""), drawn)
-        for _ in range(50):
-            engine.step(10)
-        expected = 9.81 * (sin(pi / 6) - one * (drawn or 1.0) * cos(pi / 6)) * 0.5
-        assert engine.velocity("crate")()[0][0] == pytest.approx(max(expected, 0.0), rel=0.05, abs=5e-3)
-
-
-def spinner() -> RobotModel:
-    """A wheel of 80 g in the air, on a heavy stand, with a range of half a turn."""
-    tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
-    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire, Friction(1.0))
-    joints = (
-        Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),
-    )
-    return RobotModel(
-        "spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand"
-    )
-
-
-def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(build):
-    engine = build(
-        "mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),))
-    )
-    drive = engine.velocity_motor("robot", ["axle"], [10.0])
-    read = engine.joint_states("robot", ["axle"])
-    for target, speed in ((5.0, 5.0), (-5.0, -5.0), (5.0, 5.0)):
-        for _ in range(10):
-            drive([target])
-            engine.step(1)
-        assert read()[0][1] == pytest.approx(speed, rel=1e-3)
-    for _ in range(60):
-        drive([5.0])
-        engine.step(1)
-    assert read()[0][0] == pytest.approx(pi / 2, abs=0.05)
-
-
 @pytest.mark.parametrize("right_angle", [1.57, 1.571, 1.5708, pi / 2])
 def test_a_wheel_whose_file_rounds_a_right_angle_rolls_on_its_tire(right_angle, build):
     """A tire touches the ground in one point, a cylinder in two."""
@@ -424,7 +378,7 @@ def test_without_opengl_everything_but_pictures_works(before, variables):
     script = """
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import View
+from deepbots_cli.port import Engine, View
 from deepbots_cli.program.world import WorldModel
 engine = create("mujoco", WorldModel(0.02, 1))
 engine.step(1)
@@ -443,19 +397,6 @@ except EngineError as error:
         "'mimic', 'self_collision', 'snapshot', 'torque_curve'] MuJoCo cannot render on this machine"
         in done.stdout
     ), done.stderr
-
-
-def test_drawing_changes_nothing_that_follows(worlds, build):
-    rendered, plain = build("mujoco", worlds.arena()), build("mujoco", worlds.arena())
-    if "rendering" not in rendered.capabilities:
-        pytest.skip("there is no OpenGL")
-    for engine in (rendered, plain):
-        for _ in range(10):
-            engine.step(4)
-            if engine is rendered:
-                engine.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert rendered.pose("ball")() == plain.pose("ball")()
-    assert rendered.pose("robot")() == plain.pose("robot")()
 
 
 def color_shares(image) -> list[float]:
@@ -519,25 +460,92 @@ def marbles(count: int) -> WorldModel:
     return WorldModel(0.02, 4, ground=Ground(), objects=(tray, *objects))
 
 
-def test_force_vectors_are_those_of_single_worlds():
-    world = replace(marbles(5), gravity=(3.0, 1.0, -9.0))
-    batch = create_batch("mujoco", world, 2)
-    single = create("mujoco", world)
-    parts = [("tray", None), ("marble2", None), ("ground", None)]
-    of_batch, of_single = (
-        [engine.contact_force_vector(part) for part in parts] for engine in (batch, single)
+def dumbbell() -> WorldModel:
+    """A hull with a weight that a hinge along its x axis holds, beside it."""
+    hull = Link("hull", Inertial(3.0, ixx=0.1, iyy=0.2, izz=0.3))
+    weight = Link("weight", Inertial(2.0, Pose((0, 0.5, 0)), ixx=0.04, iyy=0.04, izz=0.04))
+    hinge = Joint("hinge", "continuous", "hull", "weight", axis=(1, 0, 0))
+    model = RobotModel("dumbbell", (hull, weight), (hinge,), root="hull")
+    return WorldModel(0.02, 4, robots=(RobotBody("robot", model),))
+
+
+def bend(engine: Engine) -> None:
+    engine.velocity_motor("robot", ["knee"], [100.0])([0.4])
+
+
+def tumble(engine: Engine) -> None:
+    engine.set_parameter("mass", ("robot", "weight"), 3.0)
+    engine.place("robot", (0, 0, 1), (0, 0, 0, 1), (0, 1, 0), (0.3, 0.2, 0.5))
+    engine.torque_motor("robot", ["hinge"], [1.0])([0.4])
+
+
+@pytest.mark.parametrize(
+    ("world", "what", "places", "begin", "watched"),
+    [
+        (
+            replace(marbles(5), gravity=(3.0, 1.0, -9.0)),
+            "contact_force_vector",
+            [("tray", None), ("marble2", None), ("ground", None)],
+            lambda engine: None,
+            (),
+        ),
+        (Worlds.stand(0.1), "joint_wrench", [("robot", "leg")], bend, ()),
+        (Worlds.stand(0.1), "joint_wrench", [("robot", "leg")], bend, [("robot", "leg")]),
+        (dumbbell(), "angular_momentum", ["robot"], tumble, ()),
+    ],
+    ids=["forces", "wrenches", "wrenches beside contacts", "momenta"],
+)
+def test_what_a_batch_reads_is_what_single_worlds_read(world, what, places, begin, watched):
+    batch, single = create_batch("mujoco", world, 3), create("mujoco", world)
+    of_batch, of_single, of_member = (
+        [getattr(engine, what)(place) for place in places] for engine in (batch, single, batch.members[2])
     )
-    of_member = batch.members[1].contact_force_vector(parts[0])
+    for part in watched:
+        batch.contact(part, [("ground", None)])
     for engine in (single, *batch.members):
         engine.reset()
+        begin(engine)
     batch.begin_episodes()
     for _ in range(30):
         batch.step(4)
         single.step(4)
-        for together, alone in zip(of_batch, of_single, strict=True):
-            np.testing.assert_allclose(together()[:, 1], alone(), rtol=1e-9, atol=1e-9)
-    assert np.abs(of_batch[0]()).min() > 0.1
-    np.testing.assert_array_equal(of_member(), of_batch[0]()[:, 1])
+        for together, alone, member in zip(of_batch, of_single, of_member, strict=True):
+            all_worlds = np.array(together())
+            np.testing.assert_allclose(all_worlds[..., 1], alone(), rtol=1e-9, atol=1e-9)
+            np.testing.assert_array_equal(member(), all_worlds[..., 2])
+    assert all(np.abs(read()).max() > 0.1 for read in of_single)
+
+
+def test_a_waiting_world_keeps_its_wrench_when_another_sensor_is_added():
+    batch = create_batch("mujoco", Worlds.stand(0.1), 2)
+    read = batch.joint_wrench(("robot", "leg"))
+    for engine in batch.members:
+        engine.reset()
+        bend(engine)
+    batch.begin_episodes()
+    assert not np.any(read())
+    for _ in range(5):
+        batch.step(4)
+    before = np.array(read())[..., 1].copy()
+    batch.contact(("robot", "leg"), [("ground", None)])
+    batch.step(1, np.array([True, False]))
+    assert np.any(before)
+    np.testing.assert_array_equal(np.array(read())[..., 1], before)
+
+
+def test_a_reading_of_a_batch_of_one_stays_as_it_was():
+    batch = create_batch("mujoco", Worlds.stand(0.1), 1)
+    read = batch.joint_states("robot", ["knee"])
+    (member,) = batch.members
+    member.reset()
+    bend(member)
+    batch.begin_episodes()
+    batch.step(4)
+    positions = read()
+    first = np.array(positions)
+    batch.step(4)
+    np.testing.assert_array_equal(positions, first)
+    assert np.any(np.array(read()) != first)
 
 
 def test_more_contacts_than_a_batch_adds_up_are_an_error():

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import pickle
-import runpy
 import subprocess
 import sys
 from dataclasses import replace
 from hashlib import sha256
-from math import pi
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,20 +17,15 @@ pytest.importorskip("pybullet")
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import View
-from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import (
-    Box,
     Inertial,
     Joint,
     Link,
     Mesh,
     Pose,
     RobotModel,
-    Sphere,
 )
-
-EPISODE = Path(__file__).with_name("arena_episode.py")
-trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 
 
 def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
@@ -61,81 +53,6 @@ def test_an_engine_that_is_dropped_gives_its_world_back(worlds):
     step = create("pybullet", worlds.ball()).step
     with pytest.raises(EngineError, match="closed"):
         step(1)
-
-
-def test_an_object_stays_within_the_walls(worlds, build):
-    world = WorldModel(
-        0.02,
-        4,
-        (6.0, 2.0, -9.81),
-        arena=Arena((0.6, 0.4), 0.1),
-        objects=(ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2),),
-    )
-    engine = build("pybullet", world)
-    for _ in range(200):
-        engine.step(4)
-    assert engine.pose("ball")()[0] == pytest.approx((0.25, 0.15, 0.05), abs=2e-3)
-
-
-def test_a_fixed_object_stands_and_one_that_is_not_solid_stops_nothing(worlds, build):
-    def crate(name, y, **kind):
-        return ObjectBody(name, Box((0.1, 0.1, 0.1)), Pose((0.5, y, 0.05)), **kind)
-
-    balls = tuple(ObjectBody(f"ball_{y}", Sphere(0.05), Pose((0, y, 0.05)), 0.2) for y in (0, 1))
-    world = WorldModel(
-        0.02, 4, (3, 0, -9.81), objects=(crate("wall", 0, fixed=True), crate("ghost", 1, solid=False), *balls)
-    )
-    engine = build("pybullet", world)
-    for _ in range(100):
-        engine.step(4)
-    assert engine.pose("ball_0")()[0][0] == pytest.approx(0.4, abs=2e-3)
-    assert engine.pose("ball_1")()[0][0] > 1.0
-    assert engine.pose("wall")()[0] == (0.5, 0, 0.05)
-
-
-def test_a_fixed_object_that_is_placed_is_met_where_it_was_placed(worlds, build):
-    wall = ObjectBody("wall", Box((0.1, 0.1, 0.1)), Pose((0.5, 0, 0.05)), fixed=True)
-    ball = ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2)
-    engine = build("pybullet", WorldModel(0.02, 4, (3, 0, -9.81), objects=(wall, ball)))
-    engine.place("wall", (0.8, 0, 0.05), (0, 0, 0, 1))
-    for _ in range(150):
-        engine.step(4)
-    assert engine.pose("ball")()[0][0] == pytest.approx(0.7, abs=2e-3)
-
-
-def test_friction_of_a_joint_holds_what_is_weaker(worlds, build):
-    engine = build("pybullet", worlds.rail(friction=5.0))
-    engine.set_joint("robot", "hinge", pi, 0.0)
-    engine.set_joint("robot", "slide", 0.0, 1.0)
-    for _ in range(30):
-        engine.step(4)
-    assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(0.0, abs=1e-3)
-
-
-def test_a_joint_may_turn_faster_than_the_library_allows_by_itself(worlds, build):
-    engine = build("pybullet", worlds.rotor())
-    engine.set_joint("robot", "hinge", 0.0, 500.0)
-    engine.step(4)
-    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(500.0)
-
-
-def test_links_without_inertial_weigh_nothing(worlds, build):
-    frames = [Link(f"frame_{i}") for i in range(5)]
-    joints = tuple(Joint(f"hold_{i}", "fixed", "body", f"frame_{i}", Pose((0.3, 0, 0))) for i in range(5))
-    model = RobotModel(
-        "tray", (Link("body", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)), *frames), joints, root="body"
-    )
-    lever = replace(
-        model,
-        joints=(*joints, Joint("hinge", "continuous", "wall", "body", axis=(0, 1, 0))),
-        links=(Link("wall"), *model.links),
-        root="wall",
-    )
-    engine = build(
-        "pybullet", WorldModel(0.02, 4, ground=None, robots=(RobotBody("robot", lever, fixed_base=True),))
-    )
-    engine.step(4)
-    assert engine.joint_states("robot", ["hinge"])()[0][1] == 0.0
 
 
 def test_what_moves_without_mass_is_refused_by_name(worlds, build):
@@ -228,9 +145,3 @@ def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
     engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
     for eye in ((0.0, 0.0, 2.0), (0.3, 0.2, -1.0)):
         assert engine.render(View(eye, (0.0, 0.0, 0.0), 40, 40)).shape == (40, 40, 3)
-
-
-def test_drawing_changes_nothing_that_follows(worlds, build):
-    rendered, plain = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
-    rendered.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert trajectory(rendered, worlds.arena(), 3, 20) == trajectory(plain, worlds.arena(), 3, 20)

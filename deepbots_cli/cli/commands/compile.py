@@ -16,7 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.written_files import Files, check_new_folder, modeline, write_new
-from deepbots_cli.codegen import generate_module
+from deepbots_cli.codegen import formatted, generate_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.compiler.inventory import scenario_names
@@ -77,7 +77,7 @@ def command(
             {"project": project, "files": paths}, *map(str, paths), as_json=as_json, next_commands=further
         )
         return
-    code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
+    code = formatted(compiled.code if target == "scalar" else generate_module(compiled.program, target))
     if as_json:
         data = {
             "name": compiled.program.name,
@@ -117,7 +117,7 @@ def project_files(compiled: api.Compiled) -> Files:
         for name in ("README.md", "task.py", "run.py", "train.py")
     }
     contents |= {
-        "environment.py": compiled.code,
+        "environment.py": formatted(compiled.code),
         RESOLVED_NAME: compiled.resolved,
         "requirements.txt": _requirements(),
     }

@@ -14,9 +14,7 @@ were computed before.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from copy import copy
 from functools import partialmethod
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -26,9 +24,8 @@ from mujoco.batch import Batch
 from deepbots_cli.engines.mechanics import torque_curve
 from deepbots_cli.engines.mujoco import motors, sliding
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, ForceMeans, Observer, model_with_sensors
+from deepbots_cli.engines.mujoco.batch_readers import BatchReaders, model_with_sensors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
-from deepbots_cli.engines.mujoco.model import ModelBuilder
 from deepbots_cli.engines.mujoco.motors import (
     MOTOR_FIELDS,
     BatchMotor,
@@ -170,48 +167,22 @@ class MuJoCoBatch(BatchReaders):
     )
 
     def __init__(self, world: WorldModel, count: int) -> None:
-        """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
         sliding.install()
-        self.builder = ModelBuilder(world)
-        self.single = MuJoCoEngine(world, self.builder)
-        self.actuators = self.single.motors.actuators
-        self._world = self.single._world
-        self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
-        self.count = count
-        # `cpu_count` would include cores that a container may not use; macOS and Windows have nothing better.
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._threads = min(cores, count)
+        super().__init__(world, count)
         self.attached: int | None = None
         """The world that the shared engine has."""
         self._has_changes = False
         """Whether the shared engine has changed it."""
-        self._remembered = self._world.memory()
-        self._memories = [self._remembered] * count
-        """The memory of the shared engine besides the state, for each world: the bodies that are present,
-        colors, light."""
         self._stale: set[int] = set()
         """The worlds with new masses, until the first step computes the values that depend on them."""
         self._updated_armatures: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
-        self._armature = None
-        """The armature of each world without the part that velocity motors add, from the first episode on
-        that sets one."""
         self.has_substep_callbacks = False
         """Whether members act in each substep."""
         self._pushes: list[Pushes] = []
         """The pushes of all members, in the order in which each of them binds its pushers."""
         self.motors: dict[Any, BatchMotor] = {}
-        self.has_commands = False
-        self.write_mask = None
-        self._sensors = {}
-        """The sensors of the model by number, which is also their column in `touched`."""
-        self.touched = np.zeros((count, 0), bool)
-        self._force_means = ForceMeans(count)
-        self._outputs = {}
-        """The arrays that a step computes and that are read after it."""
-        self._columns = {}
-        self._observer = Observer(self, self._threads)
         self.rows = dict.fromkeys(MOTOR_FIELDS, np.zeros(0))
         """The fields of the model that differ between worlds."""
         if any(pool.pooled for pool in self._world.pools.values()):

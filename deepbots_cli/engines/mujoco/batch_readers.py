@@ -4,6 +4,7 @@ batch adds to its model.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from math import inf
@@ -17,7 +18,7 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder
 from deepbots_cli.engines.mujoco.motors import cells
-from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, BatchState, LinkMotions, MujocoWorld
+from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, BatchState, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
 from deepbots_cli.program.world import GROUND
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.frames import Frame
     from deepbots_cli.port import EngineProxy, Part
+    from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
 
@@ -207,21 +209,38 @@ class ForceMeans:
 
 
 class BatchReaders(BatchState):
-    """The readers of `MuJoCoBatch`, which sets these attributes."""
+    """The readers of `MuJoCoBatch`, which builds the batch and has the members."""
 
-    single: MuJoCoEngine
     members: Sequence[EngineProxy]
-    touched: Column
-    _force_means: ForceMeans
-    _world: MujocoWorld
     _batch: Any
     _built: int
-    _observer: Observer
-    _sensors: dict[Sensor, int]
-    _outputs: dict[str, Column]
-    _columns: dict[Any, Column]
-    _armature: Column | None
-    _memories: list[tuple[Any, ...]]
+
+    def __init__(self, world: WorldModel, count: int) -> None:
+        """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
+        self.builder = ModelBuilder(world)
+        self.single = MuJoCoEngine(world, self.builder)
+        self.actuators = self.single.motors.actuators
+        self._world = self.single._world
+        self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
+        self.count = count
+        # `cpu_count` would include cores that a container may not use; macOS and Windows have nothing better.
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._threads = min(cores, count)
+        self._remembered = self._world.memory()
+        self._memories = [self._remembered] * count
+        """The memory of the shared engine besides the state, for each world: the bodies that are present,
+        colors, light."""
+        self._armature: Column | None = None
+        """The armature of each world without the part that velocity motors add, from the first episode on
+        that sets one."""
+        self._sensors: dict[Sensor, int] = {}
+        """The sensors of the model by number, which is also their column in `touched`."""
+        self.touched = np.zeros((count, 0), bool)
+        self._force_means = ForceMeans(count)
+        self._outputs: dict[str, Column] = {}
+        """The arrays that a step computes and that are read after it."""
+        self._columns: dict[Any, Column] = {}
+        self._observer = Observer(self, self._threads)
 
     def _column(self, key: Any, part: Callable[[], Column]) -> Column:
         """Return a part of an array of all worlds with a column per world. Each step creates new columns, so

@@ -76,9 +76,9 @@ class BatchState(ABC):
     qpos: FloatArray
     qvel: FloatArray
     rows: dict[str, NDArray[Any]]
-    write_mask: NDArray[Any] | None
+    write_mask: NDArray[Any] | None = None
     """The worlds that motors are written in, as truth values; None for all."""
-    has_commands: bool
+    has_commands = False
     """Whether members have commanded motors since the last step."""
 
     @abstractmethod

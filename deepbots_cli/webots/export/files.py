@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.codegen import formatted
 from deepbots_cli.codegen.names import class_name, docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
@@ -135,7 +136,7 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
             f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}",
         )
         texts[f"worlds/{world}{suffix}.wbt"] = world_text(writer.nodes(controller))
-    texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, compiled.code
+    texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, formatted(compiled.code)
     files = {PurePosixPath(path): text.encode() for path, text in texts.items()}
     if policy is not None:
         files[PurePosixPath("controllers/supervisor/policy.onnx")] = policy

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import as_robot, is_movable, named
@@ -27,29 +27,31 @@ from exact_engine.motion import CartPole, Drive, RigidBody
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (
-        CameraReader,
         Capability,
-        ClearanceReader,
-        ContactReader,
-        ForceReader,
-        Image,
         JointReader,
-        Kinematics,
         MotionReader,
         MotorWriter,
         Overlap,
-        Part,
         PoseReader,
-        Pusher,
-        RayReader,
         TorqueReader,
-        VectorReader,
         VelocityReader,
-        View,
-        WrenchReader,
     )
     from deepbots_cli.program.world import EngineParameter, RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
+
+
+LACKING = {
+    "choose": "bodies of several forms",
+    "pusher": "forces on links",
+    **dict.fromkeys(("contact", "contact_force", "contact_force_vector"), "contacts"),
+    "joint_wrench": "wrenches in joints",
+    "angular_momentum": "angular momenta",
+    "clearance": "surfaces",
+    "rays": "surfaces that rays could meet",
+    **dict.fromkeys(("camera", "render"), "rendering"),
+    "inverse_kinematics": "inverse kinematics",
+}
+"""What the methods of the port need that it has not."""
 
 
 class Servo:
@@ -144,9 +146,6 @@ class ExactEngine:
         motion, (index,) = self._joints(robot, (joint,))
         motion.set_joint(index, position, velocity)
 
-    def choose(self, body: str, variant: str) -> None:
-        raise _lacks("bodies of several forms")
-
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
         if parameter in ("color", "light"):
             return  # nothing sees it
@@ -193,38 +192,6 @@ class ExactEngine:
 
     def before_substep(self, callback: Callable[[], object]) -> None:
         self._callbacks.append(callback)
-
-    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        raise _lacks("forces on links")
-
-    def contact(
-        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
-    ) -> ContactReader:
-        raise _lacks("contacts")
-
-    def contact_force(self, one: Part) -> ForceReader:
-        raise _lacks("contacts")
-
-    def contact_force_vector(self, one: Part) -> VectorReader:
-        raise _lacks("contacts")
-
-    def joint_wrench(self, part: Part) -> WrenchReader:
-        raise _lacks("wrenches in joints")
-
-    def angular_momentum(self, robot: str) -> VectorReader:
-        raise _lacks("angular momenta")
-
-    def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        raise _lacks("surfaces")
-
-    def rays(self, part: Part, rays: Sequence[frames.Frame], reach: float) -> RayReader:
-        raise _lacks("surfaces that rays could meet")
-
-    def camera(self, part: Part, mount: frames.Frame, width: int, height: int, fov: float) -> CameraReader:
-        raise _lacks("rendering")
-
-    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        raise _lacks("inverse kinematics")
 
     def step(self, substeps: int) -> None:
         motions = self._open().values()
@@ -311,8 +278,14 @@ class ExactEngine:
         self._models = dict(models)
         self._ways_back = list(ways_back)
 
-    def render(self, view: View) -> Image:
-        raise _lacks("rendering")
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        if method not in LACKING:
+            raise AttributeError(method)
+
+        def refuse(*args: Any, **options: Any) -> None:
+            raise _lacks(LACKING[method])
+
+        return refuse
 
     def close(self) -> None:
         self._closed = True
