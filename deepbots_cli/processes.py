@@ -28,7 +28,7 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line that runs `module` of deepbots in a process of its own, together with
+    """Return the command line that runs a module in a process of its own, together with
     `python_environment`."""
     return [sys.executable, "-m", module, *arguments]
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import linecache
 import re
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
@@ -38,6 +37,7 @@ from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_superv
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.text import BATCH, SCALAR, Target
+from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program, world_of
 from deepbots_cli.program.identity import digest
 
@@ -221,8 +221,11 @@ def formatted(code: str) -> str:
     """Return a module for readers: as ruff or Black formats it if one of them is installed, else as it is."""
     for name, *options in _FORMATTERS:
         if find_spec(name) is not None:
-            command = [sys.executable, "-m", name, *options, f"--line-length={WIDTH}", "-"]
-            done = subprocess.run(command, input=code, capture_output=True, text=True, check=False)
+            command = python_command(name, *options, f"--line-length={WIDTH}", "-")
+            environment = python_environment()
+            done = subprocess.run(
+                command, input=code, env=environment, capture_output=True, text=True, check=False
+            )
             if done.returncode == 0:
                 return done.stdout
     return code

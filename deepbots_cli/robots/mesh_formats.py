@@ -153,6 +153,8 @@ _OBJ_PLACE = re.compile(rb"^[ \t]*v" + _THREE_NUMBERS, re.MULTILINE)
 _LINE = re.compile(rb"^[ \t]*([vf])(?=[ \t])([^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t](-?)0*([0-9]+)")
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+_MAX_FACE_CORNERS = 100_000
+"""Of one face, whose corners are all in memory at a time, 170 bytes each."""
 _MAX_LINES = 400_000
 
 
@@ -172,7 +174,9 @@ def _obj_triangles(data: bytes) -> Placed:
         if line[1] == b"v":
             before += 1
             continue
-        face = _INDEX.findall(data, line.start(2), min(line.end(2), line.start(2) + 16 * MAX_CORNERS))
+        if sum(data.count(blank, *line.span(2)) for blank in (b" ", b"\t")) > _MAX_FACE_CORNERS:
+            raise FaultyMeshError(f"a face of the OBJ file has more than {_MAX_FACE_CORNERS:,} corners")
+        face = _INDEX.findall(data, *line.span(2))
         total += len(face)
         if total > MAX_CORNERS:
             raise FaultyMeshError(
