@@ -15,7 +15,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from deepbots_cli import frames
+from deepbots_cli import engine_kinds, frames
 from deepbots_cli.engines import ENGINES, create, names
 from deepbots_cli.errors import EngineError, UsageError
 from deepbots_cli.frames import IDENTITY_FRAME
@@ -392,7 +392,7 @@ def test_an_engine_of_another_package_is_found_by_its_entry_point(tmp_path, monk
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: still\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[deepbots.engines]\nstill = still_engine:still\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(ENGINES, "_all", None)  # read once in a process
+    monkeypatch.setattr(engine_kinds.ENGINES, "_all", None)  # read once in a process
     assert "still" in names()
     assert create("still", worlds.rail()) == ("still", worlds.rail())
 

@@ -1,5 +1,9 @@
 """Lints hostile files, each in a folder and a forked process of its own, and says what came of it: the watch
-over opened files cannot be taken off again."""
+over opened files cannot be taken off again.
+
+The forks are those of a process with one thread: a fork of pytest's workers, which have several, may wait for
+a lock of another thread for ever.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,13 @@ import io
 import json
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -39,6 +45,15 @@ class Outcome:
 def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
     """The cases, also those that are `slow`, and the outcome of each; fewer than all if lint took its process
     down."""
+    command = [sys.executable, "-m", "tests.hostile.trial", *(["slow"] if slow else [])]
+    ran = subprocess.run(command, stdout=subprocess.PIPE, check=True, cwd=Path(__file__).parents[2])
+    chosen = (case for case in cases() if slow or not case.slow)
+    for case, line in zip(chosen, ran.stdout.splitlines(), strict=False):
+        yield case, Outcome(**json.loads(line))
+
+
+def main(*, slow: bool) -> None:
+    """Print the outcome of each case as a line."""
     api.lint("cartpole")  # everything is imported
     with tempfile.TemporaryDirectory() as name:
         for number, case in enumerate(case for case in cases() if slow or not case.slow):
@@ -48,7 +63,7 @@ def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
             shutil.rmtree(folder.parent, ignore_errors=True)
             if fork.result is None:
                 return
-            yield case, fork.result
+            print(json.dumps(asdict(fork.result)), flush=True)
 
 
 def examine(main: Path) -> Outcome:
@@ -66,3 +81,7 @@ def examine(main: Path) -> Outcome:
     errors = sorted({finding["code"] for finding in findings if finding["severity"] == "error"})
     outside = [path for path in OUTSIDE if not path.endswith("/clear_refs")]
     return Outcome(errors, seconds, codes[0], outside, memory)
+
+
+if __name__ == "__main__":
+    main(slow="slow" in sys.argv[1:])
