@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson
 from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, without_policy
 from deepbots_cli.processes import Process, ending
-from deepbots_cli.words import sentence_list
+from deepbots_cli.words import printable, sentence_list
 
 _SUFFIXES = (".zip", ".yaml", ".yml")
 """The suffixes that are not part of the name of a student."""
@@ -41,7 +42,7 @@ class Limits:
     """
 
     cpu: int = 60
-    clock: float = 180.0
+    clock: float = 300.0
     memory: int = 8192
     disk: int = 500
 
@@ -71,12 +72,14 @@ class Marks:
     def all_remarks(self) -> tuple[str, ...]:
         """The remarks about the hand-in and about its steps, each once."""
         own = [remark for step in self.steps for remark in step.remarks]
-        return tuple(dict.fromkeys((*((self.refused,) if self.refused else ()), *self.remarks, *own)))
+        every = (*((self.refused,) if self.refused else ()), *self.remarks, *own)
+        return tuple(dict.fromkeys(map(_readable, every)))
 
     def data(self) -> dict[str, Any]:
         """Return the marks as JSON."""
         steps = [
-            {key: value for key, value in as_data(step).items() if key != "weights"} for step in self.steps
+            {key: value for key, value in as_data(step).items() if key not in ("weights", "parts")}
+            for step in self.steps
         ]
         return {
             "student": self.student,
@@ -95,15 +98,19 @@ def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]
     for path in paths:
         inside = [] if path.is_symlink() or not path.is_dir() else sorted(path.iterdir())
         visible = [entry for entry in inside if not entry.name.startswith(".")]
-        is_class = len(visible) > 1 and not any((path / name).exists() for name in lesson.step_files)
+        is_class = len(visible) > 1 and not any((path / name).is_file() for name in lesson.step_files)
         single += visible if is_class else [path]
-    counts: dict[str, int] = {}
-    named: list[tuple[str, Path]] = []
+    named: dict[str, Path] = {}
     for path in single:
-        name = path.stem if path.suffix in _SUFFIXES else path.resolve().name
-        counts[name] = counts.get(name, 0) + 1
-        named.append((name if counts[name] == 1 else f"{name} ({counts[name]})", path))
-    return named
+        name = _readable(path.stem if path.suffix in _SUFFIXES else path.resolve().name)
+        numbers = (f"{name} ({number})" for number in count(2))
+        named[next(free for free in (name, *islice(numbers, len(single))) if free not in named)] = path
+    return list(named.items())
+
+
+def _readable(text: str) -> str:
+    """Return a text of a file system, whose names may be any bytes, as letters that can be printed."""
+    return printable(text.encode("utf-8", "replace").decode())
 
 
 def grade(
@@ -151,9 +158,12 @@ def _mark_one(lesson: Lesson, student: str, path: Path, *, seed: int, train: boo
         work.mkdir()
         try:
             hand_in = collect(path, student, folder, lesson)
-        except HandInError as error:
-            steps = (nothing(step, content, str(error)) for step, content in lesson.steps.items())
-            return Marks(student, lesson.name, tuple(steps), (), f"not marked: {error}")
+        except Exception as error:  # noqa: BLE001 - libraries raise anything for damaged archives
+            reason = (
+                str(error) if isinstance(error, HandInError) else f"it is damaged ({type(error).__name__})"
+            )
+            steps = (nothing(step, content, reason) for step, content in lesson.steps.items())
+            return Marks(student, lesson.name, tuple(steps), (), f"not marked: {reason}")
         request = {"lesson": str(lesson.folder.resolve()), "folder": str(hand_in.folder), "work": str(work)}
         marks = [
             _mark_step(lesson, step, {**request, "step": step, "seed": seed, "train": train}, limits)
@@ -220,23 +230,26 @@ def _size(folder: Path) -> int:
 
 
 def _without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
-    """Return marks in which a policy that several students handed in earns nothing."""
-    holders: dict[tuple[str, str], list[str]] = {}
+    """Return marks in which a policy of several students is named. It earns nothing where their parts differ:
+    one of them did not train it. Equal parts give equal policies, since a training repeats itself."""
+    holders: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for given in marks:
         for step in given.steps:
             if step.weights:
-                holders.setdefault((step.step, step.weights), []).append(given.student)
+                holders.setdefault((step.step, step.weights), []).append((given.student, step.parts))
     result = []
     for given in marks:
         steps, remarks = [], [*given.remarks]
         for step in given.steps:
-            others = [name for name in holders.get((step.step, step.weights), ()) if name != given.student]
+            same = holders.get((step.step, step.weights), ())
+            others = [name for name, _ in same if name != given.student]
             if others and step.weights:
-                reason = f"the same policy as that of {sentence_list(others)}: ask who trained it"
-                steps.append(without_policy(step, lesson.steps[step.step], reason))
+                reason = f"the same policy as that of {sentence_list(others)}"
+                if any(parts != step.parts for _, parts in same):
+                    reason += " with other parts: ask who trained it"
+                    step = without_policy(step, lesson.steps[step.step], reason)
                 remarks.append(f"{step.step}: {reason}")
-            else:
-                steps.append(step)
+            steps.append(step)
         result.append(replace(given, steps=tuple(steps), remarks=tuple(remarks)))
     return result
 

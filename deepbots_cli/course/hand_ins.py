@@ -7,6 +7,7 @@ round.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
@@ -37,6 +38,8 @@ _STRUCTURE = ("include", "extends", "remove", "deepbots")
 """Keys that would read other files, or take away what the task has."""
 _CODE = (".py", ".so", ".dll", ".exe", ".sh", ".pkl", ".pickle", ".ipynb", ".js")
 _CHUNK = 2**20
+_MAX_LINKS = 3
+"""The number of links of a hand-in that are named."""
 _MAX_FILE_BYTES = 2**20
 _OWN = (ANSWERS_NAME, "README.md", "course.json", "runs", "world.png")
 """What a student has beside the files of the exercise."""
@@ -67,6 +70,8 @@ def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
             raise HandInError("it is a symbolic link, which may lead to the work of another student")
         if path.is_dir():
             _copy_folder(path, into, remarks)
+        elif path.exists() and not path.is_file():
+            raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
         elif zipfile.is_zipfile(path):
             _extract(path, into, remarks)
         elif path.suffix in (".yaml", ".yml"):
@@ -127,7 +132,7 @@ def _copy_folder(folder: Path, into: Path, remarks: list[str]) -> None:
                 target = into / source.relative_to(folder)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 total = _copy(source, target, total)
-    _remark_code((path.name for path in into.rglob("*")), remarks)
+    _shorten(into, remarks)
 
 
 def _copy(source: Path, target: Path, total: int) -> int:
@@ -166,11 +171,16 @@ def _extract(path: Path, into: Path, remarks: list[str]) -> None:
                         out.write(chunk)
     except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError, ValueError):
         raise HandInError("the zip is damaged or encrypted") from None
-    _remark_code((path.name for path in into.rglob("*")), remarks)
+    _shorten(into, remarks)
 
 
-def _remark_code(names: Iterator[str], remarks: list[str]) -> None:
-    code = sorted(name for name in names if name.lower().endswith(_CODE))
+def _shorten(folder: Path, remarks: list[str]) -> None:
+    """Keep the first remarks about links, and add one about programs; those in runs are of deepbots."""
+    links = len(remarks)
+    if links > _MAX_LINKS:
+        remarks[_MAX_LINKS:] = [f"{links - _MAX_LINKS} more symbolic links are not followed"]
+    files = (path for path in folder.rglob("*") if "runs" not in path.relative_to(folder).parts)
+    code = sorted(path.name for path in files if path.name.lower().endswith(_CODE))
     if code:
         remarks.append(f"{', '.join(code[:3])}: programs are not run, so they have no effect")
 
@@ -185,6 +195,12 @@ class StepFile:
     parts: dict[str, Node]
     remarks: tuple[str, ...] = ()
     is_changed: bool = True
+
+    @property
+    def digest(self) -> str:
+        """The digest of the values of the parts."""
+        data = {path: to_data(node) for path, node in sorted(self.parts.items())}
+        return hashlib.sha256(repr(data).encode("utf-8", "replace")).hexdigest()
 
 
 def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
@@ -258,6 +274,9 @@ def _check_part(file: str, path: str, part: Node, step: Step) -> None:
                     raise HandInError(
                         f"`{word}` may not be used in `{path}` ({place}): the robot cannot know it"
                     )
+        if step.only and len(inner) == 1 and inner[0] not in step.only:
+            allowed = ", ".join(f"`{name}`" for name in step.only)
+            raise HandInError(f"only {allowed} may stand in `{path}`, not `{inner[0]}` ({place})")
         if step.sensors is not None and inner and inner[-1] == "type" and path.endswith("sensors"):
             kind = node.text if isinstance(node, ScalarNode) else ""
             if len(inner) == 2 and kind not in step.sensors:
@@ -269,7 +288,7 @@ def _check_part(file: str, path: str, part: Node, step: Step) -> None:
 
 def _mentions(text: str, word: str) -> bool:
     """Return whether an expression or a key uses a name, which may have dots."""
-    return re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text) is not None
+    return re.search(rf"(?<!\w)(?<!\w\.){re.escape(word)}(?!\w)", text) is not None
 
 
 def _place(file: str, node: Node) -> str:

@@ -56,6 +56,8 @@ class Check(_Part):
         answer: A key of `answers.yaml`; `right` are the accepted values: texts, or ranges such as `3 .. 4`.
         policy: The success rates (`80 %`) or mean returns (`150`) for equal shares of the points. The policy
             is that of the run that was handed in, or that the grader trains.
+        guard: Whether the files that the student starts from pass the check, too. It then counts only together
+            with another check of the step.
         case: The case of the task in which the policy is evaluated.
         episodes: The number of episodes of the evaluation.
     """
@@ -67,6 +69,7 @@ class Check(_Part):
     answer: str | None = None
     right: tuple[str | int | float | bool, ...] = ()
     policy: tuple[str | int | float, ...] = ()
+    guard: bool = False
     case: str | None = None
     episodes: int = Field(default=40, ge=1, le=1000)
 
@@ -105,6 +108,7 @@ class Step(_Part):
         parts: The sections that the teacher's task takes from the file of the student, such as `reward` or
             `robots.rover.sensors`; each is a mapping.
         files: Files that the task takes beside them, such as `robot.urdf`; of at most 1 MiB.
+        only: The keys that may stand directly in the parts; all, if empty.
         sensors: The types of sensors that the parts may have; None allows all.
         forbidden: Names that no expression of the parts may use, such as the position that the robot cannot
             know.
@@ -115,6 +119,7 @@ class Step(_Part):
     goal: Text
     parts: tuple[str, ...] = ()
     files: tuple[Annotated[str, Field(pattern=_FILE)], ...] = ()
+    only: tuple[str, ...] = ()
     sensors: tuple[str, ...] | None = None
     forbidden: tuple[str, ...] = ()
     checks: tuple[Check, ...] = Field(min_length=1)

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 UNCHANGED = "not changed yet"
 _MAX_REASON = 400
+_YES_OR_NO = {"true": "yes", "false": "no"}
 _MISSING_TEST = "the task has no such test; tell your teacher"
 _WEIGHTS = "policy.pth"
 """The file of a model of Stable-Baselines3 with its weights."""
@@ -67,12 +68,14 @@ class StepMark:
         checks: A mark for each check.
         remarks: What the marker saw beside the checks, such as changed sections that have no effect.
         weights: The digest of the policy that was handed in; empty without one.
+        parts: The digest of the parts that were handed in; empty if they cannot be read.
     """
 
     step: str
     checks: tuple[CheckMark, ...]
     remarks: tuple[str, ...] = ()
     weights: str = ""
+    parts: str = ""
 
     @property
     def points(self) -> int:
@@ -101,6 +104,7 @@ class Marker:
         work: A folder for the composed tasks.
         seed: The root seed of evaluations, which students do not know.
         train: Whether to train a policy where a check needs one, in place of the one that was handed in.
+        takes_unchanged: Whether to mark also what was not changed.
     """
 
     lesson: Lesson
@@ -108,6 +112,7 @@ class Marker:
     work: Path
     seed: int = 0
     train: bool = False
+    takes_unchanged: bool = False
     remarks: list[str] = field(default_factory=list)
 
     def mark(self, name: str) -> StepMark:
@@ -137,7 +142,7 @@ class Marker:
         """
         written = read_step(self.folder, name, step, self.lesson.folder / START)
         self.remarks += written.remarks
-        if not written.is_changed:
+        if not written.is_changed and not self.takes_unchanged:
             raise HandInError(UNCHANGED)
         project = self.work / name
         for folder in (START, CHECKS):
@@ -163,7 +168,7 @@ class Marker:
             except DeepbotsError as error:
                 reason = str(error).replace(f"{self.folder}/", "").replace(f"{self.work}/", "")
                 marks.append(CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON]))
-        return StepMark(name, tuple(marks), tuple(self.remarks), policy.weights)
+        return StepMark(name, _guarded(step, marks), tuple(self.remarks), policy.weights, written.digest)
 
     def _finding(self, name: str, finding: Finding) -> str:
         position = finding.span.start_position
@@ -228,6 +233,18 @@ class Marker:
         return CheckMark(check.says, 0, check.points, f"`{node.text[:60]}` is not right ({where})")
 
 
+def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
+    """Return the marks of a step, in which guards count only together with another check of the task."""
+    pairs = [*zip(step.checks, marks, strict=True)]
+    if any(mark.points and not check.guard and check.kind != "answer" for check, mark in pairs):
+        return tuple(marks)
+    reason = "it counts only together with another check of this step"
+    return tuple(
+        replace(mark, points=0, reason=mark.reason or reason) if check.guard else mark
+        for check, mark in pairs
+    )
+
+
 def _with_tests(task: Path, names: Sequence[str]) -> Path:
     """Write a task with only these of its tests beside it; JSON is YAML. Returns its path."""
     node, _ = read_mapping(task)
@@ -241,12 +258,14 @@ def _with_tests(task: Path, names: Sequence[str]) -> Path:
 def is_right(text: str, expected: str | float) -> bool:
     """Return whether an answer is the expected one: the same text but for case and spaces, the same quantity
     in any unit, or one in a range such as `3 .. 4` or `10 .. 20 ms`."""
-    wanted = _tree(str(expected).lower() if isinstance(expected, bool) else str(expected))
+    text = _YES_OR_NO.get(text.strip().lower(), text)
+    expected = _YES_OR_NO.get(str(expected).lower(), str(expected))
+    wanted = _tree(expected)
     answer = _quantity(_tree(text))
     low, high = (wanted.low, wanted.high) if isinstance(wanted, syntax.Range) else (wanted, wanted)
     least, most = _quantity(low), _quantity(high)
     if least is None or most is None:
-        return " ".join(text.lower().split()) == " ".join(str(expected).lower().split())
+        return " ".join(text.lower().split()) == " ".join(expected.lower().split())
     return answer is not None and answer[1] == most[1] and least[0] <= answer[0] <= most[0]
 
 
@@ -369,6 +388,7 @@ def as_data(mark: StepMark) -> dict[str, Any]:
         "checks": [vars(check) for check in mark.checks],
         "remarks": list(mark.remarks),
         "weights": mark.weights,
+        "parts": mark.parts,
     }
 
 
@@ -378,6 +398,7 @@ def from_data(data: dict[str, Any]) -> StepMark:
         tuple(CheckMark(**check) for check in data["checks"]),
         tuple(data["remarks"]),
         data["weights"],
+        data["parts"],
     )
 
 

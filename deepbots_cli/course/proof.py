@@ -12,7 +12,7 @@ from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
 from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
-from deepbots_cli.course.marking import UNCHANGED
+from deepbots_cli.course.marking import UNCHANGED, Marker
 from deepbots_cli.words import counted
 
 Cheat = Callable[[Path], None]
@@ -145,6 +145,7 @@ def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[P
         zip((name for name, _ in folders), grade(lesson, folders, train=train, workers=workers), strict=True)
     )
     yield _proven(START, marks[START], marks[START].points == 0, "nothing")
+    yield from _guards(lesson)
     yield _proven(SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}")
     before = 0
     for name, _ in folders[2:]:
@@ -178,6 +179,19 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
             yield _proven(
                 f"cheat: {marks.student}", marks, is_named and marks.points <= honest.points, expected
             )
+
+
+def _guards(lesson: Lesson) -> Iterator[Proven]:
+    """Yield the checks that the files of `start` pass as they are, which are to be guards: a change that means
+    nothing would earn them."""
+    for name, step in lesson.steps.items():
+        with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as work:
+            marker = Marker(lesson, lesson.folder / START, Path(work), takes_unchanged=True)
+            mark = marker.mark(name)
+        for check, given in zip(step.checks, mark.checks, strict=True):
+            if given.points and not check.guard:
+                expected = "`guard: true`: start passes it"
+                yield Proven(f"{name}: {check.says}", given.points, given.of, False, expected)
 
 
 def _contents(folder: Path) -> dict[Path, bytes | None]:

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 import shutil
 import stat
 import zipfile
@@ -33,7 +34,7 @@ steps:
     forbidden: [velocity]
     checks:
       - {test: pays, points: 2, says: driving forward pays}
-      - {without: DB101, points: 1, says: no unknown keys}
+      - {without: DB101, guard: true, points: 1, says: no unknown keys}
     hints: [first, second]
   sense:
     goal: Add a sensor.
@@ -154,7 +155,7 @@ def test_what_the_task_has_itself_is_without_effect_and_named(lesson: Lesson, tm
     )
     put(tmp_path / "own", mend=softened.replace("-1 *", "-2 *"))
     mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("mend")
-    assert mark.points == 1  # that of lint
+    assert mark.points == 0
     assert mark.remarks == (
         "changes of `extends`, `tests`, `truncation` in mend.yaml have no effect on the marks",
     )
@@ -173,6 +174,7 @@ def test_what_the_task_has_itself_is_without_effect_and_named(lesson: Lesson, tm
         ("nan", "3 .. 4", False),
         ("3 .. 4", "3 .. 4", False),
         ("true", True, True),
+        ("true", "yes", True),
         ("2", 2, True),
         ("", "no", False),
     ],
@@ -280,22 +282,46 @@ def test_a_step_beyond_its_limits_costs_that_student_that_step(lesson: Lesson, t
     assert marks[1].refused == "not marked: it does not exist"
 
 
-def given_marks(student: str, weights: str, remark: str = "") -> Marks:
-    checks = (CheckMark("a", 2, 2), CheckMark("b", 3, 3))
-    return Marks(student, "reward", (StepMark("complete", checks, (), weights),), (remark,) if remark else ())
-
-
-def test_a_policy_that_two_students_handed_in_earns_nothing() -> None:
-    reward = lesson_named("reward")
-    step = reward.steps["complete"]
+def given_marks(student: str, weights: str, remark: str = "", parts: str = "") -> Marks:
+    step = lesson_named("reward").steps["complete"]
     checks = tuple(CheckMark(check.says, check.points, check.points) for check in step.checks)
-    marks = [
-        Marks(name, "reward", (StepMark("complete", checks, (), weights),))
-        for name, weights in (("ada", "1"), ("bob", "1"), ("eve", "2"), ("joe", ""), ("zoe", ""))
-    ]
-    judged = without_copies(reward, marks)
+    mark = StepMark("complete", checks, (), weights, parts)
+    return Marks(student, "reward", (mark,), (remark,) if remark else ())
+
+
+def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_differ() -> None:
+    handed_in = [("ada", "1", "p"), ("bob", "1", "q"), ("eve", "2", "r"), ("kim", "2", "r"), ("joe", "", "")]
+    marks = [given_marks(name, weights, parts=parts) for name, weights, parts in handed_in]
+    judged = without_copies(lesson_named("reward"), marks)
     assert [one.points for one in judged] == [3, 3, 5, 5, 5]
-    assert judged[0].all_remarks == ("complete: the same policy as that of bob: ask who trained it",)
+    assert judged[0].all_remarks == (
+        "complete: the same policy as that of bob with other parts: ask who trained it",
+    )
+    assert judged[2].all_remarks == ("complete: the same policy as that of kim",)
+
+
+def test_a_check_that_the_starter_passes_counts_only_beside_another_one(
+    lesson: Lesson, tmp_path: Path
+) -> None:
+    put(tmp_path / "own", mend=STEP % "-2")
+    checks = yaml.safe_load(LESSON)["steps"]["mend"]["checks"]
+    assert [check.get("guard", False) for check in checks] == [False, True]
+    assert Marker(lesson, tmp_path / "own", tmp_path / "work").mark("mend").points == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+def test_what_is_no_file_is_refused_and_the_others_are_marked(lesson: Lesson, tmp_path: Path) -> None:
+    handed_in = tmp_path / "handed_in"
+    put(handed_in / "ada", answers="length: 0.35 m\nfair: no\n")
+    os.mkfifo(handed_in / "bob.zip")
+    (handed_in / os.fsdecode(b"eve\xff.zip")).write_bytes(b"PK")
+    deep = handed_in / "joe"
+    for _ in range(300):
+        deep /= "d" * 10
+    deep.mkdir(parents=True)
+    marks = grade(lesson, hand_ins_of(lesson, [handed_in]))
+    assert {one.student: one.points for one in marks} == {"ada": 2, "bob": 0, "eve?": 0, "joe": 0}
+    assert as_csv(marks).encode()
 
 
 @given(st.text(max_size=30), st.text(max_size=30))
