@@ -128,7 +128,8 @@ class Marker:
                 reason = str(error)
             except ScenarioError as error:
                 errors = [finding for finding in error.findings if finding.severity == "error"]
-                reason = self._finding(name, errors[0])
+                own = [error for error in errors if HANDED_IN in Path(error.span.source.name).parts]
+                reason = self._finding(name, (own or errors)[0])
         marks = zip(nothing(name, step, reason).checks, step.checks, strict=True)
         checks = (self._answered(check, answers) if check.kind == "answer" else mark for mark, check in marks)
         return StepMark(name, tuple(checks), tuple(self.remarks))
@@ -230,7 +231,12 @@ class Marker:
             return CheckMark(check.says, check.points, check.points)
         position = node.span.start_position
         where = f"{ANSWERS_NAME}:{position.line}:{position.column}"
-        return CheckMark(check.says, 0, check.points, f"`{node.text[:60]}` is not right ({where})")
+        number = _quantity(_tree(node.text))
+        lacks_unit = number is not None and any(
+            unit_of(right) not in (None, number[1]) for right in check.right
+        )
+        help = "; does it have the right unit?" if lacks_unit else ""
+        return CheckMark(check.says, 0, check.points, f"`{node.text[:60]}` is not right ({where}){help}")
 
 
 def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
@@ -267,6 +273,13 @@ def is_right(text: str, expected: str | float) -> bool:
     if least is None or most is None:
         return " ".join(text.lower().split()) == " ".join(expected.lower().split())
     return answer is not None and answer[1] == most[1] and least[0] <= answer[0] <= most[0]
+
+
+def unit_of(expected: str | float) -> Dimension | None:
+    """Return the dimension of an expected number or of a range; None for a text."""
+    wanted = _tree(str(expected))
+    end = _quantity(wanted.high if isinstance(wanted, syntax.Range) else wanted)
+    return None if end is None else end[1]
 
 
 def _tree(text: str) -> syntax.Node | None:
@@ -332,7 +345,7 @@ class _Policy:
         )
         if not numbered:
             raise HandInError(
-                f"there is no run of it: train it with `deepbots train {self.name}.yaml`, and hand in the folder runs"
+                f"there is no run of it in the folder runs: train it with `deepbots train {self.name}.yaml`"
             )
         try:
             run = Run.open(numbered[-1])

@@ -164,7 +164,8 @@ def _episode(
             words = f"ended by `{episode.ended_by}` {after}" if episode.ended_by else f"has not ended {after}"
             unmet.append(_unmet_expectation(expected, words, number))
     for monitor in monitors:
-        unmet += monitor.unmet(after.removeprefix("after "))
+        ending = f", when `{episode.ended_by}` ended it" if episode.ended_by else ""
+        unmet += monitor.unmet(after.removeprefix("after ") + ending)
     return episode
 
 
@@ -219,10 +220,11 @@ class _ExpectationMonitor:
             expected: [(value, next(values)) for value in expected.compared]
             for expected in self._test.conditions
         }
-        return ", ".join(
+        texts = (
             f"{value.text} is {with_unit(number, value.typed.type.dimension)}"
             for value, number in compared[expectation]
         )
+        return ", ".join(dict.fromkeys(texts))
 
 
 def _unmet_over_episodes(

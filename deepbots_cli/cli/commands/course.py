@@ -123,9 +123,9 @@ def _start(name: str, folder: Path | None) -> None:
     ]
     terminal.print_result(
         f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n\n"
-        f"{table(rows, is_prose=True)}\n\nread {folder / 'README.md'} first"
+        f"{table(rows, is_prose=True)}"
     )
-    terminal.note(f"\nnext:\n  cd {quote(str(folder))}\n  deepbots course check")
+    terminal.note(f"\nnext:\n  cd {quote(str(folder))}\n  read README.md\n  deepbots course check")
 
 
 def _opened(folder: Path) -> Started:
