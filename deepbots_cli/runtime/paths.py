@@ -531,8 +531,8 @@ class Follower:
                 nearest_along = along
                 at = index
         if (neighbor := self._neighbor(at, nearest_along)) is not None:
-            # At a corner, the normal is the sum of those of both pieces: the side of one alone changes its sign
-            # outside of a corner that turns by more than 90 deg.
+            # At a corner, the normal is the sum of those of both pieces: the side of one alone changes
+            # its sign outside of a corner that turns by more than 90 deg.
             side += neighbor.nearest_point(x, y)[2]
         if self._at >= 0:
             step = arc - self._arc
