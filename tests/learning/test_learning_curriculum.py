@@ -314,7 +314,8 @@ def test_a_limit_that_is_a_success_raises_the_level(up: str) -> None:
     task = compiled(limit, f"curriculum.up={up}", "curriculum.down=fallen")
     (outcome_at_limit,) = outcomes_of(Episode(0.0, 5, True, "max_steps"), task.program.agent.success)
     assert outcome_at_limit in levels_of(task).up
-    assert outcome_at_limit not in levels_of(compiled(limit, "curriculum.up=termination")).up
+    by_endings = compiled(limit, "curriculum.up=termination", "curriculum.down=max_steps")
+    assert outcome_at_limit not in levels_of(by_endings).up
 
 
 def test_the_levels_divide_the_range_of_each_parameter_evenly() -> None:
