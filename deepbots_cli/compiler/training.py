@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from math import inf
 from typing import Literal, NamedTuple
 
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
@@ -14,6 +15,7 @@ from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
+from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.expressions.types import Context
 from deepbots_cli.program import Program
@@ -29,6 +31,7 @@ from deepbots_cli.program.task import (
     action_names,
 )
 from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.training import MAX_ENVIRONMENTS, MAX_LEVELS
 from deepbots_cli.scenario.training import Levels as LevelsSpec
 from deepbots_cli.scenario.training import Symmetry as SymmetrySpec
 
@@ -56,7 +59,7 @@ class _LevelsReader(NamespaceReader):
         per_world = self._per_world(spec.per_world) if spec.per_world is not None else None
         start = self._start()
         up, down = self._outcomes("up"), self._outcomes("down")
-        shared = sorted(up & down - {SUCCESS})
+        shared = sorted(up & down)
         if shared:
             self._values.add(
                 "DB407",
@@ -103,7 +106,8 @@ class _LevelsReader(NamespaceReader):
         last = self._levels.levels - 1
         # `low + (high - low)` may miss `high` by rounding.
         numbers = (*(low + (high - low) * level / last for level in range(last)), high)
-        return numbers if self._is_drawable(entry, parameter, numbers, path) else None
+        component = name.partition(".")[2]
+        return self._drawable(entry, parameter.typed.type.interval_of(component), numbers, path)
 
     def _parameter(self, name: str) -> Expression | None:
         parameter = name.partition(".")[0]
@@ -140,32 +144,32 @@ class _LevelsReader(NamespaceReader):
         """Return whether `--set` gives the parameter its value."""
         return self._values.span(("parameters", name)).source.assigned is not None
 
-    def _is_drawable(
-        self, entry: EpisodeDraw, parameter: Expression, numbers: tuple[float, ...], path: NodePath
-    ) -> bool:
-        """Return whether an episode of the scenario could draw each of the numbers, else after a finding."""
+    def _drawable(
+        self, entry: EpisodeDraw, interval: Interval, numbers: tuple[float, ...], path: NodePath
+    ) -> tuple[float, ...] | None:
+        """Return the values of the levels, without the rounding of choices and whole numbers; None after a
+        finding, if an episode of the scenario could not draw one of them."""
         name, tree = entry.name, entry.tree
-        low, high = parameter.typed.type.interval
+        low, high = interval
         kind = tree.distribution if isinstance(tree, Draw) else ""
         if kind == "choice" and isinstance(tree, Draw):
             options = [option.value for option in tree.args if isinstance(option, Const)]
-            missing = [
-                number
-                for number in numbers
-                if not any(abs(number - option) <= _TOLERANCE * abs(option) for option in options)
-            ]
+            tolerance = _TOLERANCE * max(map(abs, options), default=0.0)
+            values = tuple(_nearest(options, number) for number in numbers)
+            pairs = zip(numbers, values, strict=True)
+            missing = [number for number, value in pairs if abs(number - value) > tolerance]
             if missing:
                 headline = f"a level has `{name}` = {missing[0]:g}, which is none of its choices"
                 help = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
                 self._values.add("DB105", path, headline, help)
-            return not missing
-        if kind == "integer" and any(abs(number - round(number)) > _TOLERANCE for number in numbers):
-            count = round(abs(numbers[-1] - numbers[0])) + 1
-            headline = f"{len(numbers)} levels do not divide the range into whole numbers"
-            ends = f"{numbers[0]:g} .. {numbers[-1]:g}"
-            help = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
-            self._values.add("DB105", path, headline, help)
-            return False
+                return None
+            return values
+        if kind == "integer":
+            values = tuple(float(round(number)) for number in numbers)
+            if any(abs(number - value) > _TOLERANCE for number, value in zip(numbers, values, strict=True)):
+                self._report_fractions(name, numbers, path)
+                return None
+            numbers = values
         beyond = [
             number
             for number in numbers
@@ -175,7 +179,20 @@ class _LevelsReader(NamespaceReader):
             headline = f"a level has `{name}` = {beyond[0]:g}, but the scenario draws {low:g} to {high:g}"
             help = "keep the range within it, or draw the parameter from a wider range"
             self._values.add("DB105", path, f"{headline} (SI units)", help)
-        return not beyond
+            return None
+        return numbers
+
+    def _report_fractions(self, name: str, numbers: tuple[float, ...], path: NodePath) -> None:
+        """Report levels of a parameter of whole numbers that have fractions."""
+        first, last = round(numbers[0]), round(numbers[-1])
+        if max(abs(numbers[0] - first), abs(numbers[-1] - last)) > _TOLERANCE:
+            headline = f"`{name}` is a whole number, but the ends of its range are not"
+            help = f"write whole ends, or draw `{name}` from a `uniform` range"
+        else:
+            headline = f"{len(numbers)} levels do not divide the range into whole numbers"
+            count = max(step + 1 for step in range(1, MAX_LEVELS) if (last - first) % step == 0)
+            help = f"write `levels: {count}` for {first} .. {last}, or draw `{name}` from a `uniform` range"
+        self._values.add("DB105", path, headline, help)
 
     def _per_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
         """Return a parameter and its values, of which each world has one; None after a finding."""
@@ -185,6 +202,8 @@ class _LevelsReader(NamespaceReader):
         if entry is None:
             return None
         values = _finite_values(entry.tree)
+        # `len` of a range fails beyond 2^63.
+        count = values.stop - values.start if isinstance(values, range) else len(values)
         help = ""
         if name in self._levels.set:
             headline = f"`{name}` has a value in each level, so a world cannot keep one"
@@ -192,10 +211,14 @@ class _LevelsReader(NamespaceReader):
         elif not values:
             headline = f"`{name}` is not drawn from single values, which the worlds could have in turn"
             help = f"draw `{name}` from whole numbers or choices: `integer(0 .. 5)`, `choice(1 | 2 | 3)`"
-        elif self._spec.train is not None and self._spec.train.environments < len(values):
+        elif count > MAX_ENVIRONMENTS:
+            most = MAX_ENVIRONMENTS
+            headline = f"`{name}` has {count} values, but a training has at most {most} environments"
+            help = f"draw `{name}` from fewer values, or remove `per_world`"
+        elif self._spec.train is not None and self._spec.train.environments < count:
             worlds = self._spec.train.environments
-            headline = f"`{name}` has {len(values)} values, but the training has only {worlds} environments"
-            help = f"write `train.environments: {len(values)}` or a multiple, or remove `per_world`"
+            headline = f"`{name}` has {count} values, but the training has only {worlds} environments"
+            help = f"write `train.environments: {count}` or a multiple, or remove `per_world`"
         if help:
             self._values.add("DB407", path, headline, help)
             return None
@@ -247,7 +270,7 @@ class _LevelsReader(NamespaceReader):
         groups = {
             "success": success,
             "failure": failure,
-            "termination": success - {SUCCESS} | failure,
+            "termination": {*termination.success} | failure,
             "truncation": limits,
         }
         single = {*termination.success, *termination.failure, *limits}
@@ -268,6 +291,10 @@ class _LevelsReader(NamespaceReader):
         if name not in single and not self._values.is_invalid("termination"):
             self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])
         return {name}
+
+
+def _nearest(options: Iterable[float], number: float) -> float:
+    return float(min(options, key=lambda option: abs(option - number), default=inf))
 
 
 def _finite_values(tree: Scalar | None) -> Sequence[float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
@@ -107,7 +107,7 @@ def make_worlds(
         )
 
     def end(world: int, episode: Episode) -> None:
-        outcomes[world] += outcomes_of(episode)
+        outcomes[world] += outcomes_of(episode, run.program.agent.success)
         on_episode(world, episode, stages[world], env.drawn[world])
 
     def options(world: int) -> Mapping[str, Any] | None:
@@ -156,11 +156,14 @@ def _level_draw(plan: WorldPlan, worlds: Worlds, world: int) -> int:
     return derive_seed(plan.run.record.seed, "environment", plan.numbers[world], "level", state)
 
 
-def outcomes_of(episode: Episode) -> list[str]:
-    """Return the outcome of an episode for levels; none if a copy of the robot did not end it itself."""
+def outcomes_of(episode: Episode, success: Collection[str]) -> list[str]:
+    """Return the outcome of an episode for levels; none if a copy of the robot did not end it itself.
+
+    `success` has the endings that are a success; another limit is one if the goal is reached.
+    """
     if episode.ended_by is None or episode.ended_by == ENDED_BY_ANOTHER_COPY:
         return []
-    is_reached = episode.is_success and episode.ended_by in LIMITS
+    is_reached = episode.is_success and episode.ended_by in LIMITS and episode.ended_by not in success
     return [SUCCESS if is_reached else episode.ended_by]
 
 

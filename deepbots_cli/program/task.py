@@ -778,7 +778,8 @@ class Criterion:
 LIMITS = ("max_steps", "max_time")
 """The names of the limits of an episode."""
 SUCCESS = "success"
-"""The outcome of an episode that has reached its goal when a limit ends it; an ending has its own name."""
+"""The outcome of an episode that has reached its goal when a limit ends it. An ending, and a limit that is
+a success itself, has its own name."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import atan, atan2, cos, floor, hypot, pi, sqrt
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -118,6 +119,11 @@ class Ways:
             return None
         return self.forms.footprint(body.name, rpy).at(x, y, rpy[2])
 
+    def corner_distance(self, body: ObjectBody) -> float:
+        """Return the distance of the corners of a standing object from its origin, m; 0 for a disc."""
+        footprint = self.forms.footprint(body.name)
+        return hypot(*footprint.middle) + footprint.radius if footprint.half else 0.0
+
     def area(self, patches: list[Patch], ends: tuple[Spot, Spot], radius: float) -> Area:
         """Return the inside of the arena; without an arena, the box around everything and `_CLEARANCE`."""
         if self._arena is not None:
@@ -145,8 +151,9 @@ class _PathQuery:
         self._ways = ways
         self._one, self._other = start, goal
         self._here, self._there = start_pose, goal_pose
-        self._watched: list[tuple[PoseReader, float, float]] = []
-        """The bodies that may move, and where they were when the field was computed."""
+        self._watched: list[tuple[PoseReader, float, float, Quaternion, float]] = []
+        """The bodies that may move, where they were and how they were turned when the field was computed, and
+        how far their corners are from their origins: 0 for discs."""
 
     def length(self) -> float:
         x, y, _ = self._here()[0]
@@ -172,10 +179,14 @@ class _PathQuery:
         """Return the field; a new one where something has moved by more than a cell."""
         if self._field is None or not self.is_current:
             return self._renew()
-        limit = self._field.cell**2
-        for read, x, y in self._watched:
-            (now_x, now_y, _), _ = read()
-            if (now_x - x) ** 2 + (now_y - y) ** 2 > limit:
+        for read, x, y, turn, reach in self._watched:
+            (now_x, now_y, _), now_turn = read()
+            moved = hypot(now_x - x, now_y - y)
+            if reach > 0.0:
+                # A turn by an angle moves a corner by 2 * reach * sin(angle / 2).
+                cosine = sum(map(mul, turn, now_turn))
+                moved += 2.0 * reach * sqrt(max(0.0, 1.0 - cosine**2))
+            if moved > self._field.cell:
                 return self._renew()
         return self._field
 
@@ -183,14 +194,16 @@ class _PathQuery:
         """Return the field of the world as it is; the last one if it has the same arguments, as in a world
         whose bodies start where they did."""
         ways = self._ways
-        goal = self._there()[0]
+        goal, goal_turn = self._there()
         standing = [(body, read, read()) for body, read in ways.solids(self._one[0], self._other[0])]
         patches = [patch for body, _, pose in standing if (patch := ways.patch(body, pose)) is not None]
         self._watched = [
-            (read, *pose[0][:2]) for body, read, pose in standing if not ways.forms.is_fixed(body.name)
+            (read, *pose[0][:2], pose[1], ways.corner_distance(body))
+            for body, read, pose in standing
+            if not ways.forms.is_fixed(body.name)
         ]
         if not ways.is_fixed(self._other):
-            self._watched.append((self._there, goal[0], goal[1]))
+            self._watched.append((self._there, goal[0], goal[1], goal_turn, 0.0))
         radius = ways.forms.half_width(self._one[0])
         x, y, _ = self._here()[0]
         area = ways.area(patches, ((x, y), goal[:2]), radius)
@@ -507,7 +520,7 @@ class Follower:
         at = max(self._at, 0)
         arc = self._arc
         nearest = float("inf")
-        side = 0.0
+        side = nearest_along = 0.0
         for index in candidates:
             piece = self._pieces[index]
             along, squared, left = piece.nearest_point(x, y)
@@ -515,7 +528,12 @@ class Follower:
                 arc = piece.start + along
                 nearest = squared
                 side = left
+                nearest_along = along
                 at = index
+        if (neighbor := self._neighbor(at, nearest_along)) is not None:
+            # At a corner, the normal is the sum of those of both pieces: the side of one alone changes
+            # its sign outside of a corner that turns by more than 90 deg.
+            side += neighbor.nearest_point(x, y)[2]
         if self._at >= 0:
             step = arc - self._arc
             # From the end of a lap to its beginning, the shorter way around is a small step.
@@ -525,6 +543,16 @@ class Follower:
         self._position = (x, y)
         self._cross_track_error = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
         return self._cross_track_error, self._arc_length
+
+    def _neighbor(self, index: int, along: float) -> Segment | None:
+        """Return the piece that shares the corner at a place along a piece; None between corners, and at the
+        ends of an open line."""
+        if 0.0 < along < self._pieces[index].length:
+            return None
+        index += 1 if along > 0.0 else -1
+        if not (self._closed or 0 <= index < len(self._pieces)):
+            return None
+        return self._pieces[index % len(self._pieces)]
 
     def _near(self, reach: float) -> Iterator[int]:
         """Yield pieces that begin or end within `reach` along the line of the body's last place, that one

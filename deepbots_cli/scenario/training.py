@@ -29,6 +29,7 @@ from deepbots_cli.scenario.quantities import (
     WholeNumber,
 )
 
+MAX_ENVIRONMENTS = 1024
 MAX_SHARDS = 256
 AUTO = "auto"
 """The algorithm of a `train` section that names none: deepbots chooses it."""
@@ -200,7 +201,7 @@ class Training(Section):
     """The learning algorithm."""
     total_timesteps: Annotated[int, WholeNumber(1, 10**12)]
     """Number of steps to train for, summed over all environments."""
-    environments: Annotated[int, WholeNumber(1, 1024)] = 1
+    environments: Annotated[int, WholeNumber(1, MAX_ENVIRONMENTS)] = 1
     """Number of environments that run at the same time."""
     shards: Annotated[int, WholeNumber(1, MAX_SHARDS)] = 1
     """Number of groups of environments, each with a copy of the policy."""

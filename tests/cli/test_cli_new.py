@@ -16,7 +16,7 @@ import subprocess
 import sys
 from contextlib import closing
 from itertools import product
-from math import dist, hypot, radians
+from math import dist, hypot, pi, radians
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -385,6 +385,49 @@ def test_an_arm_that_moves_in_a_plane_reaches_for_places_in_it_and_starts_beside
 def test_no_position_is_rounded_beyond_a_limit(written, tmp_path, lower, upper):
     written("narrow", LOWER=str(lower), UPPER=str(upper))
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0.5, 2.5), (0.0, 2.4), (-2.4, 2.4)])
+def test_a_cart_begins_between_the_ends_of_its_rail_and_stays_off_both(deepbots, tmp_path, lower, upper):
+    text = shipped.robot_path("cartpole_rail").read_text(encoding="utf-8")
+    text = text.replace('lower="-2.4" upper="2.4"', f'lower="{lower}" upper="{upper}"')
+    (tmp_path / "rail.urdf").write_text(text, encoding="utf-8")
+    deepbots("new", "first", "--urdf", "rail.urdf", "--json")
+    assert api.lint(tmp_path / "first.yaml", preview=True) == []
+    environment = api.make(tmp_path / "first.yaml")
+    half = (upper - lower) / 2
+    for place, is_at_end in ((0.0, False), (0.9, False), (-0.9, False), (0.99, True), (-0.99, True)):
+        environment.reset(seed=0)
+        environment.engine.set_joint("robot", "slider", (lower + upper) / 2 + place * half, 0.0)
+        *_, info = environment.step(np.zeros(1))
+        assert ("at_end_of_slides" in info["endings"]) is is_at_end
+    environment.close()
+
+
+def test_wheels_that_roll_towards_the_middle_drive_the_robot_without_turning_it(deepbots, tmp_path):
+    (tmp_path / "cross.urdf").write_text(_cross(), encoding="utf-8")
+    deepbots("new", "first", "--urdf", "cross.urdf", "--json")
+    assert api.lint(tmp_path / "first.yaml", preview=True) == []
+    assert [part.name for part in api.compile(tmp_path / "first.yaml").program.agent.action] == [
+        "gas",
+        "side",
+    ]
+
+
+def _cross() -> str:
+    """A body with four wheels around it, each on an axle across the line to the middle."""
+    inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    links = [f'<link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>']
+    for number, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+        links.append(
+            f'<link name="wheel_{number}"><inertial><mass value="0.1"/>{inertia}</inertial><collision>'
+            f'<origin rpy="{pi / 2 * abs(x)} {pi / 2 * abs(y)} 0"/>'
+            '<geometry><cylinder radius="0.05" length="0.02"/></geometry></collision></link>'
+            f'<joint name="axle_{number}" type="continuous"><parent link="base"/>'
+            f'<child link="wheel_{number}"/><origin xyz="{0.2 * x} {0.2 * y} 0"/>'
+            f'<axis xyz="{abs(y)} {abs(x)} 0"/><limit effort="1" velocity="10"/></joint>'
+        )
+    return f"<robot name='cross'>{''.join(links)}</robot>"
 
 
 def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(deepbots, tmp_path, monkeypatch):

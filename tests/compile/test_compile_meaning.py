@@ -968,6 +968,13 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
         ),
         ("set={mark: 1 .. 2 cm}", "DB407", "mark", "computed from other parameters", "those"),
         ("levels=4", "DB105", "0 .. 5", "4 levels do not divide the range", "levels: 6"),
+        (
+            "set={level: 0.5 .. 3.5}",
+            "DB105",
+            "0.5 .. 3.5",
+            "the ends of its range are not",
+            "write whole ends",
+        ),
         ("set={level: 0 .. 10}", "DB105", "0 .. 10", "the scenario draws 0 to 5", "wider range"),
         ("set={level: 0 .. 5 cm}", "DB503", "5 cm", "must be a plain number", ""),
         ("levels=1", "DB105", "1", "below the smallest", ""),
@@ -1017,7 +1024,8 @@ def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
         ("uniform(0 .. 3)", "`kind` is not drawn from single values", "integer(0 .. 5)"),
         ("integer(0 .. 3) every 1 s", "`kind` changes within an episode", "remove `every`"),
         ("integer(0 .. 4)", "`kind` has 5 values, but the training has only 4", "train.environments: 5"),
-        ("integer(0 .. 1_000_000_000)", "1000000001 values", "environments"),
+        ("integer(0 .. 1_000_000_000)", "1000000001 values", "fewer values"),
+        ("integer(0 .. 1e20)", "100000000000000000001 values", "fewer values"),
     ],
 )
 def test_worlds_divide_single_values(parameter: str, headline: str, help: str) -> None:
@@ -1026,6 +1034,37 @@ def test_worlds_divide_single_values(parameter: str, headline: str, help: str) -
     assert [(finding.code, finding.span.text) for finding in findings] == [("DB407", "kind")]
     assert headline in findings[0].headline
     assert help in (findings[0].help or "")
+
+
+def test_the_levels_of_one_component_lie_in_its_own_range() -> None:
+    vector = "parameters.spot=uniform(0 -1 .. 10 1 m)"
+    wide, narrow = (
+        check(
+            load(SCENARIO, overrides=[vector, f"curriculum.set={{spot.y: -1 .. {high} m}}"])
+        ).findings.errors
+        for high in (9, 1)
+    )
+    assert [(finding.code, finding.span.text) for finding in wide] == [("DB105", "-1 .. 9 m")]
+    assert narrow == []
+
+
+def test_levels_have_the_choices_themselves() -> None:
+    """The middle level of 13 from -0.7 to 0.5 is 0 but for rounding, which a reset would refuse."""
+    choices = tuple(number / 10 for number in range(-7, 6))
+    overrides = [
+        f"parameters.tilt=choice({' | '.join(map(str, choices))})",
+        "curriculum.set={tilt: -0.7 .. 0.5}",
+        "curriculum.levels=13",
+    ]
+    levels = api.compile(SCENARIO, overrides=overrides).program.levels
+    assert levels is not None
+    assert levels.values == (("tilt", choices),)
+
+
+def test_up_and_down_cannot_both_follow_a_goal() -> None:
+    overrides = ["curriculum={set: {target.x: 0.4 .. 0.6 m}, levels: 3, up: success, down: success}"]
+    (finding,) = api.lint("panda_reach", overrides=overrides)
+    assert finding.headline == "after `success` a world cannot be one level higher and one level lower"
 
 
 def test_a_parameter_with_one_value_is_not_divided() -> None:

@@ -302,10 +302,20 @@ def test_every_path_changes_by_one_at_a_time_and_stays_within_the_levels() -> No
 
 
 def test_the_outcome_of_an_episode_is_its_ending() -> None:
-    assert outcomes_of(Episode(0.0, 3, True, "arrived")) == ["arrived"]
-    assert outcomes_of(Episode(0.0, 3, True, "max_steps")) == [SUCCESS]  # a goal that was reached
-    assert outcomes_of(Episode(0.0, 3, False, "max_steps")) == ["max_steps"]
-    assert outcomes_of(Episode(0.0, 3, False, "another_copy")) == []
+    assert outcomes_of(Episode(0.0, 3, True, "arrived"), ["arrived"]) == ["arrived"]
+    assert outcomes_of(Episode(0.0, 3, True, "max_steps"), []) == [SUCCESS]  # a goal that was reached
+    assert outcomes_of(Episode(0.0, 3, False, "max_steps"), []) == ["max_steps"]
+    assert outcomes_of(Episode(0.0, 3, False, "another_copy"), []) == []
+
+
+@pytest.mark.parametrize("up", ["success", "max_steps"])
+def test_a_limit_that_is_a_success_raises_the_level(up: str) -> None:
+    limit = "truncation={max_steps: {limit: 5, success: all}}"
+    task = compiled(limit, f"curriculum.up={up}", "curriculum.down=fallen")
+    (outcome_at_limit,) = outcomes_of(Episode(0.0, 5, True, "max_steps"), task.program.agent.success)
+    assert outcome_at_limit in levels_of(task).up
+    by_endings = compiled(limit, "curriculum.up=termination", "curriculum.down=max_steps")
+    assert outcome_at_limit not in levels_of(by_endings).up
 
 
 def test_the_levels_divide_the_range_of_each_parameter_evenly() -> None:

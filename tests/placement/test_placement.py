@@ -27,7 +27,7 @@ from shapely import MultiPoint
 
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, patch_distance
-from deepbots_cli.frames import Triple
+from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.overview import extent
 from deepbots_cli.runtime.paths import DistanceField
@@ -713,6 +713,16 @@ def test_what_moves_changes_the_ways(make: Make) -> None:
     environment.engine.place("jar", (0.8, 0.8, 0.05), (0.0, 0.0, 0.0, 1.0))
     observation, *_ = environment.step(np.array([0.0]))
     assert observation[1] == 1.0
+
+
+def test_what_turns_in_place_changes_the_ways(make: Make) -> None:
+    """A free wall across the way, which then lies along it."""
+    environment = make(MAZE, "objects.wall={shape: box, size: 2 60 20 cm, mass: 5 kg}")
+    observation, _ = environment.reset(seed=0)
+    around = path(observation)
+    environment.engine.place("wall", (0.0, 0.0, 0.1), quaternion(0.0, 0.0, math.pi / 2))
+    observation, *_ = environment.step(np.array([0.0]))
+    assert path(observation) < around - 0.05
 
 
 def test_a_start_may_be_required_to_have_a_way(make: Make) -> None:

@@ -670,6 +670,18 @@ def test_a_line_that_crosses_itself_is_followed_straight_on() -> None:
     assert beside == pytest.approx(0.001 / math.sqrt(2))
 
 
+@pytest.mark.parametrize(("closed", "mirror"), [(True, 1.0), (True, -1.0), (False, 1.0)])
+def test_outside_of_a_sharp_corner_the_side_stays(closed: bool, mirror: float) -> None:
+    """On an arc around a corner of a triangle, which turns by 120 deg; mirrored, the other side is left."""
+    corners = tuple((math.cos(a), mirror * math.sin(a)) for a in (0.0, 2 * math.pi / 3, 4 * math.pi / 3))
+    line = Line("triangle", (*corners[2:], *corners[:2]), closed=closed, width=0.02)
+    follow = Follower(line)
+    for degree in range(-59, 60):
+        angle = math.radians(degree)
+        beside, _ = follow((1.0 + 0.3 * math.cos(angle), 0.3 * math.sin(angle)))
+        assert beside == pytest.approx(-0.3 * mirror)
+
+
 def test_lanes_beside_each_other_are_distinguished() -> None:
     hairpin = Line("hairpin", ((0.0, 0.0), (2.0, 0.0), (2.0, 0.05), (0.0, 0.05)), closed=False, width=0.01)
     follow = Follower(hairpin)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import atan2, degrees, inf, prod
+from math import atan2, degrees, hypot, inf, prod
 from pathlib import PurePosixPath
 
 from deepbots_cli import frames
@@ -145,8 +145,9 @@ def drive(draft: Draft) -> dict[str, object]:
     speed = _wheel_speed(build, build.size)
     steered = bool(build.steering)
     is_omni = draft.judgment.kind is Kind.omni and _has_crossed_axles(build)
+    turns = True
     if is_omni:
-        wheels = _drive_any_way(draft)
+        wheels, turns = _drive_any_way(draft)
     else:
         wheels = _drive_wheels(
             draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
@@ -161,6 +162,7 @@ def drive(draft: Draft) -> dict[str, object]:
         "wheels": wheels,
         "steered": steered,
         "omni": is_omni,
+        "turns": turns or steered,
         "rollers": any(wheel.rollers for wheel in build.wheels),
         "speed": speed,
         "field": field,
@@ -175,10 +177,11 @@ def _has_crossed_axles(build: Build) -> bool:
     return any(abs(frames.dot(axle, wheel.axle)) < _PARALLEL for wheel in build.wheels)
 
 
-def _drive_any_way(draft: Draft) -> str:
+def _drive_any_way(draft: Draft) -> tuple[str, bool]:
     """Add a motor for each of the wheels that roll in different directions: `gas` moves the robot along x,
     `side` along y, and `turn` turns it. A wheel turns as fast as the robot moves at its place, along its
-    rolling direction. Returns the group of the wheels."""
+    rolling direction. Returns the group of the wheels, and whether they can turn the robot: not if each rolls
+    towards the middle."""
     wheels = draft.build.wheels
     ways = [frames.cross(wheel.axle, (0.0, 0.0, 1.0)) for wheel in wheels]
     x, y = (sum(wheel.center[axis] for wheel in wheels) / len(wheels) for axis in (0, 1))
@@ -187,15 +190,16 @@ def _drive_any_way(draft: Draft) -> str:
         for wheel, way in zip(wheels, ways, strict=True)
     ]
     longest = max(map(abs, arms))
+    turns = longest > _MIN_SHARE * max(hypot(wheel.center[0] - x, wheel.center[1] - y) for wheel in wheels)
     for wheel, way, arm in zip(wheels, ways, arms, strict=True):
-        shares = {"gas": way[0], "side": way[1], "turn": arm / longest}
+        shares = {"gas": way[0], "side": way[1], "turn": arm / longest if turns else 0.0}
         terms = [
             f"{short_number(share)} * {name}" for name, share in shares.items() if abs(share) > _MIN_SHARE
         ]
         name = draft.add_group(f"wheel_{len(draft.motors) + 1}", [wheel.joint])
         speed = f"top_speed * ({' + '.join(terms)})".replace("+ -", "- ")
         draft.add_motor(f"drive_{name}", "velocity_motor", name, [wheel.joint], speed)
-    return draft.add_group("wheels", [wheel.joint for wheel in wheels])
+    return draft.add_group("wheels", [wheel.joint for wheel in wheels]), turns
 
 
 def balance(draft: Draft) -> dict[str, object]:
@@ -227,11 +231,18 @@ def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]
     group = draft.add_group(name, joints)
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
     draft.add_motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
-    ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
+    middle = {joint.name: neutral(joint, 0.2) for joint in joints}
+    ends = [
+        abs(end - middle[joint.name])
+        for joint in joints
+        if joint.type != "continuous" and (joint.limit.lower, joint.limit.upper) != (None, None)
+        for end in range_of(joint)
+    ]
     measures: dict[str, object] = {
         "unit": unit,
         "top": top,
-        "span": min(ends, default=3.0),
+        "rest": draft.add_start(group, f"rest_{name}", middle, joints) if any(middle.values()) else "",
+        "span": min([5.0, *ends]) if ends else 3.0,
         "ends": bool(ends),
     }
     return {"name": name, "group": group, "end": f"at_end_of_{name}", **measures}
