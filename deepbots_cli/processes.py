@@ -2,7 +2,8 @@
 
 `python -m` and `python -c` put the working directory first on the path of imports, so a `typer.py` there
 would run. deepbots starts every process with the arguments that this module returns.
- `Process` is a process that gets messages and answers with messages, and may end at any time: the simulation
+
+`Process` is a process that gets messages and answers with messages, and may end at any time: the simulation
 of lint, a worker of this machine, the robot of the studio, the page of a training. What it had not written is
 lost. Within such a process, `message_streams` keeps prints out of its messages, and `limit` bounds it.
 """

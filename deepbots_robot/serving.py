@@ -288,11 +288,12 @@ def serve(
         ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
     )
     with ExitStack() as stack:
+        link = transport.open(receives, sends, robot=False, about=about)
+        stack.callback(link.close)
+        # After the link: the log of a server that cannot begin would refuse the next one.
         writer = _opened(log, bundle)
         if writer is not None:
             stack.callback(_close, writer)
-        link = transport.open(receives, sends, robot=False, about=about)
-        stack.callback(link.close)
         server = Server(
             bundle.start(),
             inputs,
@@ -303,10 +304,12 @@ def serve(
             lockstep=lockstep,
             log=Notes(writer, note),
         )
-        note(f"{scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
         with stopping() as stopped:
+            note(
+                f"{scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}"
+            )
             server.run(until(stopped, seconds, server, note))
-    return server.report()
+    return {**server.report(), "stopped_by_signal": stopped()}
 
 
 def _close(writer: LogWriter) -> None:
@@ -317,7 +320,7 @@ def _close(writer: LogWriter) -> None:
 def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
     """Return a message for a server that made no step; empty if there was one, or if the server ended by a
     signal."""
-    if seconds is None or report["steps"]:
+    if seconds is None or report["steps"] or report["stopped_by_signal"]:
         return ""
     missing = ", ".join(report["missing"][:5])
     because = f": no value of {missing} arrived" if missing else ""

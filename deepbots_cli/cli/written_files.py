@@ -1,6 +1,7 @@
 """The files that commands write: new files in a folder, which replace no others, and changes of the user's
 files.
- Changes are the fixes of `lint`, the layout of `fmt`, and the values of `apply`, shown as a difference or
+
+Changes are the fixes of `lint`, the layout of `fmt`, and the values of `apply`, shown as a difference or
 written.
 """
 

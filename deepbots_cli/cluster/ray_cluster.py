@@ -2,7 +2,8 @@
 
 Calls of functions report to a board, a small actor in the node of this process, and learn from it that they
 should stop.
- Ray prints the messages of its nodes and has no option against this, so `node_messages_silenced` replaces a
+
+Ray prints the messages of its nodes and has no option against this, so `node_messages_silenced` replaces a
 private function of Ray. Its version is pinned for this reason, and a test looks for the function in the
 library.
 """

@@ -2,7 +2,8 @@
 training.
 
 The workers are some processes of this machine, or a Ray cluster that runs already.
- A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another
+
+A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another
 worker from the end of the last fragment, and repeat the lost part of the present one with the same results. A
 node that joins later gets a worker with the next fragment.
 """

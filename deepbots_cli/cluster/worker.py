@@ -1,5 +1,6 @@
 """The side of a worker: the checks that it makes, a call of a function, and a process of this machine.
- `python -m deepbots_cli.cluster.worker` is a process that does the work of `LocalProcesses`. Standard input
+
+`python -m deepbots_cli.cluster.worker` is a process that does the work of `LocalProcesses`. Standard input
 brings calls, as pickled bytes of a function and its arguments, or None for a stop. Answers and news go to
 standard output, pickled. Code that is called sees neither. The process ends as soon as standard input does,
 so it does not outlive its parent. A worker of a Ray cluster calls `perform` too.

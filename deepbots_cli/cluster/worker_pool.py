@@ -1,8 +1,10 @@
 """The interface between shards or calls and the processes that do their work, and the processes of this
 machine.
- `LocalProcesses` starts processes on this machine, and `RayCluster` (`ray_cluster.py`) uses those of a Ray
+
+`LocalProcesses` starts processes on this machine, and `RayCluster` (`ray_cluster.py`) uses those of a Ray
 cluster.
- A process of this machine is an interpreter of its own, which imports deepbots and nothing of the main
+
+A process of this machine is an interpreter of its own, which imports deepbots and nothing of the main
 module: it works from a script, `python -c` and a notebook. `concurrent.futures` and `multiprocessing.Pool` do
 not serve here: the first ends all calls when one process is killed, the second waits for its answer forever,
 and both import the main module.

@@ -303,14 +303,15 @@ class Printer:
         return "".join(self._hoisted[state])
 
     def _states(self, states: Sequence[State]) -> Column | None:
-        """Return the code of a vector of memories; None if they differ in more than their component."""
+        """Return the code of a vector of memories; None if they differ in their function or beginning."""
         hoisted = [self._hoisted.get(state) for state in states]
         if hoisted[0] is not None:
             local = hoisted[0][0]
             return (
                 Column(local) if hoisted == [(local, f"[{index}]") for index in range(len(states))] else None
             )
-        if any(hoisted) or len({state.function for state in states}) > 1:
+        memories = {(state.function, state.call in self.context.begun_by_message) for state in states}
+        if any(hoisted) or len(memories) > 1:
             return None
         if len({len(state.args) for state in states}) > 1:
             return None

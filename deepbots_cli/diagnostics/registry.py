@@ -33,6 +33,9 @@ FAMILIES = {
 }
 
 
+RULE_CODE = re.compile(r"[A-Z]{2,8}[0-9]{1,4}")
+
+
 @dataclass(frozen=True)
 class Rule:
     """One entry of the catalog.
@@ -422,7 +425,7 @@ def _read(_name: str, value: Any) -> Iterator[tuple[str, Rule]]:
     for rule in [value] if isinstance(value, Rule) else list(value):
         if not isinstance(rule, Rule) or rule.check is None or not rule.about:
             raise ValueError(f"{rule!r} is not a Rule with `check` and `about`")
-        if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
+        if not RULE_CODE.fullmatch(rule.code) or rule.code.startswith("DB"):
             raise ValueError(
                 f"the code {rule.code!r} does not consist of capital letters and digits, or begins with DB"
             )

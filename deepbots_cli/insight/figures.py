@@ -20,7 +20,7 @@ from deepbots_cli.learning.runs.evaluations import DrawnEffects
 from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.kinematics import bounds_of_shape
-from deepbots_cli.robots.model import Cylinder, Sphere
+from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.spaces import joined, parts_of_rows
 from deepbots_cli.view.frames import COLORS, LinkName
@@ -405,19 +405,28 @@ def _limits(
 
 
 def outline(shape: Any, pose: Frame) -> list[Triple]:
-    """Return the outline of an object from above: the hull of its box, and a circle for a round shape."""
+    """Return the outline of an object from above, with 24 points for a circle; that of a mesh is that of its
+    box."""
     from scipy.spatial import ConvexHull
 
-    low, high = bounds_of_shape(shape)
-    corners: list[Triple] = list(product(*zip(low, high, strict=True)))  # type: ignore[arg-type]
-    if isinstance(shape, Sphere | Cylinder):
-        turns = [math.tau * number / 24 for number in range(24)]
-        corners = [
-            (high[0] * math.cos(turn), high[1] * math.sin(turn), z)
-            for turn in turns
-            for z in (low[2], high[2])
-        ]
-    points = [frames.add(pose[0], frames.rotate(pose[1], corner)) for corner in corners]
+    ring = [(math.cos(turn), math.sin(turn)) for turn in np.arange(24) * (math.tau / 24)]
+
+    def placed(corners: Iterable[Triple]) -> list[Triple]:
+        return [frames.add(pose[0], frames.rotate(pose[1], corner)) for corner in corners]
+
+    match shape:
+        case Sphere(radius) | Capsule(radius):
+            # A ball is a circle however it is turned, and a capsule is the hull of the balls at its ends.
+            half = shape.length / 2 if isinstance(shape, Capsule) else 0.0
+            points = [
+                frames.add(center, (radius * x, radius * y, 0.0))
+                for center in placed([(0.0, 0.0, -half), (0.0, 0.0, half)])
+                for x, y in ring
+            ]
+        case Cylinder(radius, length):
+            points = placed((radius * x, radius * y, z) for x, y in ring for z in (-length / 2, length / 2))
+        case _:
+            points = placed(product(*zip(*bounds_of_shape(shape), strict=True)))  # type: ignore[arg-type]
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]
 
 

@@ -16,7 +16,7 @@ from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.diagnostics.registry import RULE_CODE, RULES
 from deepbots_cli.document import MappingNode, ScalarNode, descend, shipped
 from deepbots_cli.document.files import resolve_reference
 from deepbots_cli.document.nodes import NodePath, follow_dotted
@@ -44,7 +44,6 @@ from deepbots_cli.scenario.documentation import default_of, key_description, sec
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.words import counted
 
-_CODE = re.compile(r"DB\d{3}")
 _MAX_CHARACTERS = 300
 _LONGEST_NOUN = 120
 _KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
@@ -177,20 +176,21 @@ def _innermost(outer: ExpressionNode) -> ExpressionNode:
     if isinstance(node, syntax.Call) and index <= node.name_end:
         return outer
     for child, kinds in _inside(node):
-        if child.start <= index <= child.end and not (
-            child.start == index and isinstance(child, syntax.Binary)
-        ):
+        if child.start <= index <= child.end:
             return _innermost(outer._replace(node=child, kinds=kinds))
     return outer
 
 
 def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
-    """Yield the child nodes, with the allowed kinds for arguments that name a part of the world."""
+    """Yield the child nodes, with the allowed kinds for arguments that name a part of the world; numbers of a
+    vector have its unit."""
     function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
     for index, child in enumerate(syntax.children(node)):
         param = (
             function.params[min(index, len(function.params) - 1)] if function and function.params else None
         )
+        if isinstance(node, syntax.Vector) and isinstance(child, syntax.Number):
+            child = child._replace(unit=node.unit)
         yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
 
 
@@ -224,7 +224,7 @@ def _suppressed_code(view: CursorView) -> _HoverText | None:
     line = text[begin : end if end >= 0 else len(text)]
     comment = line.find("deepbots:")
     if comment >= 0:
-        for match in _CODE.finditer(line, max(0, comment)):
+        for match in RULE_CODE.finditer(line, max(0, comment)):
             if begin + match.start() <= view.offset <= begin + match.end() and (
                 page := describe_rule(match.group())
             ):
@@ -267,6 +267,9 @@ def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
         subject = node.reading.scope.subject(name, node.kinds)
         return f"`{name}`: {subject.kind.description}{_definition_line(entry)}" if subject else None
     symbol = node.reading.scope.lookup(name)
+    if symbol is None and isinstance(node.node, syntax.Name) and name != node.node.dotted:
+        subject = node.reading.scope.subject(name)
+        return f"`{name}`: {subject.kind.description}{_definition_line(entry)}" if subject else None
     if symbol is None:  # the name is a component of a vector, or a unit
         node_type = node.type
         if node_type:
@@ -287,10 +290,20 @@ def _definition_line(entry: NameEntry | None) -> str:
 
 def _key_or_value(view: CursorView) -> _HoverText | None:
     target = key_or_value_at(view)
-    if target is None or not target.text or not target.start <= view.offset <= target.end:
+    if target is None or not target.text or not _touches(view, target):
         return None
     text = _key_text(view, target) if target.is_key else _value_text(view, target)
     return (text, target.start, target.end) if text else None
+
+
+def _touches(view: CursorView, target: KeyOrValue) -> bool:
+    """Return whether the cursor is at a character of the target, and not among blanks or before a comment."""
+    text, offset = view.document.plain, view.offset
+    if not target.start <= offset <= target.end:
+        return False
+    before, after = text[target.start : offset][-1:], text[offset : target.end][:1]
+    is_comment = after == "#" and text[offset - 1 : offset].isspace()
+    return bool(before.strip()) or (bool(after.strip()) and not is_comment)
 
 
 def _key_text(view: CursorView, target: KeyOrValue) -> str | None:

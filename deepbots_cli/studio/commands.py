@@ -1,5 +1,6 @@
 """The commands that the studio runs, each in a process of its own, which survives the server.
- A task is a folder with `task.json` (the command), `log` (its output) and, once it has ended, `exit` (its
+
+A task is a folder with `task.json` (the command), `log` (its output) and, once it has ended, `exit` (its
 exit code). The process, `python -m deepbots_cli.studio.commands FOLDER`, locks the folder while it runs, so a
 studio that starts again finds it.
 """

@@ -419,8 +419,11 @@ def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _unbroken(text: object) -> str:
-    """Return the text with no line break before an arrow, or between a sign and its number or name."""
-    grouped = re.sub(r"(?<=\d)_(?=\d{3})", ",", str(text or ""))
+    """Return the text with `,` in its numbers, and no line break before an arrow, or between a sign and its
+    number or name."""
+    grouped = re.sub(
+        r"(?<![\w.])\d{1,3}(?:_\d{3})+(?!\w)", lambda number: number[0].replace("_", ","), str(text or "")
+    )
     return re.sub(
         r"(?<=\de-)(?=\d)|(?<![\w-])-+",
         lambda signs: "".join(f"{sign}\u2060" for sign in signs[0]) or "\u2060",

@@ -1,5 +1,6 @@
 """The web server of the studio: one address, one token, one session.
- Every request passes the checks of `view/server.py` (host, origin, token), those of NiceGUI for its files and
+
+Every request passes the checks of `view/server.py` (host, origin, token), those of NiceGUI for its files and
 web sockets too. The page of the robot has its own port, which only this machine reaches; its requests are
 passed on below `/robot/`, so that one port is enough, for example through a tunnel of ssh.
 """

@@ -1,6 +1,7 @@
 """The state of the studio, free of the page: open files, findings, robot, tasks and runs; what the page
 shows.
- All browsers show the same session. It lives in the thread of the server's event loop; what takes time runs
+
+All browsers show the same session. It lives in the thread of the server's event loop; what takes time runs
 in threads or processes. `Shown` is what all pages render: whose robot, which tab, which curve, which output,
 which notice, and what is starting. The process of the robot says of which source its world is; files say what
 a training has reached.

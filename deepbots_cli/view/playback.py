@@ -1,5 +1,6 @@
 """The worlds of a page in time: their players, the present episode, and its speed; driving by hand.
- A person drives with keys, a gamepad, and the buttons and sliders of the page, which are values of action
+
+A person drives with keys, a gamepad, and the buttons and sliders of the page, which are values of action
 fields.
 """
 

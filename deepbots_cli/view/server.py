@@ -10,7 +10,8 @@
                files
     messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a
                value that a control does not offer is ignored
- The first four are the `Gate`, which the studio has too. viser has no place for such checks, so its websocket
+
+The first four are the `Gate`, which the studio has too. viser has no place for such checks, so its websocket
 server is wrapped while a `ViserServer` is made, and `_check_updates` names private members of viser, as no
 other module does. `viser` is pinned to 1.1 for this, and a test looks for each member in the library.
 """

@@ -3,6 +3,7 @@ memory."""
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -91,6 +92,17 @@ def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> Non
         assert result[0] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
     check()
+
+
+def test_a_floor_division_in_a_graph_is_that_of_python() -> None:
+    pairs = [(1.0, 0.1), (-1.0, 0.1), (1.0, -0.1), (6.0, 0.2), (7.5, 2.0), (-7.5, 2.0), (-1e-20, 1.0)]
+    graph = Graph()
+    a, b = (Value(graph.input(name, np.float64, len(pairs)), len(pairs)) for name in "ab")
+    quotients = Arithmetic(graph).infix(ast.FloorDiv(), a, b)
+    graph.output("quotients", quotients.name, np.float64, len(pairs))
+    session = onnxruntime.InferenceSession(graph.model("division"), providers=["CPUExecutionProvider"])
+    (results,) = session.run(None, dict(zip("ab", np.array(pairs).T, strict=True)))
+    assert results.tolist() == [x // y for x, y in pairs]
 
 
 def test_vectors_of_one_form_are_one_operation_and_others_are_joined() -> None:

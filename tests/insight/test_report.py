@@ -30,7 +30,7 @@ from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.statistics import mean_interval
 from deepbots_cli.program.world import WorldModel
-from deepbots_cli.robots.model import Box, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Sphere
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.replay import closing_player
@@ -336,10 +336,23 @@ def test_the_outline_of_an_object_is_as_it_stands():
         for a in (-0.1, 0.1)
         for b in (-0.3, 0.3)
     )
-    assert all(
-        math.dist(point[:2], (1.0, 2.0)) == pytest.approx(0.3)
-        for point in outline(Sphere(0.3), ((1.0, 2.0, 0.0), turned))
-    )
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+@pytest.mark.parametrize(("shape", "angle"), [(Sphere(0.3), 45), (Capsule(0.3, 0.8), 180)])
+def test_the_outline_of_a_round_object_is_a_circle(shape, angle, axis):
+    half = math.radians(angle) / 2
+    turned = (*(part * math.sin(half) for part in axis), math.cos(half))
+    distances = [math.dist(point[:2], (1.0, 2.0)) for point in outline(shape, ((1.0, 2.0, 0.0), turned))]
+    assert len(distances) >= 24
+    assert distances == pytest.approx([0.3] * len(distances))
+
+
+def test_the_outline_of_a_lying_capsule_has_its_length():
+    lying = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # 90 degrees about x
+    points = outline(Capsule(0.3, 0.8), ((1.0, 2.0, 0.0), lying))
+    sides = [max(ends) - min(ends) for ends in list(zip(*points, strict=True))[:2]]
+    assert sides == pytest.approx([0.6, 1.4])
 
 
 @pytest.mark.browser

@@ -41,6 +41,7 @@ from deepbots_cli.learning import (
 from deepbots_cli.learning.campaigns.group import Group, GroupTraining
 from deepbots_cli.learning.campaigns.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.comparison import GroupDifference, GroupResult
+from deepbots_cli.learning.executor import SERIAL, Attempt
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.records import short_settings
@@ -141,10 +142,13 @@ def test_a_group_goes_on_with_the_options_of_a_resume_that_was_interrupted(tmp_p
     def end_after_one(seed: int, number: int, count: int) -> bool:
         return number < 2
 
-    longer = resume_group(group, total_timesteps=400, on_seed=end_after_one, build=stand_in.build)
+    longer = resume_group(
+        group, total_timesteps=400, loggers=["csv"], on_seed=end_after_one, build=stand_in.build
+    )
     assert longer.waiting == (1,)
     resume_group(group, build=stand_in.build)
-    assert [Run.open(group / f"seed-{seed}").record.total_timesteps for seed in (0, 1)] == [400, 400]
+    records = [Run.open(group / f"seed-{seed}").record for seed in (0, 1)]
+    assert [(record.total_timesteps, record.loggers) for record in records] == [(400, ("csv",))] * 2
     assert resume_group(group, build=stand_in.build).skipped == (0, 1)
 
 
@@ -167,6 +171,31 @@ def test_a_group_that_trains_to_the_end_continues_seeds_that_stopped_as_solved(t
     (result,) = resume_group(group, stop_when_solved=False, build=stand_in.build).trained
     assert result.steps >= training.total_timesteps
     assert resume_group(group, build=stand_in.build).skipped == (0,)
+
+
+class LosesWorker(type(SERIAL)):
+    """Calls a function again, as after the loss of a worker that had made these attempts."""
+
+    def __init__(self, *attempts: int) -> None:
+        self.attempts = attempts
+
+    def map(self, function, items, **_):
+        for item in items:
+            *_, outcome = [function(item, Attempt(number)) for number in (*self.attempts, 2)]
+            yield outcome
+
+
+@pytest.mark.parametrize("attempts", [(), (1,)])
+def test_a_repeated_call_trains_what_the_lost_worker_did_not(
+    tmp_path: Path, attempts: tuple[int, ...]
+) -> None:
+    easy = stand_in.compiled(
+        training=replace(SHORT, total_timesteps=2_000), solved=Solved(2, mean_return=-1e6)
+    )
+    group = train_group(easy, (0,), runs=tmp_path, build=stand_in.build).group
+    longer = resume_group(group, total_timesteps=1_600, executor=LosesWorker(*attempts), build=stand_in.build)
+    assert [result.steps >= 1_600 for result in longer.trained] == [True]
+    assert len(Run.open(group / "seed-0").record.resumed_at) == 1
 
 
 @pytest.mark.parametrize(

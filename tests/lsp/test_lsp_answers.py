@@ -422,12 +422,30 @@ def test_the_hover_of_a_code_in_a_comment_is_its_page(client, pit):
 
 
 @pytest.mark.parametrize(
-    "around", ["# one ac¦tion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"]
+    "around",
+    [
+        "# one ac¦tion every 256 ms",
+        "  # ou¦t: the sooner",
+        "signals:¦\n  reach",
+        "# that is¦ \n",
+        "reward: ¦     {progress",
+        "n_steps:¦ 64",
+        "100 episodes  ¦  # rocking",
+        "100 episodes    ¦# rocking",
+    ],
 )
 def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around):
     if "that is" in around:
         client.change(pit, client.texts[pit] + "# that is \n")
     assert client.hover(pit, around) == ""
+
+
+def test_the_hover_of_a_number_in_a_vector_has_the_unit_of_the_vector(client, pit):
+    vector = "roller.accel: -15 -14 -13 .. 15 16 17 m/s^2"
+    client.change(pit, client.texts[pit].replace("roller.accel: -15 .. 15 m/s^2", vector))
+    client.findings(pit)
+    assert "an acceleration (m/s^2), -14" in client.hover(pit, "-15 -1¦4 -13")
+    assert "an acceleration (m/s^2), 16" in client.hover(pit, "15 1¦6 17")
 
 
 def test_the_range_of_a_hover_is_the_piece_that_it_is_about_also_behind_an_emoji(client, pit):

@@ -442,3 +442,20 @@ def test_a_broken_engine_is_an_error_of_one_line(tmp_path):
         " named 'no_such_module'\n"
     )
     assert done.stdout == expected
+
+
+HOVER = """
+from pathlib import Path
+from lsprotocol.types import Position
+from deepbots_cli.lsp.hover import hover
+from deepbots_cli.lsp.workspace import Document, Workspace
+text = "deepbots: 1  # deepbots: ignore[ACME1]"
+workspace = Workspace()
+workspace.put(Document("file:///a.yaml", 1, text, Path("a.yaml")))
+print(hover(workspace.view("file:///a.yaml", Position(0, text.index("ACME1")))).contents.value)
+"""
+
+
+def test_the_hover_of_the_code_of_a_rule_is_its_page(site):
+    pytest.importorskip("lsprotocol")
+    assert "**ACME1** short-episodes" in python(site, "-c", HOVER).stdout

@@ -47,7 +47,16 @@ from deepbots_robot import serving
 from deepbots_robot.bundle import load
 from deepbots_robot.log import read_log
 from deepbots_robot.server import Server
-from deepbots_robot.serving import Transport, field_of, inputs_of, mapped, outputs_of, serve, stopping
+from deepbots_robot.serving import (
+    Transport,
+    field_of,
+    inputs_of,
+    mapped,
+    nothing_served,
+    outputs_of,
+    serve,
+    stopping,
+)
 from deepbots_robot.topics import Field, Topic, action_field
 from tests.bundle.untrained import untrained_bundle, write_bundle
 from tests.few import WORLDS, few
@@ -162,7 +171,7 @@ def _until(holds: object) -> None:
         ),
         (["BUNDLE", "--ros1"], "there is no option --ros1; use `--ros with ros1_bridge, --zmq ADDRESS"),
         (
-            ["BUNDLE", "--zmq", "127.0.0.1:5555"],
+            ["BUNDLE", "--zmq", "127.0.0.1:5555", "--log", "a.mcap"],
             "'127.0.0.1:5555' is not an address of ZeroMQ; write one like tcp://127.0.0.1:5555",
         ),
         (
@@ -201,6 +210,14 @@ def test_a_bundle_that_cannot_be_served_is_refused_in_a_sentence(
     assert message in error
     assert "Traceback" not in error
     assert os.listdir(tmp_path) == []
+
+
+def test_a_server_that_a_signal_ends_before_its_first_step_is_no_error(bundle: Path, tmp_path: Path) -> None:
+    def interrupt(text: str) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    report = serve(load(bundle), Transport.at(f"ipc://{tmp_path}/link"), seconds=20.0, note=interrupt)
+    assert (report["steps"], nothing_served(report, 20.0)) == (0, "")
 
 
 def test_a_server_that_does_not_start_leaves_neither_link_nor_log_open(bundle: Path, tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ from deepbots_cli.studio import session as sessions
 from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.robot_pane import robot_text
+from deepbots_cli.studio.runs_tab import _unbroken
 from deepbots_cli.studio.server import studio
 from deepbots_cli.studio.session import TABS, Session
 from deepbots_cli.studio.trainings import result_text
@@ -846,3 +847,14 @@ def test_a_phrase_finds_names_of_the_text(tmp_path, phrase):
 )
 def test_a_phrase_without_an_entry_gets_the_nearest_one_or_that_with_its_words_as_the_name(phrase, entry):
     assert f"**{entry}**" in explanation(phrase)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("pole2_2024 and runs/run_10_000", "pole2_2024 and runs/run_10_000"),
+        ("10_000 steps (of 1_500_000)", "10,000 steps (of 1,500,000)"),
+    ],
+)
+def test_commas_stand_in_numbers_and_not_in_names(text: str, shown: str) -> None:
+    assert _unbroken(text) == shown

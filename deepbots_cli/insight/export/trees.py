@@ -131,7 +131,10 @@ class Arithmetic:
             case ast.Mod():
                 return self.remainder(self.number(a), self.number(b))
             case ast.FloorDiv():
-                return self.call("floor", [self.binary("Div", a, b)])
+                # As in Python: 1.0 // 0.1 is 9, and 1.0 / 0.1 is 10.
+                a, b = self.number(a), self.number(b)
+                multiple = self.binary("Sub", a, self.remainder(a, b))
+                return self._node("Round", self.binary("Div", multiple, b))
             case ast.NotEq():
                 return self._unequal(a, b)
             case _ if type(sign) in _INFIX:
@@ -656,6 +659,8 @@ class StepMemories:
 
         `begun` are the calls that begin with the first message.
         """
+        if len({state.call in begun for state in states}) > 1:
+            return self._math.joined([printer.value(state) for state in states])
         function = states[0].function
         args = _columns(printer, states)
         start, _ = self._formulas.begin(

@@ -416,14 +416,15 @@ def _train_seeds(
     """Train or continue every seed that is not finished, with `changes` of the options that the group began
     with."""
     seeds, options = group.record.seeds, group.record.options
-    all_changes = {seed: _changes_of(group, seed, changes) for seed in seeds}
+    records = {seed: _record_of(group.run(seed)) for seed in seeds}
+    all_changes = {seed: _changes_of(group.record, record, changes) for seed, record in records.items()}
     left = [seed for seed, own in all_changes.items() if own is not None]
     skipped = tuple(seed for seed in seeds if seed not in left)
     if left:
         group = group.changed(status="running")
     items = [
-        _SeedTraining(group.run(seed), seed, compiled, options, own)
-        for seed, own in all_changes.items()
+        _SeedTraining(group.run(seed), seed, compiled, options, own, record and record.resumed_at)
+        for (seed, own), record in zip(all_changes.items(), records.values(), strict=True)
         if own is not None
     ]
     trained: list[TrainingResult] = []
@@ -488,7 +489,8 @@ class _SeedTraining:
     """A training of a group: it begins with the `options` of the group, or continues, both with `changes` of
     these.
 
-    `local` are further arguments of `train` and `resume` in this process; on workers they are None.
+    `resumed_at` is that of the run before; None if there was no run. `local` are further arguments of `train`
+    and `resume` in this process; on workers they are None.
     """
 
     path: Path
@@ -496,6 +498,7 @@ class _SeedTraining:
     compiled: Compiled
     options: Mapping[str, Any]
     changes: Mapping[str, Any]
+    resumed_at: tuple[int, ...] | None
     local: Mapping[str, Any] | None = None
     begin: Callable[[], object] | None = None
 
@@ -504,26 +507,35 @@ def _log_of(group: Path, item: _SeedTraining) -> Path:
     return group / WORKERS_FOLDER / f"seed-{item.seed}.log"
 
 
-def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the changes for the run of a seed: those of this call, and those of an earlier one that did not
-    reach it. None if nothing is left to train; a damaged run is left, so that its error is reported."""
-    run = group.run(seed)
+def _record_of(run: Path) -> RunRecord | None:
+    """Return the record of a run; None if there is no run, or if it is damaged."""
     try:
-        record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
+        return RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
     except DeepbotsError:
+        return None
+
+
+def _changes_of(
+    group: GroupRecord, run: RunRecord | None, changes: Mapping[str, Any]
+) -> Mapping[str, Any] | None:
+    """Return the changes for a run of the group: those of this call, and those of an earlier one that did not
+    reach it. None if nothing is left to train; a damaged run is left, so that its error is reported."""
+    if run is None:
         return changes
-    if record is None:
-        return changes
-    missed: dict[str, Any] = {}
-    total = group.record.total_timesteps
-    if total is not None and record.total_timesteps < total:
+    missed: dict[str, Any] = {
+        name: getattr(group, name)
+        for name in ("callbacks", "loggers")
+        if getattr(group, name) != getattr(run, name)
+    }
+    total = group.total_timesteps
+    if total is not None and run.total_timesteps < total:
         missed["total_timesteps"] = total
-    if record.stop_when_solved and not group.record.stop_when_solved:
+    if run.stop_when_solved and not group.stop_when_solved:
         missed["stop_when_solved"] = False
     continued = {**missed, **changes}
     may_stop_early = "total_timesteps" not in changes and "stop_when_solved" not in missed
-    goal = continued.get("total_timesteps", record.total_timesteps)
-    return None if record.is_complete(goal, may_stop_early=may_stop_early) else continued
+    goal = continued.get("total_timesteps", run.total_timesteps)
+    return None if run.is_complete(goal, may_stop_early=may_stop_early) else continued
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
@@ -543,10 +555,8 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
         options = {**item.options, **item.changes}
         return train(item.compiled, run=item.path, seed=item.seed, **options, **further)
     record = RunRecord.read(item.path)
-    is_complete = record.is_complete(
-        item.changes.get("total_timesteps", record.total_timesteps),
-        may_stop_early=item.changes.get("stop_when_solved", True),
-    )
+    # The run was not complete before this call: only the lost worker can have finished it since.
+    is_complete = record.is_finished and record.resumed_at != item.resumed_at
     if is_repeated and is_complete and record.result is not None:
         return TrainingResult(run=item.path, initialized_from=record.initialized_from, **vars(record.result))
     return resume(item.path, permissions=item.compiled.permissions, **item.changes, **further)
