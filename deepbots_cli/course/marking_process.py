@@ -1,12 +1,7 @@
 """The entry point of the process that marks one step of one hand-in.
 
-<<<<<<< HEAD
-    echo '{"lesson": ..., "folder": ..., "work": ..., "step": "mend", "seed": 0, "train": false}' | python -m
-    deepbots_cli.course.marking_process CPU MEMORY FILE
-=======
     echo '{"lesson": ..., "folder": ..., "work": ..., "step": "mend", "seed": 0, "train": false}' |
     python -m deepbots_cli.course.marking_process CPU MEMORY FILE
->>>>>>> mendQ
 
 It limits its CPU time, memory, and the size of each file before it reads anything of the student, and answers
 with one line: the marks as JSON.
