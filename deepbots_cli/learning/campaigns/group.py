@@ -423,7 +423,9 @@ def _train_seeds(
     if left:
         group = group.changed(status="running")
     items = [
-        _SeedTraining(group.run(seed), seed, compiled, options, own, record and record.resumed_at)
+        _SeedTraining(
+            group.run(seed), seed, compiled, options, own, None if record is None else record.resumed_at
+        )
         for (seed, own), record in zip(all_changes.items(), records.values(), strict=True)
         if own is not None
     ]
