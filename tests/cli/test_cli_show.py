@@ -705,7 +705,10 @@ def test_an_expectation_that_is_met_passes(small, test: str) -> None:
     [
         ("always: driven < 2.1 mm", "; seed 0, episode 0, step 6 (0.12 s)"),
         ("always: cart.place - start < 2.1 mm", "cart.place - start is 0.0023"),
-        ("eventually: driven < -1 mm", "never in 8 steps (0.16 s); at the end, driven is 0.00"),
+        (
+            "eventually: driven < -1 mm",
+            "never in 8 steps (0.16 s), when `there` ended it; at the end, driven is 0.00",
+        ),
         ("ends_by: back", "ended by `there` after 8 steps (0.16 s); in 2 of 2 episodes; seed 0, episode 0"),
         ("ends_by: max_steps", "ended by `there` after 8 steps"),
         ("failure_rate: 50 %", "0 of 2 episodes (0 %)"),
