@@ -294,6 +294,7 @@ _CATALOG = (
         "warning",
         "a reward term that outweighs the rewards of the endings",
         deep="only",
+        deep_preview=True,
     ),
     Rule("DB703", "suspicious-sign", "warning", "a reward term whose sign contradicts the endings"),
     Rule(
