@@ -1,6 +1,6 @@
 """Lessons that mark themselves, and the marks of a class.
 
-lessons.py          a lesson as a folder: its steps, its checks, its hints; the lessons that come with deepbots
+lessons.py          a lesson as a folder: steps, checks, hints; the lessons that come with deepbots
 hand_ins.py         a folder, a zip or a file that a student hands in, as the parts that a lesson asks for
 marking.py          the marks of one step: the teacher's task with the student's parts
 marking_process.py  the entry point of the process, with limits, that marks a step

@@ -233,16 +233,16 @@ def _without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
     """Return marks in which a policy of several students is named. It earns nothing where their parts differ:
     one of them did not train it. Equal parts give equal policies, since a training repeats itself."""
     holders: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for given in marks:
-        for step in given.steps:
+    for student_marks in marks:
+        for step in student_marks.steps:
             if step.weights:
-                holders.setdefault((step.step, step.weights), []).append((given.student, step.parts))
+                holders.setdefault((step.step, step.weights), []).append((student_marks.student, step.parts))
     result = []
-    for given in marks:
-        steps, remarks = [], [*given.remarks]
-        for step in given.steps:
+    for student_marks in marks:
+        steps, remarks = [], [*student_marks.remarks]
+        for step in student_marks.steps:
             same = holders.get((step.step, step.weights), ())
-            others = [name for name, _ in same if name != given.student]
+            others = [name for name, _ in same if name != student_marks.student]
             if others and step.weights:
                 reason = f"the same policy as that of {sentence_list(others)}"
                 if any(parts != step.parts for _, parts in same):
@@ -250,7 +250,7 @@ def _without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
                     step = without_policy(step, lesson.steps[step.step], reason)
                 remarks.append(f"{step.step}: {reason}")
             steps.append(step)
-        result.append(replace(given, steps=tuple(steps), remarks=tuple(remarks)))
+        result.append(replace(student_marks, steps=tuple(steps), remarks=tuple(remarks)))
     return result
 
 
@@ -272,13 +272,13 @@ def as_csv(marks: Iterable[Marks]) -> str:
     out = io.StringIO()
     rows = [
         {
-            "student": given.student,
-            "points": given.points,
-            "of": given.of,
-            **{step.step: step.points for step in given.steps},
-            "remarks": "; ".join(given.all_remarks),
+            "student": student_marks.student,
+            "points": student_marks.points,
+            "of": student_marks.of,
+            **{step.step: step.points for step in student_marks.steps},
+            "remarks": "; ".join(student_marks.all_remarks),
         }
-        for given in marks
+        for student_marks in marks
     ]
     writer = csv.DictWriter(out, list(rows[0]) if rows else ["student"])
     writer.writeheader()

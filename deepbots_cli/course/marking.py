@@ -179,8 +179,8 @@ class Marker:
         return f"{place}: {finding.headline} ({finding.code}){help}"
 
     def _tests(self, name: str, task: Path, step: Step) -> dict[str, ScenarioTest | str]:
-        """Return the tests of the step; for one that cannot be compiled with the parts of the student, because
-        it names what they lack, the reason."""
+        """Return the tests of the step. For one that cannot be compiled with the parts of the student, because
+        it names what they lack, return the reason."""
         names = [check.test for check in step.checks if check.test is not None]
         checked = api.load(task, tests=True)
         if checked.program is not None:
@@ -359,7 +359,8 @@ class _Policy:
 
         if task_digest(run.program) != task_digest(self.compiled.program):
             self.marker.remarks.append(
-                f"{numbered[-1].name} was trained in another task than that of the lesson, in which it is judged"
+                f"{numbered[-1].name} was trained in another task than that of the lesson,"
+                " in which it is judged"
             )
         return run
 
@@ -378,7 +379,8 @@ class _Policy:
         claimed = getattr(quoted, "success_rate", None)
         if is_rate and case is None and isinstance(claimed, float) and claimed > measured + 0.3:
             self.marker.remarks.append(
-                f"the record of the run claims {rate_text(claimed)} of success, and {rate_text(measured)} was measured"
+                f"the record of the run claims {rate_text(claimed)} of success,"
+                f" and {rate_text(measured)} was measured"
             )
 
 
@@ -418,7 +420,7 @@ def from_data(data: dict[str, Any]) -> StepMark:
 def without_policy(mark: StepMark, step: Step, reason: str) -> StepMark:
     """Return marks in which the policy earns nothing."""
     checks: Iterator[CheckMark] = (
-        replace(given, points=0, reason=reason) if check.kind == "policy" else given
-        for given, check in zip(mark.checks, step.checks, strict=True)
+        replace(earned, points=0, reason=reason) if check.kind == "policy" else earned
+        for earned, check in zip(mark.checks, step.checks, strict=True)
     )
     return replace(mark, checks=tuple(checks))

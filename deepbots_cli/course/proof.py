@@ -188,10 +188,10 @@ def _guards(lesson: Lesson) -> Iterator[Proven]:
         with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as work:
             marker = Marker(lesson, lesson.folder / START, Path(work), takes_unchanged=True)
             mark = marker.mark(name)
-        for check, given in zip(step.checks, mark.checks, strict=True):
-            if given.points and not check.guard:
+        for check, earned in zip(step.checks, mark.checks, strict=True):
+            if earned.points and not check.guard:
                 expected = "`guard: true`: start passes it"
-                yield Proven(f"{name}: {check.says}", given.points, given.of, False, expected)
+                yield Proven(f"{name}: {check.says}", earned.points, earned.of, False, expected)
 
 
 def _contents(folder: Path) -> dict[Path, bytes | None]:

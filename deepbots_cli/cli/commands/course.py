@@ -44,8 +44,8 @@ def command(
         str | None,
         typer.Argument(
             metavar="LESSON|DIR",
-            help="The lesson to start: its number, name or folder; else the folder of a started lesson, by default"
-            " this one; for verify, the folder of a lesson.",
+            help="The lesson to start: its number, name or folder; else the folder of a started lesson, by"
+            " default this one; for verify, the folder of a lesson.",
         ),
     ] = None,
     folder: Annotated[
