@@ -15,7 +15,7 @@ the compiler either, which linting does without (15 ms of CPU).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -28,6 +28,7 @@ from deepbots_cli.document import Document, Permissions
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import BatchError, MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
@@ -32,6 +32,7 @@ from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.frames import rotation_matrix
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import TILE_MARGIN_M, Formula, Picture, Pit, Terrain, TerrainShape, Tiles
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.mesh_formats import FaultyMeshError, placed_triangles
 from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import (

@@ -14,12 +14,12 @@ A further engine is a class that fits `Engine`: in a package with an entry point
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partialmethod
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from deepbots_cli.engine_kinds import Feature
 from deepbots_cli.frames import Frame, Quaternion, Triple
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

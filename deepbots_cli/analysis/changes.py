@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from itertools import chain
@@ -25,6 +25,7 @@ from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Agent, Network, Training, Truncation
 from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import RobotModel
 
 Kind = Literal["changed", "added", "removed"]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.lint.settings import Settings, scenarios_in
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.rollout.source import Source, SourceKind

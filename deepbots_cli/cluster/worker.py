@@ -19,7 +19,6 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType
@@ -30,6 +29,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.executor import Attempt
 from deepbots_cli.learning.runs.records import versions
 from deepbots_cli.processes import message_streams
+from deepbots_cli.records import dataclass
 
 _LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
 """The libraries on whose versions the results depend."""

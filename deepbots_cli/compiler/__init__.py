@@ -24,7 +24,7 @@ inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 
 from deepbots_cli.compiler.agents import (
@@ -83,6 +83,7 @@ from deepbots_cli.program.task import (
     Truncation,
 )
 from deepbots_cli.program.values import Expression
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.search import SearchSpace

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from deepbots_cli.compiler.multi_agent import DividedTests, report_unknown, text_in_place_of
@@ -21,6 +21,7 @@ from deepbots_cli.document.load import TESTS, settings_in
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import RANDOM, SEPARATOR, ZERO, Others, Program
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.scenario import with_whole_training
 from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
@@ -54,6 +54,7 @@ from deepbots_cli.program.robots import (
 )
 from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario import actuators as specs
 from deepbots_cli.scenario.base import kind_parameters

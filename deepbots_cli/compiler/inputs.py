@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from itertools import count
 from pathlib import Path, PurePath
@@ -17,6 +17,7 @@ from deepbots_cli.document.load import TUNE
 from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_paths
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES, FaultyMeshError
 from deepbots_cli.robots.meshes import read_mesh
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pydantic_core import PydanticCustomError
@@ -22,6 +22,7 @@ from deepbots_cli.document.nodes import ScalarNode, entries_at, without_paths
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.program import Program, identity
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.search import SearchSpace, read_range, split_choices
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ it is itself being typed closes a cycle, which is a finding.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 from pathlib import Path as FilePath
 
@@ -27,6 +27,7 @@ from deepbots_cli.expressions.types import (
     ValueType,
 )
 from deepbots_cli.program.resets import ObjectGroup
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.scenario import Scenario
 
 MAX_CHAIN = 40

@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
@@ -37,6 +37,7 @@ from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
 from deepbots_cli.program.world import JointParameter, LinkParameter
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots import packages
 from deepbots_cli.robots.kinematics import with_inertia_of_shapes, with_mass_of_shapes
 from deepbots_cli.robots.model import (

@@ -15,7 +15,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson
 from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, without_policy
 from deepbots_cli.processes import Process, ending
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import printable, sentence_list
 
 _SUFFIXES = (".zip", ".yaml", ".yml")

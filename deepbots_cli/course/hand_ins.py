@@ -15,7 +15,6 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli.course.lessons import (
@@ -31,6 +30,7 @@ from deepbots_cli.document import MappingNode, Node, ScalarNode, to_data, walk
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 
 MAX_FILES = 2_000
 MAX_BYTES = 200 * 2**20

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,6 +24,7 @@ from deepbots_cli.document import MappingNode, files, shipped, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.quantities import read_fraction
 
 LESSON_NAME = "lesson.yaml"

@@ -11,7 +11,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import DeepbotsError, ScenarioError
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import beside, number_text, rate_text
 
 if TYPE_CHECKING:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
 from deepbots_cli.course.lessons import START, Lesson, course_folder, lesson_named
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_folder, read_at_most
+from deepbots_cli.records import dataclass
 
 PROGRESS_NAME = "course.json"
 _MAX_BYTES = 65_536

@@ -7,12 +7,12 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
 from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
 from deepbots_cli.course.marking import UNCHANGED, Marker
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted
 
 Cheat = Callable[[Path], None]

@@ -14,7 +14,6 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from typing import NamedTuple
@@ -28,6 +27,7 @@ from deepbots_cli.diagnostics.registry import (
     unknown_rule_message,
 )
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 
 MAX_FINDINGS = 500
 """The maximum number of findings of one scenario. A file of 1 MiB can have 30 000 errors, and their messages

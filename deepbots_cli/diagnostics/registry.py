@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.plugins import PluginTable
+from deepbots_cli.records import dataclass
 
 Severity = Literal["error", "warning"]
 Versions = Literal["each", "every", "training", "base"]

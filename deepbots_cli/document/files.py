@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Container, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -20,6 +20,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import shipped
 from deepbots_cli.document.shipped import Library
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.records import dataclass
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
@@ -33,6 +33,7 @@ from deepbots_cli.document.nodes import (
 )
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 
 MAX_INCLUSION_DEPTH = 32
 TESTS, TUNE = "tests", "tune"

@@ -10,10 +10,10 @@ import dataclasses
 import re
 from collections import abc
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.records import dataclass
 
 NodePath = tuple[str | int, ...]
 Style = Literal["plain", "single", "double", "literal", "folded"]

@@ -12,7 +12,6 @@ import re
 from array import array
 from collections import abc
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import yaml
@@ -32,6 +31,7 @@ from deepbots_cli.document.nodes import (
     count_and_depth,
     to_data,
 )
+from deepbots_cli.records import dataclass
 
 MAX_DEPTH = 64
 MAX_NODES = 8_000

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import yaml
@@ -16,6 +15,7 @@ from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, nearest
 from deepbots_cli.document.nodes import ScalarNode
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted
 
 LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, islice
 from math import inf
@@ -44,6 +43,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.policies import PolicyDriver

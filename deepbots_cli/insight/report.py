@@ -9,7 +9,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from importlib.metadata import version
 from itertools import chain, groupby
@@ -47,6 +47,7 @@ from deepbots_cli.learning.runs.statistics import Interval
 from deepbots_cli.learning.runs.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 from deepbots_cli.view import pictures, training_logs

@@ -8,7 +8,7 @@ policy plays episodes in the simulation, and the values of each field are compar
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import islice
 from math import sqrt
 from pathlib import Path
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, Run
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.recordings import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000

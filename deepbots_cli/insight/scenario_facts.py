@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +32,7 @@ from deepbots_cli.learning.runs.records import changed_settings
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ObservedNumber
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 
 

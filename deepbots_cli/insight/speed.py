@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
-from dataclasses import dataclass
 from itertools import cycle
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES, chosen
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor

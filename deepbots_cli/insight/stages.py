@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import fmean, median
 from typing import Any
 
@@ -41,6 +41,7 @@ from deepbots_cli.insight.training import (
 )
 from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnPart, draw_labels, drawn_effects
 from deepbots_cli.program.task import SUCCESS, Criterion
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.words import number_text, rate_text

@@ -7,11 +7,12 @@ numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.runs.statistics import wilson
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import number_text, rate_text, sentence_list
 
 Numbers = Mapping[str, Any]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from deepbots_cli import frames
@@ -20,6 +20,7 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.document.load import load, setting_path
 from deepbots_cli.document.nodes import MappingNode, ScalarNode, entries_at, node_at
 from deepbots_cli.insight.inspection import Row, link_rows
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides
 from deepbots_cli.robots.model import Joint, Link
 from deepbots_cli.scenario.fields import with_article

@@ -12,7 +12,7 @@ import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from shlex import quote
@@ -34,6 +34,7 @@ from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Start, play, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.recordings import RecordedEpisode, Recording, actions

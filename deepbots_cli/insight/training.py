@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -46,6 +46,7 @@ from deepbots_cli.learning.runs.verdict import (
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program import CurriculumStage, Member, Program
 from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
 from deepbots_cli.rollout.episode import own_episode

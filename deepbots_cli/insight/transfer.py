@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from math import ceil, exp, floor, inf, log
 from pathlib import Path
@@ -75,6 +75,7 @@ from deepbots_cli.learning.runs.episodes import check_defines_success
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE

@@ -14,7 +14,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -45,6 +45,7 @@ from deepbots_cli.learning.runs.records import PATIENCE
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.statistics import COST_SHARE, Confirmation, Interval, may_begin
 from deepbots_cli.learning.teaching import Plan, TeacherState, Teaching
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start
 from deepbots_cli.words import number_text
 

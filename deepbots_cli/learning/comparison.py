@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -36,6 +35,7 @@ from deepbots_cli.learning.runs.statistics import (
 )
 from deepbots_cli.learning.runs.verdict import run_verdict, written_scenario
 from deepbots_cli.program.identity import timing_differences
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind

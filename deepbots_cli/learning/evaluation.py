@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from shlex import quote
@@ -47,6 +46,7 @@ from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, error_level
 from deepbots_cli.learning.runs.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.program import RANDOM, ZERO, identity
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode

@@ -12,13 +12,13 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar, Unpack
 
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from contextlib import ExitStack

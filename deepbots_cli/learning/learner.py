@@ -13,7 +13,6 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -31,6 +30,7 @@ from deepbots_cli.learning.checkpoints import (
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.scenario.training import ALGORITHMS

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
 from statistics import fmean
@@ -26,6 +25,7 @@ from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, wilson
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.program import RANDOM, Program, identity
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode, own_episode

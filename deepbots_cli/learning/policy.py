@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.program import Others, Program
 from deepbots_cli.program.task import ActionRange, Choices
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import Observer, action_space, observation_space
 from deepbots_cli.words import unit_text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from shlex import quote
 from typing import NamedTuple, TextIO
@@ -16,6 +16,7 @@ from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import beside, rate_beside, rate_text
 
 LINE_INTERVAL_S = 30.0

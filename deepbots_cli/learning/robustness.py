@@ -16,7 +16,7 @@ import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
@@ -49,6 +49,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.resets import OfLink
 from deepbots_cli.program.task import Agent
 from deepbots_cli.program.world import ObjectBody
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 from deepbots_cli.words import sentence_list
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, islice
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver, sequence_driver
 from deepbots_cli.rollout.episode import Driver, OnEpisode, own_episode

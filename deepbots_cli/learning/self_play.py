@@ -10,7 +10,7 @@ JMLR 2011).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -23,6 +23,7 @@ from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import MultiAgentActor, SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout

@@ -11,7 +11,7 @@ import json
 import random
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate, pairwise
 from time import perf_counter
 from typing import Any
@@ -35,6 +35,7 @@ from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.program.task import LIMITS, SUCCESS, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import (
     Evaluated,

@@ -17,7 +17,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -42,6 +41,7 @@ from deepbots_cli.learning.runs.episodes import Summary
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Agent, Teacher
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.collector import Lesson
 from deepbots_cli.rollout.drivers import sequence_driver

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,6 +57,7 @@ from deepbots_cli.learning.training_loop import Iteration, OnIteration, Training
 from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import CollectTimes, LocalCollector
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.rollout.worlds import SingleWorlds

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -47,6 +47,7 @@ from deepbots_cli.learning.sb3.logs import PluginCallback, TrainingLog
 from deepbots_cli.learning.teaching import Demonstrations, PolicyTeacher, Teaching, demonstrate
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed

@@ -4,7 +4,6 @@ text, a simulation."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, Literal, NamedTuple, TypeVar, cast
 
@@ -19,6 +18,7 @@ from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, GROUND
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import sentence_list
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from deepbots_cli.document.nodes import MappingNode, enclosing_entry
 from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.run import all_findings
+from deepbots_cli.records import dataclass
 
 _MAX_ROUNDS = 10
 _MAX_LINT_RUNS = 150

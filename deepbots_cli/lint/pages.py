@@ -9,7 +9,6 @@ of a search (`lint --exploits`) is under `deep`. The page of a rule of a plug-in
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from textwrap import fill, indent
@@ -18,6 +17,7 @@ from typing import Any
 from deepbots_cli.diagnostics import RULES, Findings, Source
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
+from deepbots_cli.records import dataclass
 
 FOLDER = Path(__file__).with_name("rule_pages")
 

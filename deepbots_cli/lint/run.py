@@ -6,7 +6,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Generic, TypeVar
 
@@ -35,6 +35,7 @@ from deepbots_cli.lint import (
 from deepbots_cli.lint.context import LintRule, RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
 from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, SimulationReport, measure
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import sentence_list
 
 _DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})

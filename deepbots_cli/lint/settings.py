@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal, get_args
@@ -20,6 +20,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 
 Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
 FailOn = Literal["error", "warning", "never"]

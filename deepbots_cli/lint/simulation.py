@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,6 +29,7 @@ from deepbots_cli.processes import Process, ending
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot, Sensor
 from deepbots_cli.program.task import idle_action
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import RobotModel
 

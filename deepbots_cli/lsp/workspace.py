@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -35,6 +35,7 @@ from deepbots_cli.files import recorded_reads
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
 from deepbots_cli.lsp.cursor import Cursor, cursor_at, value_at
+from deepbots_cli.records import dataclass
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"

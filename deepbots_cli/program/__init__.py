@@ -35,7 +35,7 @@ agents have no controllers.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -58,6 +58,7 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from deepbots_robot.topics import Topic

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
 
@@ -21,6 +21,7 @@ from deepbots_cli.expressions.types import Invocation, TypedNode, unit_of_text
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.program.values import Expression, NamedScalars, numbers
 from deepbots_cli.program.world import EngineParameter
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import RobotModel, Shape
 

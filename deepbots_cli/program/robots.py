@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -12,6 +12,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Pose
 
 # Sensors

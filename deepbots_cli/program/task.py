@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
@@ -14,6 +14,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import whole_timesteps
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Vector
 from deepbots_cli.words import unit_text
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.expressions.types import Components, Redraw, TypedNode
+from deepbots_cli.records import dataclass
 
 
 class NamedScalars(NamedTuple):

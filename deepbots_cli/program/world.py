@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
 # Limits of one world and one reset; above them, building or resetting takes minutes.

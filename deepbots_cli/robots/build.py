@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 from math import atan2, dist, hypot, inf, pi, prod
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import (
     bounds_of_shape,
     box_around,

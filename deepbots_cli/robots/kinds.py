@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 from math import dist
 
 from deepbots_cli import frames
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import Build, Limb
 from deepbots_cli.robots.kinematics import box_sides, robot_bounds
 

@@ -27,7 +27,6 @@ import struct
 import sys
 from array import array
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
@@ -35,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.frames import from_axis_angle, rotate
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree

@@ -12,12 +12,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import cached_property
 from typing import Literal
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Matrix, diagonal, product, rotate_tensor, rotation_matrix, transposed
+from deepbots_cli.records import dataclass
 
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float, float]

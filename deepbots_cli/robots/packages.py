@@ -21,11 +21,11 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice, product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.records import dataclass
 
 _SCHEMES = ("package", "model")
 _MAX_MANIFEST_BYTES = 1 << 16  # of package.xml; the name is at its beginning

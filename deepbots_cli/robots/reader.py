@@ -10,13 +10,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.elements import MAX_MAGNITUDE, Edits, Element, known_names_help, parse, quoted
 from deepbots_cli.robots.kinematics import with_inertia_of_shapes
 from deepbots_cli.robots.meshes import MeshReader

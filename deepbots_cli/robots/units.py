@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 from deepbots_cli import frames
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import (
     bounds_of_shape,
     box_around,

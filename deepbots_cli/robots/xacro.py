@@ -15,12 +15,12 @@ import re
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from deepbots_cli.diagnostics import Findings, Label, Source
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
 from deepbots_cli.robots.packages import ResolveMesh, UnusableMesh
 from deepbots_cli.robots.xacro_expressions import WAY_OUT, Budget, Evaluator, Namespace, XacroError, size

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from operator import itemgetter
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
@@ -26,6 +26,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import gymnasium as gym
 import numpy as np
 
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import AgentEnding
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     import gymnasium as gym

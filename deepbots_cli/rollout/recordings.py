@@ -12,7 +12,6 @@ import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from shlex import quote
@@ -25,6 +24,7 @@ from gymnasium import spaces
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from deepbots_robot.model import BundleInfo

@@ -19,7 +19,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from itertools import islice
 from pathlib import Path
@@ -31,6 +31,7 @@ from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
 from deepbots_cli.document import Document, Permissions, files, load, loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, TUNE, Drafts
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario import Scenario
 
 _MAX_ABOVE = 4

@@ -17,7 +17,6 @@ import struct
 from base64 import b64decode, b64encode
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from heapq import heappop, heappush
 from math import hypot, inf
@@ -34,6 +33,7 @@ from deepbots_cli.frames import Triple
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import MessageLayout, Route
+from deepbots_cli.records import dataclass
 from deepbots_cli.runtime.streams import Streams
 
 Value = float | bool | bytes

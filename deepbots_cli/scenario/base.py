@@ -17,7 +17,7 @@ The compiler, the language server, the JSON Schema and the reference pages use t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
@@ -35,6 +35,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.documentation import example_of, key_for, section_description
 from deepbots_cli.scenario.fields import (
     FieldType,

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
@@ -29,6 +28,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.syntax import KEYWORDS
 from deepbots_cli.expressions.types import shortened_list
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.documentation import line_for, word_for
 
 Scalar = str | int | float

@@ -23,12 +23,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import shipped
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,

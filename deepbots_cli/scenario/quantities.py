@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -20,6 +19,7 @@ from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.fields import FieldType, JsonSchema, Scalar, choices_help, error, mismatch
 from deepbots_cli.words import counted
 

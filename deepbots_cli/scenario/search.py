@@ -7,11 +7,8 @@ tanh | relu           choices
 [[64, 64], [10, 10]]  choices, as a list
 """
 
-from __future__ import annotations
-
 import math
 import re
-from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
@@ -19,6 +16,7 @@ from pydantic_core import PydanticCustomError
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.expressions.syntax import Number
 from deepbots_cli.expressions.syntax import Range as RangeTree
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.fields import FieldType, JsonSchema, error, mismatch
 from deepbots_cli.scenario.quantities import Parsed
 

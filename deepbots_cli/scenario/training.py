@@ -5,16 +5,14 @@ test compares them with the signatures there. Devices, seeds, classes of buffers
 `SET_ELSEWHERE_HELP` has the places where they are set instead.
 """
 
-from __future__ import annotations
-
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
 from deepbots_cli.plugins import PluginTable
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, Size, check_kind_model, kind_of
 from deepbots_cli.scenario.fields import Bool, LocalName, PlainText, Reference, Scalar, Text, error
 from deepbots_cli.scenario.quantities import (

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import takewhile
 from typing import Any
 
@@ -22,6 +22,7 @@ from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_
 from deepbots_cli.document.parse import resolve_plain_scalar
 from deepbots_cli.document.syntax_hints import missing_colon
 from deepbots_cli.document.value_hints import GIVE_A_VALUE
+from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, noun_of, set_paths, shape_at
 from deepbots_cli.scenario.documentation import advice
 from deepbots_cli.scenario.fields import FieldType, error, mismatch

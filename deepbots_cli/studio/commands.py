@@ -17,7 +17,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel, Field
@@ -27,6 +26,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.directories import is_training, read_json, run_lock, write_text
 from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.records import dataclass
 
 RUNS_FOLDER = "runs"
 STUDIO_FOLDER = ".studio"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import nicegui
@@ -18,6 +18,7 @@ from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
+from deepbots_cli.records import dataclass
 from deepbots_cli.studio.explain import linked, rule_page
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.language import EditorFinding

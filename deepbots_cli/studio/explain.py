@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import urllib.parse
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 from nicegui import ui
 
@@ -23,6 +22,7 @@ from deepbots_cli.cli.explanations import (
 from deepbots_cli.diagnostics.registry import RULES, matching_rules, retired_rule_message
 from deepbots_cli.insight.suggestions import Suggestion
 from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.records import dataclass
 from deepbots_cli.studio.language import line_link
 
 _LINK = "#explain:"

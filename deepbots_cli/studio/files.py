@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Sequence
-from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.lsp.workspace import changed_part
+from deepbots_cli.records import dataclass
 
 
 class Form(NamedTuple):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from deepbots_cli.lsp.workspace import (
     analyze,
     uri_of,
 )
+from deepbots_cli.records import dataclass
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
 
 _WORD = re.compile(r"[^\W_]+")

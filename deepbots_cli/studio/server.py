@@ -14,7 +14,6 @@ import os
 import urllib.parse
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from deepbots_cli.cli.written_files import refuse_links_within
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.studio.dialogs import PICTURES
 from deepbots_cli.studio.page import StudioPage, add_style
 from deepbots_cli.studio.robot_pane import ROBOT_PATH

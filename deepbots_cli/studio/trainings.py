@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +17,7 @@ from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.training_logs import Curve, TrainingLog, read_logs
 from deepbots_cli.words import number_text, rate_text

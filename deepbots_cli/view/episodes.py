@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
 from deepbots_cli.program import RANDOM, ZERO, Program, identity
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.rollout.drivers import HAND, POLICY, RECORDED, ROBOT, action_from_values, named_driver
 from deepbots_cli.rollout.recordings import RobotLog, is_robot_log

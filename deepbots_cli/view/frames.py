@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -25,6 +24,7 @@ from deepbots_cli.program import AgentEnding, Program, generated
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import RobotController, Supervisor
 from deepbots_cli.runtime.actuation import Push

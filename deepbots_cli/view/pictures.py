@@ -10,7 +10,7 @@ import errno
 import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,6 +28,7 @@ from deepbots_cli.port import View
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view.episodes import Player

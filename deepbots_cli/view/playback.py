@@ -10,13 +10,14 @@ import math
 import time
 from collections.abc import Callable, Sequence, Set
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.program import ZERO
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.drivers import HAND, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.view.episodes import BatchPlayer, Player

@@ -30,12 +30,12 @@ import secrets
 import socket
 import urllib.parse
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.view.playback import KEYS, Axes, Keys
 
 if TYPE_CHECKING:

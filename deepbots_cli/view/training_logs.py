@@ -9,7 +9,7 @@ import json
 import math
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -24,6 +24,7 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evaluation
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:

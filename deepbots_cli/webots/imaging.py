@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.nodes import boolean, child, integer, number, text
 from deepbots_cli.webots.scene import AXES
 from deepbots_cli.webots.sensors import (

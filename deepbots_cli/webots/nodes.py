@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from importlib import resources
 from math import atan2, hypot
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
 
 if TYPE_CHECKING:

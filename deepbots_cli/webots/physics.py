@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from math import ceil, inf, isinf
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.model import ModelBuilder
 from deepbots_cli.webots.nodes import number, numbers
 from deepbots_cli.webots.scene import ORIGIN

@@ -18,7 +18,7 @@ import os
 import random
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.nodes import check, node_types, type_problem
 from deepbots_cli.webots.syntax import (
     MAX_BYTES,

@@ -20,12 +20,13 @@ import traceback
 import types
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.nodes import texts
 from deepbots_cli.webots.simulation import Pace

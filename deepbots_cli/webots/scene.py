@@ -11,12 +11,13 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import hypot
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Triple
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.nodes import (
     boolean,
     child,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.meshes import mesh_problem, mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_cli.webots.nodes import child, integer, is_a, number, numbers, real, texts, vector, vectors

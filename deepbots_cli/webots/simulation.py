@@ -16,12 +16,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import cos, hypot, inf, pi
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.nodes import integer, number, text
 from deepbots_cli.webots.physics import Physics
 

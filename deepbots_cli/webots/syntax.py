@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from math import isfinite
 from typing import Literal, NamedTuple
@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.records import dataclass
 
 # Findings
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
 from deepbots_cli.webots.scene import AXES
 from deepbots_cli.webots.sensors import NotImplementedCallError, missing_attribute, returns

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -47,6 +47,7 @@ from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.program.identity import task_digest
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import beside, counted
 

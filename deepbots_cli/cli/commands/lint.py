@@ -8,7 +8,7 @@ import time
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
@@ -54,6 +54,7 @@ from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer, LintResult, Rewrite
 from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.processes import safe_path
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import counted
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -47,6 +46,7 @@ from deepbots_cli.frames import add
 from deepbots_cli.learning.campaigns.study import JOURNAL_NAME
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import resting_height, robot_bounds
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind, folder_kind

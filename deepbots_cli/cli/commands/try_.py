@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 from shlex import quote
@@ -50,6 +50,7 @@ from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, r
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.program import RANDOM
 from deepbots_cli.program.task import ScenarioTest
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
 from deepbots_cli.rollout.episode import own_episode

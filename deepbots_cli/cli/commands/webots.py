@@ -9,7 +9,6 @@ import time
 import webbrowser
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -20,6 +19,7 @@ from deepbots_cli.cli.command import ADVANCED, Force, Host, Json, Open, Port, in
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:

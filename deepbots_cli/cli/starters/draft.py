@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from math import ceil, degrees, floor, inf, radians
 from pathlib import Path, PurePosixPath
@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from deepbots_cli.cli.written_files import Files
 from deepbots_cli.document.layout import plain_or_quoted
 from deepbots_cli.engine_kinds import ENGINES, MAX_PYBULLET_JOINTS
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, neutral
 from deepbots_cli.robots.kinds import Judgment, Kind
 from deepbots_cli.robots.model import Joint

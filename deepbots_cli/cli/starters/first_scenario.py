@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from math import atan2, degrees, hypot, inf, prod
 from pathlib import PurePosixPath
@@ -20,6 +20,7 @@ from deepbots_cli.cli.starters.draft import (
 )
 from deepbots_cli.cli.starters.legs import walk
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, Wheel, is_endless, neutral, range_of
 from deepbots_cli.robots.kinds import Judgment, Kind, judge
 from deepbots_cli.robots.kinematics import (

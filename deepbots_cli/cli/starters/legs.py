@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import atan2, ceil, cos, degrees, dist, hypot, radians, sqrt
 from statistics import mean
@@ -19,6 +19,7 @@ from deepbots_cli import frames
 from deepbots_cli.cli.starters.draft import short_number
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.frames import Frame, Quaternion, Triple, quaternion
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, Limb, neutral, range_of
 from deepbots_cli.robots.kinematics import (
     box_around,

@@ -7,7 +7,7 @@ import ast
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.starters.draft import yaml_name
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import to_urdf
 from deepbots_cli.webots.imports.draft import Controller, Quote, read_project
 from deepbots_cli.webots.imports.world import Names, plain, pose_text

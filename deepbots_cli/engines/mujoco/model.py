@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import combinations, product
 from math import dist, hypot, inf
 from operator import mul
@@ -31,6 +31,7 @@ from deepbots_cli.engines.mujoco import sliding
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import (
     Box,
     Capsule,

@@ -6,7 +6,6 @@ A reading is kept until the world changes. A change of a parameter records how t
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,6 +17,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
+from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.mechanics import Pool

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,6 +42,7 @@ from deepbots_cli.program.robots import (
 )
 from deepbots_cli.program.topics import components_of
 from deepbots_cli.program.values import Expression
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.episode import Driver

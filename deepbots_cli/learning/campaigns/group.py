@@ -24,7 +24,7 @@ import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, Unpack
@@ -76,6 +76,7 @@ from deepbots_cli.learning.runs.records import (
     timestamp,
 )
 from deepbots_cli.learning.runs.run import remove_incomplete
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ Nothing is compiled, and torch is not imported.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
@@ -28,6 +28,7 @@ from deepbots_cli.learning.runs.records import (
     changed_settings,
 )
 from deepbots_cli.learning.runs.verdict import Decline, decline_of, run_verdict
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 _TAIL_BYTES = 64_000

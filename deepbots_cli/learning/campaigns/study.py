@@ -21,7 +21,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import fmean
@@ -43,6 +42,7 @@ from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.runs.order import Measure, Rank, rank
 from deepbots_cli.learning.runs.records import versions
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 

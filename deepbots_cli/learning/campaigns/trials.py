@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from statistics import fmean
@@ -43,6 +43,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.search import SearchSpace

@@ -8,7 +8,6 @@ the stages of a world, with other values in place of draws instead of another sc
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BaseModel, Field, NonNegativeInt
@@ -17,6 +16,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.runs.episodes import Generations
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Criterion, Levels
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 
 

@@ -11,7 +11,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain, islice
 from pathlib import Path
@@ -32,6 +31,7 @@ from deepbots_cli.learning.runs.statistics import (
 )
 from deepbots_cli.program import Member, Program
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.words import printable

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
@@ -39,6 +38,7 @@ from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, wi
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import is_of_member, without_copy
 from deepbots_cli.program.task import ONLY_AGENT
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.words import number_text, rate_text
 

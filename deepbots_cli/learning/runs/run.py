@@ -31,7 +31,6 @@ import re
 import shutil
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -48,6 +47,7 @@ from deepbots_cli.learning.runs.evaluations import MAX_EVALUATION_BYTES, Evaluat
 from deepbots_cli.learning.runs.records import RunRecord, is_installed, timestamp, write_record
 from deepbots_cli.program import Member, Program, identity
 from deepbots_cli.program.task import ONLY_AGENT
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind
 
 DATA = "data"

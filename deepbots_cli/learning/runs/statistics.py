@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev, variance
 
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.quantities import MAX_SOLVED_EPISODES
 from deepbots_cli.words import beside, number_text

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from itertools import accumulate, islice
 from pathlib import Path
@@ -28,6 +28,7 @@ from deepbots_cli.learning.runs.records import QuotedEvaluation, RunRecord
 from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.words import beside, number_text, rate_text

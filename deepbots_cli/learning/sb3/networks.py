@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -35,6 +34,7 @@ from torch import nn
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3 import internals
 from deepbots_cli.program.task import Mirror, Symmetry, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.words import sentence_list
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -22,6 +21,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.port import EngineProxy
+from deepbots_cli.records import dataclass
 from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.runtime.messages import FieldCodec

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import inf
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.port import EngineProxy
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, RemoteRobot, project_of
 from deepbots_cli.webots.export.world import joint_stops, world_text

@@ -7,7 +7,7 @@ Solid nodes, with the devices that its generated controller binds.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from math import inf, pi
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from deepbots_cli.engines.mechanics import (
 from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Inertial, Mesh, Sphere
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.nodes import axis_angle

@@ -14,13 +14,14 @@ import textwrap
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
 from deepbots_cli.webots.imports.world import (
     Built,
     Names,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from io import BytesIO
 from itertools import chain, count
 from math import hypot, inf
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.records import dataclass
 from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_cli.webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
