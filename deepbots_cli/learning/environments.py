@@ -49,11 +49,17 @@ from deepbots_cli.rollout import Episode, Start, play, steps
 from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver, sequence_driver
 from deepbots_cli.rollout.episode import OnEpisode, set_random_state
-from deepbots_cli.rollout.policies import StopCondition, ordered_episodes, play_batch, play_episodes
+from deepbots_cli.rollout.policies import (
+    StopCondition,
+    ordered_episodes,
+    play_batch,
+    play_episodes,
+    play_together,
+)
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.rollout.worlds import HistoryRecorder
+from deepbots_cli.rollout.worlds import HistoryRecorder, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor, EpisodeHistory, LostWorld
-from deepbots_cli.runtime.spaces import Predictor
+from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE, Predictor
 from deepbots_cli.runtime.streams import derive_seed
 
 if TYPE_CHECKING:
@@ -139,7 +145,7 @@ class EvaluationWorlds:
         self._size = batch
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
-        self._single: FailureRecorder | None = None
+        self._singles: list[FailureRecorder] = []
 
     def enter(self, program: Program, *, case: str | None = None, stage: str | None = None) -> None:
         """Play in this scenario from now on; it is the scenario of a case or stage."""
@@ -155,7 +161,7 @@ class EvaluationWorlds:
     @property
     def first(self) -> gym.Env[Any, Any]:
         """A world, whose spaces are those of all worlds."""
-        return self._single_world() if self._batch is None else self._batch.singles[0]
+        return self._single_worlds(1)[0] if self._batch is None else self._batch.singles[0]
 
     def has_batch_for(self, episodes: int) -> bool:
         """Return whether a batch plays so many episodes."""
@@ -181,26 +187,34 @@ class EvaluationWorlds:
             with suppress(DeepbotsError):  # a single world reports its place, and keep the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
                 return ordered_episodes(finished, range(len(numbers)), on_episode, until)
-        world = self._single_world()
-        world.seeds = seeds
-        finished = play_episodes(policy, world, seeds, deterministic=deterministic, numbers=numbers)
+        goes_together = deterministic and not has_copies(self.first)
+        worlds = self._single_worlds(len(numbers) if goes_together else 1)
+        for world in worlds:
+            world.seeds = seeds
+        finished = (
+            play_together(policy, worlds, seeds, numbers)
+            if goes_together
+            else play_episodes(policy, worlds[0], seeds, deterministic=deterministic, numbers=numbers)
+        )
         return ordered_episodes(finished, numbers, on_episode, until)
 
-    def _single_world(self) -> FailureRecorder:
-        if self._single is None:
-            if self._program is None:
-                raise RuntimeError("the worlds have no scenario yet")
-            self._single = FailureRecorder(
-                self._build(self._program), self._run, self._program, case=self._case, stage=self._stage
-            )
-        return self._single
+    def _single_worlds(self, episodes: int) -> list[FailureRecorder]:
+        """Return the single worlds, at least one for each `EVALUATION_EPISODES` of these episodes: a world
+        takes longer to build than a forward pass that also acts in it saves in fewer."""
+        if self._program is None:
+            raise RuntimeError("the worlds have no scenario yet")
+        while len(self._singles) < min(FORWARD_BATCH_SIZE, max(1, episodes // EVALUATION_EPISODES)):
+            world = self._build(self._program)
+            recorder = FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage)
+            self._singles.append(recorder)
+        return self._singles if episodes > 1 else self._singles[:1]
 
     def close(self) -> None:
-        if self._single is not None:
-            self._single.close()
+        for single in self._singles:
+            single.close()
         if self._batch is not None:
             self._batch.close()
-        self._single = None
+        self._singles = []
         self._batch = None
         self._program = None
 

@@ -17,9 +17,11 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.rollout.episode import (
     Driver,
     Episode,
+    EpisodeAccumulator,
     OnEpisode,
     Start,
     play,
+    set_number,
 )
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -47,6 +49,47 @@ def play_episodes(
     driver = PolicyDriver(policy, world, deterministic=deterministic)
     for number in numbers:
         yield number, play(world, driver, Start(seeds[number], number=number))
+
+
+def play_together(
+    policy: Predictor, worlds: Sequence[gym.Env[Any, Any]], seeds: Sequence[int], numbers: Sequence[int]
+) -> Iterator[NumberedEpisode]:
+    """Play the episodes of `play_episodes` in at most `FORWARD_BATCH_SIZE` worlds at once, with the likeliest
+    actions: a forward pass acts in all of them, and each world plays the numbers of its rows."""
+    forward = ForwardPass(worlds[0].observation_space, _choices(policy, worlds[0]))
+    waiting: list[deque[int]] = [deque() for _ in worlds]
+    for number in numbers:
+        waiting[number % FORWARD_BATCH_SIZE % len(worlds)].append(number)
+    episodes = [EpisodeAccumulator() for _ in worlds]
+    running: dict[int, int] = {}
+
+    def put(world: int, observation: Any) -> None:
+        forward.put(running[world] % FORWARD_BATCH_SIZE, observation, _masks(worlds[world], forward))
+
+    def begin_next(world: int) -> None:
+        running.pop(world, None)
+        if not waiting[world]:
+            return
+        number = running[world] = waiting[world].popleft()
+        forward.starts[number % FORWARD_BATCH_SIZE] = True
+        set_number(worlds[world], number)
+        observation, info = worlds[world].reset(seed=seeds[number])
+        episodes[world].begin(seeds[number], info)
+        put(world, observation)
+
+    for world in range(len(worlds)):
+        begin_next(world)
+    while running:
+        actions = forward.predict(policy, deterministic=True)
+        for world, number in list(running.items()):
+            action = actions[number % FORWARD_BATCH_SIZE]
+            observation, reward, terminated, truncated, info = worlds[world].step(action)
+            episodes[world].add(float(reward), info)
+            if terminated or truncated:
+                yield number, episodes[world].close(info)
+                begin_next(world)
+            else:
+                put(world, observation)
 
 
 def ordered_episodes(
@@ -84,7 +127,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
     count = len(worlds.singles)
     width = worlds.copies
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
-    choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
+    choices = _choices(policy, next(iter(worlds.singles[0].agents.values())))
     passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
     # From the first number after those of the worlds that is `row` modulo `size`, in steps of `size`.
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
@@ -166,9 +209,7 @@ class PolicyDriver(Driver):
         self._forward = None
         if start.number is not None and not self._size:
             self._row = start.number % FORWARD_BATCH_SIZE
-            self._forward = ForwardPass(
-                self._world.observation_space, _choices(self._world) if self._takes_masks else None
-            )
+            self._forward = ForwardPass(self._world.observation_space, _choices(self._policy, self._world))
 
     def act(self, observation: Any) -> Any:
         if self._forward is not None:
@@ -196,10 +237,10 @@ def _seed_sampling(seed: int) -> None:
         torch.default_generator.manual_seed(seed)
 
 
-def _choices(world: gym.Env[Any, Any]) -> int | None:
-    """Return the number of options of the agent, over all parts of its action; None if the world forbids
-    none."""
-    if not world.has_wrapper_attr("action_masks"):
+def _choices(policy: Predictor, world: gym.Env[Any, Any]) -> int | None:
+    """Return the number of options of the agent, over all parts of its action; None if the policy takes no
+    masks, or the world forbids no option."""
+    if not (policy.takes_masks and world.has_wrapper_attr("action_masks")):
         return None
     space: Any = world.action_space
     return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())

@@ -614,10 +614,12 @@ class PaidByTurn:
     def __init__(self, *turns: int) -> None:
         self.turns = turns
         self.count = 0
+        self.open = 0
         self.seeds: set[int] = set()
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
-        self.count += 1
+        self.count += not self.open  # a model may play in several worlds at once
+        self.open += 1
         return Paid(program, self, float(self.count - 1 in self.turns))
 
 
@@ -636,6 +638,10 @@ class Paid(stand_in.CartPole):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observation, _, terminated, truncated, info = super().step(action)
         return observation, self.reward, terminated, truncated, info
+
+    def close(self) -> None:
+        self.worlds.open -= 1
+        super().close()
 
 
 @pytest.fixture(scope="module")
