@@ -146,6 +146,7 @@ class EvaluationWorlds:
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
         self._singles: list[FailureRecorder] = []
+        self._played = 0
 
     def enter(self, program: Program, *, case: str | None = None, stage: str | None = None) -> None:
         """Play in this scenario from now on; it is the scenario of a case or stage."""
@@ -161,7 +162,7 @@ class EvaluationWorlds:
     @property
     def first(self) -> gym.Env[Any, Any]:
         """A world, whose spaces are those of all worlds."""
-        return self._single_worlds(1)[0] if self._batch is None else self._batch.singles[0]
+        return self._single_worlds(0)[0] if self._batch is None else self._batch.singles[0]
 
     def has_batch_for(self, episodes: int) -> bool:
         """Return whether a batch plays so many episodes."""
@@ -188,7 +189,7 @@ class EvaluationWorlds:
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
                 return ordered_episodes(finished, range(len(numbers)), on_episode, until)
         goes_together = deterministic and not has_copies(self.first)
-        worlds = self._single_worlds(len(numbers) if goes_together else 1)
+        worlds = self._single_worlds(len(numbers)) if goes_together else self._single_worlds(0)[:1]
         for world in worlds:
             world.seeds = seeds
         finished = (
@@ -199,22 +200,23 @@ class EvaluationWorlds:
         return ordered_episodes(finished, numbers, on_episode, until)
 
     def _single_worlds(self, episodes: int) -> list[FailureRecorder]:
-        """Return the single worlds, at least one for each `EVALUATION_EPISODES` of these episodes: a world
-        takes longer to build than a forward pass that also acts in it saves in fewer."""
+        """Return the single worlds, one for each `EVALUATION_EPISODES` episodes so far: a world takes longer
+        to build than a forward pass that also acts in it saves in fewer."""
         if self._program is None:
             raise RuntimeError("the worlds have no scenario yet")
-        while len(self._singles) < min(FORWARD_BATCH_SIZE, max(1, episodes // EVALUATION_EPISODES)):
+        self._played += episodes
+        while len(self._singles) < min(FORWARD_BATCH_SIZE, max(1, self._played // EVALUATION_EPISODES)):
             world = self._build(self._program)
             recorder = FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage)
             self._singles.append(recorder)
-        return self._singles if episodes > 1 else self._singles[:1]
+        return self._singles
 
     def close(self) -> None:
         for single in self._singles:
             single.close()
         if self._batch is not None:
             self._batch.close()
-        self._singles = []
+        self._singles, self._played = [], 0
         self._batch = None
         self._program = None
 

@@ -156,12 +156,12 @@ def stops(outcomes: Sequence[Outcome], below: float = math.inf) -> float:
     return float(np.mean([each.stopped_with is not None and each.stopped_with <= below for each in outcomes]))
 
 
-def test_the_first_confirmations_of_90_percent_need_95_of_100_then_187_and_188_of_200() -> None:
+def test_the_first_confirmations_of_90_percent_need_95_of_100_then_142_and_143_of_150() -> None:
     plans = [Confirmation.plan(RATE, number, BOUNDS) for number in (1, 2, 3)]
     assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [
         (95, 100),
-        (187, 200),
-        (188, 200),
+        (142, 150),
+        (143, 150),
     ]
 
 
@@ -200,7 +200,7 @@ def test_the_lower_bound_is_that_of_student_with_the_worst_returns_added() -> No
 
 
 @pytest.mark.parametrize(
-    ("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 100)]
+    ("criterion", "episodes"), [(Solved(2, success_rate=1.0), 183), (Solved(20, success_rate=0.9), 90)]
 )
 def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, episodes: int) -> None:
     plan = Confirmation.plan(criterion, 1, BOUNDS)
@@ -680,7 +680,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     verdict = run_verdict(result.run, run.record)
     assert verdict.solved is True
     assert verdict.evaluation is not None
-    assert (verdict.evaluation.confirmation, verdict.evaluation.episodes % solved.episodes) == (1, 0)
+    assert (verdict.evaluation.confirmation, verdict.evaluation.episodes % (solved.episodes // 2)) == (1, 0)
     # The evaluation after the training and `deepbots eval` are these episodes, not other ones.
     trained = evaluate_trained(run)
     again = evaluate(run, episodes=verdict.evaluation.episodes, build=build)

@@ -120,12 +120,12 @@ def test_after_failed_confirmations_an_evaluation_that_just_meets_the_criterion_
     solved = Solved(100, success_rate=0.9)
     met, text, required = solved_verdict(solved, episodes(100, 1.0, 92), number=2)
     assert met is None
-    assert required == 200
-    assert text.endswith("may be luck in 100 episodes; evaluate with `--episodes 200`")
-    met, text, _ = solved_verdict(solved, episodes(200, 1.0, 184), number=2)
+    assert required == 150
+    assert text.endswith("may be luck in 100 episodes; evaluate with `--episodes 150`")
+    met, text, _ = solved_verdict(solved, episodes(150, 1.0, 138), number=2)
     assert met is False
-    assert text.endswith("and to confirm it, at least 187 of 200 successes must be reached")
-    assert solved_verdict(solved, episodes(200, 1.0, 187), number=2).solved is True
+    assert text.endswith("and to confirm it, at least 142 of 150 successes must be reached")
+    assert solved_verdict(solved, episodes(150, 1.0, 142), number=2).solved is True
     assert (
         solved_verdict(solved, episodes(100, 1.0, 92))[0] is True
     )  # of a policy that a confirmation has shown to be good enough

@@ -321,6 +321,8 @@ EXPECTED = 0.25
 """The smallest mean return for which the number of starts is chosen, as a share of the way from the required
 one to the highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where
 0.89 is required failed by the worst returns that are added."""
+PARTS = 2
+"""A confirmation has the episodes of `solved`, and so many more in halves of it that a good policy passes."""
 HOPELESS = 0.01
 """A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability,
 or if Student's upper bound of the mean return at this level is below the required one. So a confirmation that
@@ -376,7 +378,7 @@ class Confirmation:
       policies and any number of evaluations.
     - A success rate passes if a policy whose rate is 2 points below the required one would have so many
       successes with at most this probability, by the binomial distribution. For `>= 90 % over 100 episodes`,
-      the first confirmation needs 95 of 100 successes, the second 187 of 200.
+      the first confirmation needs 95 of 100 successes, the second 142 of 150.
     - A mean return passes if it reaches the required one, and Student's lower bound at this level is not more
       than 2 % of the range of returns below it. The bound includes `worst_returns` more episodes with the
       worst return, because returns are often equal but for rare failures, which a sample may miss.
@@ -389,8 +391,8 @@ class Confirmation:
         number: The number of the confirmation, from 1.
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
             far.
-        episodes: The number of new starts: that of `solved`, or its smallest multiple with which a good
-            policy passes. A policy halfway between the required rate and 100 % must pass with a probability
+        episodes: The number of new starts: that of `solved`, and so many halves of it more that a good policy
+            passes. A policy halfway between the required rate and 100 % must pass with a probability
             of `POWER`; a policy with the expected mean return must pass.
         successes: The number of required successes; 0 if `solved` has no success rate.
     """
@@ -420,7 +422,7 @@ class Confirmation:
         else:
             least = solved.mean_return + EXPECTED * (returns[1] - solved.mean_return)
             mean = min(returns[1], max(least, _cautious_mean(evaluated) if evaluated else returns[1]))
-        for episodes in range(solved.episodes, _MAX_EPISODES + 1, solved.episodes):
+        for episodes in range(solved.episodes, _MAX_EPISODES + 1, math.ceil(solved.episodes / PARTS)):
             planned = Confirmation.with_episodes(solved, number, returns, episodes)
             if solved.success_rate is not None:
                 halfway = (1 + solved.success_rate) / 2
