@@ -38,14 +38,20 @@ pictures.py         a check of pictures before they are decoded
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,
 `parallel_env`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so
-that importing this package costs nothing.
+that importing this package costs nothing. Gymnasium gets the names of `envs` as soon as both are imported.
 """
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
     from deepbots_cli.api import compile, load, make, make_vec, parallel_env
     from deepbots_cli.document import Permissions
     from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
@@ -88,10 +94,29 @@ def __getattr__(name: str) -> object:
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'deepbots_cli' has no attribute {name!r}")
-    from importlib import import_module
-
     return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+class _GymnasiumLoader(SourceFileLoader):
+    """Finds and loads Gymnasium in the place of Python, which has no call for an imported module, and then
+    registers the environments of `envs`."""
+
+    @classmethod
+    def find_spec(cls, name: str, path: Sequence[str] | None = None, _: object = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(name, path) if name == "gymnasium" else None
+        if spec is not None and spec.origin is not None:
+            spec.loader = cls(name, spec.origin)
+        return spec
+
+    def exec_module(self, module: ModuleType) -> None:
+        super().exec_module(module)
+        import_module("deepbots_cli.envs")
+
+
+sys.meta_path.insert(0, _GymnasiumLoader)
+if sys.modules.get("gymnasium") is not None:
+    import_module("deepbots_cli.envs")

@@ -1,25 +1,53 @@
-"""Registers scenarios with Gymnasium: the shipped ones by their names, and any other by its path.
+"""The environments of Gymnasium by name: the shipped scenarios, and any other by its path.
 
-    gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1")
-    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml",
-    overrides=["fall_angle=10deg"])
+    gymnasium.make("deepbots/CartPole-v1")
+    gymnasium.make("deepbots/Scenario-v1", scenario="my.yaml", overrides=["fall_angle=10deg"])
+    gymnasium.make_vec("deepbots/CartPole-v1", num_envs=256)
 
-Importing this module registers them. A scenario limits its own episodes, so Gymnasium adds no time limit.
+Importing this module registers them, and so does `import deepbots_cli`, once Gymnasium is imported. A scenario
+limits its own episodes, so Gymnasium adds no time limit; the `spec` of an environment has the number of steps.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from deepbots_cli.api import make
-from deepbots_cli.document import ScalarNode, load, shipped
-from deepbots_cli.errors import UsageError
-from deepbots_cli.runtime import Supervisor
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+    from deepbots_cli.runtime.batch import BatchEnvironment
 
-ANY_SCENARIO = "deepbots/Scenario-v1"
+NAMES = {
+    "A1Rough": "quadruped_rough",
+    "A1Velocity": "quadruped",
+    "Balancer": "balancer",
+    "BipedVelocity": "biped",
+    "Carry": "carry",
+    "CartPole": "cartpole",
+    "CartPoleContinuous": "cartpole_continuous",
+    "CartPoleLong": "cartpole_long",
+    "CartPoleWireless": "cartpole_wireless",
+    "FindAndAvoid": "find_and_avoid",
+    "FindAndAvoidUnmasked": "find_and_avoid_unmasked",
+    "FindBall": "find_ball",
+    "FindBallAsPrinted": "find_ball_as_printed",
+    "FindBallRandom": "find_ball_random",
+    "Hover": "quadrotor",
+    "LineFollower": "line_follower",
+    "MultiCartPole": "multi_cartpole",
+    "PandaPush": "panda_push",
+    "PandaReach": "panda_reach",
+    "PitEscape": "pit_escape",
+    "PitEscapeAsPrinted": "pit_escape_as_printed",
+    "SeeBall": "see_ball",
+    "Sumo": "sumo",
+    "Tag": "tag",
+    "TagScripted": "tag_scripted",
+}
+"""The shipped scenarios by the names that they have in their files: these are not read when a program imports
+Gymnasium."""
 
 
 def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
@@ -29,28 +57,49 @@ def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervi
     Raises:
         UsageError: `scenario` is None; also the errors of `deepbots_cli.make`.
     """
+    from deepbots_cli.api import make
+
+    return make(_given(scenario), **options)
+
+
+def make_batch(
+    num_envs: int,
+    scenario: str | Path | None = None,
+    max_episode_steps: int | None = None,
+    **options: Any,
+) -> BatchEnvironment:
+    """Return many worlds of `scenario` as one vector environment; `options` are the other arguments of
+    `deepbots_cli.make_vec`.
+
+    Args:
+        max_episode_steps: Is ignored: Gymnasium passes the limit of a `spec`, which the scenario has already.
+
+    Raises:
+        UsageError: `scenario` is None; also the errors of `deepbots_cli.make_vec`.
+    """
+    from deepbots_cli.api import make_vec
+    from deepbots_cli.errors import BatchError
+
+    try:
+        return make_vec(_given(scenario), num_envs, **options)
+    except BatchError as error:
+        raise BatchError(f'{error}; or write vectorization_mode="sync", for single worlds') from error
+
+
+def _given(scenario: str | Path | None) -> str | Path:
     if scenario is None:
+        from deepbots_cli.errors import UsageError
+
         raise UsageError(
-            f'{ANY_SCENARIO} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY_SCENARIO}",'
-            ' scenario="my.yaml")'
+            'deepbots/Scenario-v1 needs a scenario: gymnasium.make("deepbots/Scenario-v1", scenario="my.yaml")'
         )
-    return make(scenario, **options)
+    return scenario
 
 
-def _register() -> None:
-    _register_one(ANY_SCENARIO, "deepbots_cli.envs:make_scenario", {})
-    for short in shipped.scenario_names():
-        path = shipped.scenario_path(short)
-        root = load(path).root if path else None
-        name = root.get("name") if root else None
-        if isinstance(name, ScalarNode):
-            _register_one(f"deepbots/{name.text}-v1", "deepbots_cli.api:make", {"source": short})
-
-
-def _register_one(identifier: str, entry_point: str, options: dict[str, Any]) -> None:
-    # Gymnasium warns of an identifier that is registered twice.
-    if identifier not in gymnasium.registry:
-        gymnasium.register(identifier, entry_point=entry_point, kwargs=options)
-
-
-_register()
+for _name, _scenario in {"Scenario": None, **NAMES}.items():
+    gymnasium.register(
+        f"deepbots/{_name}-v1",
+        entry_point="deepbots_cli.envs:make_scenario",
+        vector_entry_point="deepbots_cli.envs:make_batch",
+        kwargs={"scenario": _scenario},
+    )

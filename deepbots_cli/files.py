@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import os
 import shutil
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -130,6 +132,19 @@ def check_folder(folder: Path) -> None:
     if not present.is_dir():
         raise UsageError(f"{folder} cannot be written: {present} is not a directory")
     check_writable(present / "file")
+
+
+def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return rows as CSV, under the names of all their keys. No spreadsheet takes a cell for a formula."""
+    names = [*dict.fromkeys(name for row in rows for name in row)]
+    out = StringIO()
+    csv.writer(out).writerows([names, *([_harmless(row.get(name)) for name in names] for row in rows)])
+    return out.getvalue()
+
+
+def _harmless(value: object) -> object:
+    is_formula = isinstance(value, str) and value.lstrip()[:1] in tuple("=+-@")
+    return f"'{value}" if is_formula else value
 
 
 @contextmanager

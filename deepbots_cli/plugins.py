@@ -59,7 +59,7 @@ def unavailable_message(entry: EntryPoint, reason: object) -> str:
     """Return the text of the warning."""
     message = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
     noun = entry.group.rpartition(".")[2]
-    return f"the {noun} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
+    return f"the {noun} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:300]}"
 
 
 def packages_used(words: Collection[str]) -> dict[str, str]:

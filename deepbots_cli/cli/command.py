@@ -300,6 +300,8 @@ Stage = Annotated[
     str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.", SCENARIO)
 ]
 Force = Annotated[bool, option("--force", "Overwrite files that exist.", ADVANCED)]
+Csv = Annotated[Path | None, option("--csv FILE", "Write the table as CSV.", ADVANCED)]
+Latex = Annotated[Path | None, option("--latex FILE", "Write the table for LaTeX.", ADVANCED)]
 Json = Annotated[bool, option("--json", "Print the result as JSON.", OUTPUT)]
 Seed = Annotated[int, integer("--seed N", "Root seed of all random numbers.", 0, MAX_SEED, EPISODES)]
 Driver = Annotated[

@@ -7,16 +7,14 @@ every table, and `with_interval` a statistic in a list of lines.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.tables import Row, row_as_lines, table
+from deepbots_cli.cli.tables import Row, row_as_lines, table, write_tables
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import in_parentheses
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
@@ -647,11 +645,7 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
             }
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
-    columns = {name: None for row in rows for name in row}
-    with atomic_write(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [*columns])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_tables(rows, path, None)
 
 
 def evaluated_in(result: EvaluationResult) -> dict[str, str]:

@@ -1,10 +1,11 @@
-"""Tables as plain text."""
+"""Tables as plain text, CSV and LaTeX."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
 from io import StringIO
+from pathlib import Path
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -13,6 +14,7 @@ from rich.text import Text
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.expressions.text import value_text
+from deepbots_cli.files import atomic_write, csv_text
 
 Row = Mapping[str, object]
 
@@ -28,10 +30,7 @@ def table(rows: Sequence[Row], indent: str = "  ", *, is_prose: bool = False) ->
     The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal
     that is too narrow, long cells continue on further lines; with `is_prose`, also without a terminal.
     """
-    columns = [*rows[0]] if rows else []
-    names = [name for name in columns if any(row.get(name) not in _EMPTY_VALUES for row in rows)] or columns
-    cells = [[cell_text(row.get(name)) for name in names] for row in rows]
-    right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
+    names, cells, right = _columns(rows)
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
     min_widths = [
         width if is_number else min(width, _MIN_TEXT_WIDTH)
@@ -49,6 +48,40 @@ def table(rows: Sequence[Row], indent: str = "  ", *, is_prose: bool = False) ->
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
     min_width, width = (sum(column_widths) + 2 * len(column_widths) for column_widths in (min_widths, widths))
     return _lines(grid, min_width, width, indent, fits_terminal=is_prose or sys.stdout.isatty())
+
+
+def _columns(rows: Sequence[Row]) -> tuple[list[str], list[list[str]], list[bool]]:
+    """Return the names of the columns, the cells of each row, and which columns have numbers only."""
+    columns = [*rows[0]] if rows else []
+    names = [name for name in columns if any(row.get(name) not in _EMPTY_VALUES for row in rows)] or columns
+    cells = [[cell_text(row.get(name)) for name in names] for row in rows]
+    return names, cells, [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
+
+
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        **{mark: f"\\{mark}" for mark in "&%$#_{}"},
+    }
+)
+
+
+def write_tables(rows: Sequence[Row], csv: Path | None, latex: Path | None) -> None:
+    """Write rows as CSV, with numbers in full, and as a table of LaTeX with the rules of `booktabs`."""
+    if csv is not None:
+        with atomic_write(csv) as draft:
+            draft.write_text(csv_text(rows), encoding="utf-8", newline="")
+    if latex is not None:
+        names, cells, right = _columns(rows)
+        head, *lines = (
+            " & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in (names, *cells)
+        )
+        columns = "".join("r" if is_number else "l" for is_number in right)
+        parts = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
+        with atomic_write(latex) as draft:
+            draft.write_text("\n".join([*parts, r"\end{tabular}", ""]), encoding="utf-8")
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:

@@ -7,9 +7,7 @@ evaluation on starts that nobody knew, whose 95 % interval the marks name.
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import json
 import tempfile
 import threading
@@ -23,6 +21,7 @@ from typing import Any
 from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson
 from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, without_policy
+from deepbots_cli.files import csv_text
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import printable, sentence_list
@@ -270,7 +269,6 @@ def row_of(marks: Marks) -> dict[str, object]:
 
 def as_csv(marks: Iterable[Marks]) -> str:
     """Return a table whose cells no spreadsheet takes for formulas."""
-    out = io.StringIO()
     rows = [
         {
             "student": student_marks.student,
@@ -281,17 +279,7 @@ def as_csv(marks: Iterable[Marks]) -> str:
         }
         for student_marks in marks
     ]
-    writer = csv.DictWriter(out, list(rows[0]) if rows else ["student"])
-    writer.writeheader()
-    writer.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
-    return out.getvalue()
-
-
-def _cell(value: object) -> object:
-    text = str(value)
-    return (
-        f"'{text}" if isinstance(value, str) and text.lstrip()[:1] in "=+-@\t\r" and text.strip() else value
-    )
+    return csv_text(rows)
 
 
 _PAGE = """<!doctype html>

@@ -361,7 +361,10 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
                 f" {printed(b, args).within(Precedence.TERNARY)}",
                 Precedence.TERNARY,
             )
-    raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
+    raise ValueError(
+        f"{ast.unparse(node)[:60]!r} is not part of the Python of functions; write numbers, + - * / // %, comparisons,"
+        " `a if c else b`, and calls by name of abs, min, max and functions of math: hypot(1, x), pow(x, 2)"
+    )
 
 
 def infix(operator: ast.AST, codes: Sequence[Code]) -> Code:

@@ -2,6 +2,7 @@
 
 training.py              train and resume: joins all of the below; the speed with several shards
 training_loop.py         a training from its last checkpoint to its end
+repetition.py            a training once more, and whether it gives the same policy
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
 callbacks.py             the callback of a training: evaluations, confirmations, the best model, when to stop
 checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     )
     from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
+    from deepbots_cli.learning.repetition import Repetition, repeat
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.learning.runs.records import TrainingResult
@@ -62,6 +64,7 @@ _MODULES = {
     "robustness": ("Robustness", "evaluate_robustness"),
     "runs.evaluations": ("EvaluationResult",),
     "runs.records": ("TrainingResult",),
+    "repetition": ("Repetition", "repeat"),
     "training": ("checked_settings", "resume", "train"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
@@ -71,6 +74,7 @@ __all__ = [
     "GroupResult",
     "MatchTable",
     "Policy",
+    "Repetition",
     "Robustness",
     "TrainingResult",
     "checked_settings",
@@ -83,6 +87,7 @@ __all__ = [
     "evaluate_trained",
     "load_policy",
     "play_matches",
+    "repeat",
     "resume",
     "resume_group",
     "train",
@@ -99,5 +104,6 @@ def __getattr__(name: str) -> object:
         if (error.name or "").startswith("deepbots_cli"):
             raise
         raise MissingExtraError(
-            "train", "training" if _HOMES[name] in ("campaigns.group", "training") else "evaluating"
+            "train",
+            "training" if _HOMES[name] in ("campaigns.group", "repetition", "training") else "evaluating",
         ) from error

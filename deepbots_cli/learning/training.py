@@ -41,6 +41,7 @@ from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.directories import new_directory, run_lock
 from deepbots_cli.learning.runs.episodes import MAX_STEPS, Summary
+from deepbots_cli.learning.runs.origin import Origin
 from deepbots_cli.learning.runs.records import (
     FORMAT,
     RunRecord,
@@ -210,6 +211,7 @@ def _provenance(compiled: Compiled) -> dict[str, Any]:
         "learner": compiled.learner,
         "versions": versions(),
         "platform": platform.platform(),
+        "origin": Origin.of(compiled.source),
         "started": timestamp(),
         "updated": timestamp(),
         "resumed_at": (),

@@ -43,7 +43,7 @@ from deepbots_cli.runtime.spaces import (
     observation_space,
     parts_of_rows,
 )
-from deepbots_cli.runtime.supervisor import Info, Supervisor
+from deepbots_cli.runtime.supervisor import Info, ResetNeededError, Supervisor
 
 Array = NDArray[Any]
 Act = Callable[[Any], Any]
@@ -271,8 +271,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """See `Supervisor.step`."""
-        if self._observed is None:
-            raise UsageError("call reset() before step()")
+        if self._observed is None or self._own in self.supervisor.agent_endings:
+            raise ResetNeededError("call reset() before step()")
         actions = {
             name: act(self._seats[name].observation(self._observed)) for name, act in self._acts.items()
         }

@@ -37,7 +37,14 @@ from deepbots_cli.runtime.spaces import (
     fitting_rows,
     joined,
 )
-from deepbots_cli.runtime.supervisor import EpisodeEnds, Supervisor, infinite_reward, without_option
+from deepbots_cli.runtime.supervisor import (
+    EpisodeEnds,
+    LimitedSpec,
+    ResetNeededError,
+    Supervisor,
+    infinite_reward,
+    without_option,
+)
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
 
@@ -513,12 +520,13 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         return EvaluationError(f"step {int(self.step_count[row])} of world {world} (seed {seed}): {problem}")
 
 
-class BatchEnvironment(VectorEnv[Any, Any, Any]):
+class BatchEnvironment(LimitedSpec, VectorEnv[Any, Any, Any]):
     """Many worlds of one scenario; observations, rewards and flags have a row per world."""
 
     def __init__(self, batch: BatchSupervisor) -> None:
         """Take over `batch`, and close it with this environment."""
         self.batch = batch
+        self.scenario = batch.scenario
         self.num_envs = len(batch.singles)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
         single = batch.singles[0]
@@ -581,12 +589,12 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             `_final_obs`, `_final_info` as in Gymnasium's vector environments. `action_mask` is as in `reset`.
 
         Raises:
-            UsageError: Before the first reset, or an action does not fit the action space; the message names
-                the world.
+            ResetNeededError: Before the first reset.
+            UsageError: An action does not fit the action space; the message names the world.
             EvaluationError: An expression has no value.
         """
         if not self._begun:
-            raise UsageError("call reset() before step()")
+            raise ResetNeededError("call reset() before step()")
         self._require_fitting(actions)
         outcome = self.batch.rows.step_by_world(
             self.batch.step(self.batch.rows.by_row(apply_to_parts(np.asarray, actions)))

@@ -11,6 +11,7 @@ import math
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from importlib import import_module
 from numbers import Real
@@ -18,6 +19,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from deepbots_cli.engine_kinds import diagonal_of
@@ -262,6 +264,31 @@ class EpisodeEnds:
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
 
+
+class ResetNeededError(UsageError, gym.error.ResetNeeded):
+    """A step before the first reset, or after the end of an episode."""
+
+
+class LimitedSpec:
+    """The `spec` of an environment, which has the number of steps after which an episode is cut short.
+
+    `gymnasium.make` and `make_vec` set a spec without this number, since they add no time limit.
+    """
+
+    scenario: Program
+    _limited_spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        return self._limited_spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        limits = self.scenario.truncation
+        steps = limits.max_episode_steps(self.scenario.period) if limits.limits else None
+        self._limited_spec = spec and replace(spec, max_episode_steps=steps)
+
+
 _CLOSED = "the environment is closed; make a new one"
 STEPS_PER_CHECK = 15
 """The steps between checks of the speeds of joints; an unstable spring may stand still in every 2nd or 4th
@@ -269,7 +296,13 @@ step. A check takes 5 to 15 us."""
 
 
 class Supervisor(
-    SupervisedRobots, SupervisedDraws, ObservedFrames, EpisodeEnd, gym.Env[Observation, Any], ABC
+    SupervisedRobots,
+    SupervisedDraws,
+    ObservedFrames,
+    EpisodeEnd,
+    LimitedSpec,
+    gym.Env[Observation, Any],
+    ABC,
 ):
     """Base of the generated supervisor classes.
 
@@ -382,7 +415,8 @@ class Supervisor(
         """Advance by one step of the agent: act, simulate a timestep, observe and score.
 
         Raises:
-            UsageError: Before the first reset, or with an action outside the action space.
+            ResetNeededError: Before the first reset, or after the end of the episode.
+            UsageError: With an action outside the action space.
             EngineError: The state of the world contains infinite or NaN values, or a joint moves
                 faster than a motor or a fall could make it.
             EvaluationError: An expression has no value, or the reward is not finite; the message shows which.
@@ -398,6 +432,8 @@ class Supervisor(
         # A world that blew up has rewards without meaning.
         if terminated or truncated or self.step_count % STEPS_PER_CHECK == 0:
             self.engine.require_finite()
+            if terminated or truncated:
+                self._go_on = self._refuse
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
     def render(self) -> Any:
@@ -442,7 +478,7 @@ class Supervisor(
             EvaluationError: An expression of it has no value; shows which.
         """
         self.scenario.script(name)
-        if self._go_on == self._refuse:
+        if self._go_on == self._refuse and self.ended_by is None:
             raise UsageError(_CLOSED if self._closed else "call reset() before script()")
         try:
             return self.scripted(name)
@@ -544,7 +580,10 @@ class Supervisor(
 
     def _refuse(self, action: Any) -> None:
         """Refuse a step; this replaces `_advance` while no episode runs."""
-        raise UsageError(_CLOSED if self._closed else "call reset() before step()")
+        if self._closed:
+            raise UsageError(_CLOSED)
+        over = "" if self.ended_by is None else f"the episode has ended ('{self.ended_by}'); "
+        raise ResetNeededError(f"{over}call reset() before step()")
 
     def _not_finite(self) -> None:
         """Raise the error for a reward that is not finite."""

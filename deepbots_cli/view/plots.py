@@ -7,13 +7,17 @@ import logging
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.learning.runs.statistics import Statistic, bootstrap_interval, interquartile_means
 from deepbots_cli.view.frames import COLORS
 from deepbots_cli.view.training_logs import Curve, Measure, TrainingLog
 from deepbots_cli.words import number_text, rate_text
@@ -22,7 +26,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SUFFIXES = (".png", ".svg")
+DATA = ".csv"
+"""The suffix of a file with the points of the lines, in place of a picture."""
+SUFFIXES = (".png", ".svg", ".pdf", DATA)
+_LABELS = {Statistic.mean: "mean, 95 % interval", Statistic.iqm: "IQM, 95 % interval"}
 _MAX_CURVE_POINTS = 200
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
@@ -53,9 +60,8 @@ def import_matplotlib() -> None:
     matplotlib.rcdefaults()
 
 
-def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
-    """Draw a figure of trainings. Those of one scenario and agent are one line, the mean of its seeds, with a
-    band from the lowest to the highest seed.
+def plot(logs: Sequence[TrainingLog], *, theme: str = "light", statistic: Statistic | None = None) -> Figure:
+    """Draw a figure of trainings. Those of one scenario and agent are one line, with a band (`seed_band`).
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -66,9 +72,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "a plot") from error
-    groups: dict[tuple[str, str], list[TrainingLog]] = {}
-    for log in logs:
-        groups.setdefault((log.group, log.agent), []).append(log)
+    groups = by_task(logs)
     if len(groups) > len(COLORS):
         raise UsageError(f"a plot can show at most {len(COLORS)} scenarios or agents, not {len(groups)}")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
@@ -85,7 +89,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
             left.sharey(axes[below, 0])  # the same terms of two scenarios are compared by eye
     member_lists = list(groups.values())
     for number, members in enumerate(member_lists):
-        _plot_group(returns, successes, members, number, is_only=len(groups) == 1)
+        _plot_group(returns, successes, members, number, statistic, is_only=len(groups) == 1)
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
     marked = f"of training episodes{f'; {named}: evaluations' if named else ''}"
@@ -150,16 +154,23 @@ def _plot_detailed(
 
 
 def _plot_group(
-    returns: Axes, successes: Axes, members: Sequence[TrainingLog], number: int, *, is_only: bool
+    returns: Axes,
+    successes: Axes,
+    members: Sequence[TrainingLog],
+    number: int,
+    statistic: Statistic | None,
+    *,
+    is_only: bool,
 ) -> None:
     """Plot returns and success rates of the trainings of a scenario, which is the only one or has this
     number."""
     name = members[0].name
     color = COLORS[number]
-    style = _line_style(number, name if len(members) == 1 else f"{name} ({len(members)} seeds)")
+    drawn = f"{_LABELS[statistic]} of " if statistic else ""
+    style = _line_style(number, name if len(members) == 1 else f"{name} ({drawn}{len(members)} seeds)")
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
-    plot_scores(returns, members, "mean_return", style, (color, ""), (color, script))
-    plot_scores(successes, members, "success_rate", style, (color, ""), (color, script))
+    plot_scores(returns, members, "mean_return", style, (color, ""), (color, script), statistic)
+    plot_scores(successes, members, "success_rate", style, (color, ""), (color, script), statistic)
 
 
 def plot_scores(
@@ -169,11 +180,12 @@ def plot_scores(
     style: Mapping[str, Any],
     marks: tuple[str, str],
     teacher: tuple[str, str],
+    statistic: Statistic | None = None,
 ) -> None:
     """Plot a measure of trainings: of their episodes, of their evaluations, and of their teacher. `marks` and
     `teacher` are the color and the label of the evaluations and of the teacher."""
     curves = [curve for log in logs if (curve := log.curves(measure)[0]) is not None]
-    plot_band(panel, curves, style)
+    plot_band(panel, curves, style, statistic)
     _plot_evaluations(panel, logs, measure, *marks)
     for log in logs:
         _plot_evaluation(panel, log, measure, marks[0])
@@ -247,19 +259,52 @@ def plot_agents(panel: Axes, logs: Sequence[TrainingLog]) -> None:
         plot_band(panel, curves, _line_style(number, agent))
 
 
-def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
-    """Plot the mean of curves over the timesteps that all of them cover, with a band from the lowest to the
-    highest."""
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the suffix, with text as text."""
+    import matplotlib
+
+    # By default, text in SVG files is drawn as lines, and many journals refuse the fonts of type 3 of PDF.
+    text_as_text = matplotlib.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42})
+    with atomic_write(path) as draft, text_as_text:
+        figure.savefig(draft, format=path.suffix[1:].lower(), dpi=130)
+
+
+def seed_band(
+    curves: Sequence[Curve], statistic: Statistic | None = None
+) -> tuple[NDArray[np.float64], ...] | None:
+    """Return the timesteps that all curves cover, a statistic of the curves, and the limits of its 95 %
+    interval; without a statistic the mean, and the lowest and the highest value. None without a curve."""
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
-        return
+        return None
     steps = _common_steps(curves)
     rows = np.stack([np.interp(steps, *curve) for curve in curves])
-    panel.plot(steps, rows.mean(axis=0), linewidth=1.8, **style)
-    if len(rows) > 1:
-        panel.fill_between(
-            steps, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0
-        )
+    if statistic is None:
+        return steps, rows.mean(axis=0), rows.min(axis=0), rows.max(axis=0)
+    is_iqm = statistic is Statistic.iqm
+    of_columns: Callable[[Any], Any] = interquartile_means if is_iqm else partial(np.mean, axis=0)
+    return steps, of_columns(rows), *bootstrap_interval(rows, of_columns)
+
+
+def plot_band(
+    panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any], statistic: Statistic | None = None
+) -> None:
+    """Plot the line and the band of curves."""
+    band = seed_band(curves, statistic)
+    if band is None:
+        return
+    steps, center, low, high = band
+    panel.plot(steps, center, linewidth=1.8, **style)
+    if len(curves) > 1:
+        panel.fill_between(steps, low, high, color=style["color"], alpha=0.22, linewidth=0)
+
+
+def by_task(logs: Sequence[TrainingLog]) -> dict[tuple[str, str], list[TrainingLog]]:
+    """Return the trainings of each scenario and agent."""
+    groups: dict[tuple[str, str], list[TrainingLog]] = {}
+    for log in logs:
+        groups.setdefault((log.group, log.agent), []).append(log)
+    return groups
 
 
 def _plot_evaluations(

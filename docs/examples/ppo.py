@@ -9,6 +9,10 @@ import torch
 from torch import nn
 from torch.distributions import Categorical
 
+import deepbots_cli
+
+gymnasium.register_envs(deepbots_cli)
+
 
 def main(total_timesteps: int = 60_000, copies: int = 4, steps: int = 128, seed: int = 0) -> list[float]:
     """Train on the CartPole, and return the returns of the episodes in order."""
@@ -16,7 +20,7 @@ def main(total_timesteps: int = 60_000, copies: int = 4, steps: int = 128, seed:
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     envs = gymnasium.make_vec(
-        "deepbots_cli.envs:deepbots/CartPole-v1",
+        "deepbots/CartPole-v1",
         num_envs=copies,
         vectorization_mode="sync",
         vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},

@@ -3,11 +3,15 @@
 import gymnasium
 import numpy as np
 
+import deepbots_cli
+
+gymnasium.register_envs(deepbots_cli)
+
 
 def main(steps: int = 500, copies: int = 4) -> dict[str, int]:
     """Step the copies, and return how many episodes each ending has ended."""
     envs = gymnasium.make_vec(
-        "deepbots_cli.envs:deepbots/FindBall-v1",
+        "deepbots/FindBall-v1",
         num_envs=copies,
         # "async" runs each copy in a process of its own, for worlds whose steps take milliseconds
         vectorization_mode="sync",

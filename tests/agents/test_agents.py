@@ -478,7 +478,8 @@ def test_a_latency_delays_and_a_range_cuts_the_messages(hearing_carts: Path) -> 
 
 def test_losses_are_drawn_for_each_pair_and_repeat_with_the_seed(hearing_carts: Path) -> None:
     hearing_carts.write_text(
-        HEARING + "messages: {between_robots: {loss: 50 %, latency: uniform(0 .. 50 ms) each step}}\n"
+        HEARING.replace("> 30 deg", "> 170 deg")
+        + "messages: {between_robots: {loss: 50 %, latency: uniform(0 .. 50 ms) each step}}\n"
     )
     first, second = _observed(hearing_carts, 40), _observed(hearing_carts, 40)
     assert first == second

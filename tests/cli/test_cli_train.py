@@ -34,7 +34,8 @@ from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.learning import train
-from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.origin import Commit
+from deepbots_cli.learning.runs.records import RunRecord, write_record
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.commands import Deepbots, Ran
@@ -77,6 +78,43 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
         in trained.err
     )
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
+
+
+def test_a_repeated_training_gives_the_same_weights_or_says_what_differs(deepbots, trained, tmp_path):
+    record = RunRecord.read(tmp_path / "mine")
+    assert {"torch", "numpy"} <= set(record.origin.packages)
+    assert "the same policy" in deepbots("repeat", "mine", "--run", "again").out
+    packages = {**record.origin.packages, "torch": "1.0"}
+    other = record.model_copy(
+        update={
+            "origin": record.origin.model_copy(update={"packages": packages}),
+            "result": record.result.model_copy(update={"weights_digest": "0" * 64}),
+        }
+    )
+    write_record(tmp_path / "mine", other)
+    ran = deepbots("repeat", "mine", "--run", "third", code=1)
+    assert "another policy" in ran.out
+    assert "torch: 1.0, now " in ran.out
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_a_run_knows_the_commit_of_its_project_and_starts_no_program_of_it(tmp_path):
+    def git(*words):
+        author = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        subprocess.run(["git", *author, *words], cwd=tmp_path, check=True, capture_output=True)
+
+    scenario = tmp_path / "mine.yaml"
+    scenario.write_text("deepbots: 1\n")
+    (tmp_path / ".gitattributes").write_text("*.yaml filter=evil\n")
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "first")
+    assert Commit.of(tmp_path).is_changed is False
+    git("config", "filter.evil.clean", "touch started; cat")
+    git("config", "core.fsmonitor", "touch started")
+    scenario.write_text("deepbots: 1 \n")
+    assert Commit.of(tmp_path).is_changed is True
+    assert not (tmp_path / "started").exists()
 
 
 def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(

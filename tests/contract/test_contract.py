@@ -23,7 +23,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from deepbots_cli import api
 from deepbots_cli.codegen import batch_obstacles, generate_module
-from deepbots_cli.document import shipped
+from deepbots_cli.document import load, shipped
+from deepbots_cli.envs import NAMES
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
@@ -406,17 +407,44 @@ def test_an_unknown_render_mode_is_refused(case: Any) -> None:
         case.make("human")
 
 
-def test_every_shipped_scenario_is_registered_with_gymnasium(cases: list[Any]) -> None:
-    gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1").close()
-    names = {case.program.name for case in cases if case.source in shipped.scenario_names()}
-    assert {f"deepbots/{name}-v1" for name in names} <= set(gymnasium.registry)
+def test_every_shipped_scenario_is_registered_with_gymnasium() -> None:
+    names = {
+        short: load(shipped.SCENARIOS.path(short)).root.get("name").text for short in shipped.scenario_names()
+    }
+    assert names == {short: name for name, short in NAMES.items()}
+    assert {f"deepbots/{name}-v1" for name in NAMES} <= set(gymnasium.registry)
 
 
 @pytest.mark.parametrize("name", ["CartPole", "PandaReach", "SeeBall"])
 def test_a_registered_scenario_is_made_and_steps(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        environment = gymnasium.make(f"deepbots_cli.envs:deepbots/{name}-v1")
+        environment = gymnasium.make(f"deepbots/{name}-v1")
+        assert environment.spec is not None
+        assert environment.spec.max_episode_steps == gymnasium.make(environment.spec).spec.max_episode_steps
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         environment.close()
+
+
+def test_a_step_after_the_end_needs_a_reset() -> None:
+    environment = gymnasium.make("deepbots/CartPole-v1")
+    environment.reset(seed=0)
+    while not any(environment.step(0)[2:4]):
+        pass
+    with pytest.raises(gymnasium.error.ResetNeeded, match="the episode has ended"):
+        environment.step(0)
+    environment.close()
+
+
+def test_gymnasium_makes_a_batch_that_knows_the_limit_of_its_episodes() -> None:
+    vector = gymnasium.make_vec("deepbots/CartPole-v1", num_envs=3, vectorization_mode="vector_entry_point")
+    assert vector.spec is not None
+    assert (vector.reset(seed=0)[0].shape, vector.spec.max_episode_steps) == ((3, 4), 200)
+    vector.close()
+
+
+@pytest.mark.parametrize("order", ["deepbots_cli, gymnasium", "gymnasium, deepbots_cli"])
+def test_importing_deepbots_registers_its_scenarios_in_either_order(order: str) -> None:
+    code = f"import {order}; gymnasium.spec('deepbots/CartPole-v1')"
+    subprocess.run([sys.executable, "-c", code], check=True)

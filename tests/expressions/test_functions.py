@@ -180,7 +180,8 @@ BROKEN = [
     (
         "power:FUNCTIONS",
         MODULE.replace('"2*x"', '"x ** 2"'),
-        "'x ** 2' is not part of the Python of functions",
+        "'x ** 2' is not part of the Python of functions; write numbers, + - * / // %, comparisons, `a if c else b`,"
+        " and calls by name of abs, min, max and functions of math: hypot(1, x), pow(x, 2)",
     ),
     ("whole:FUNCTIONS", MODULE.replace('"2*x"', '"factorial(x)"'), "TypeError"),
     (

@@ -481,7 +481,7 @@ def test_a_position_that_is_not_free_is_refused_by_name() -> None:
             env.reset(options=drawn | taken)
 
 
-ANY = "deepbots_cli.envs:deepbots/Scenario-v1"
+ANY = "deepbots/Scenario-v1"
 
 
 @pytest.fixture

@@ -24,10 +24,12 @@ from PIL import Image
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.insight.figures import curve_rows
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, TaskRecord, write_record
+from deepbots_cli.learning.runs.statistics import Statistic
 from deepbots_cli.port import View
 from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.rollout import Episode
@@ -159,6 +161,18 @@ def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
     band = figure.axes[0].collections[0].get_paths()[0].vertices
     assert (band[:, 1].min(), band[:, 1].max()) == pytest.approx((0, 7))
     assert np.interp(25, *figure.axes[2].lines[0].get_data()) == pytest.approx(2.5, abs=0.02)
+
+
+def test_a_statistic_over_seeds_has_a_bootstrap_interval_in_the_plot_and_in_the_data(tmp_path):
+    for seed in range(8):
+        _run(tmp_path / f"a{seed}", "a", [seed, seed, seed, 100.0 if seed == 7 else seed])
+    logs = training_logs.read_logs([tmp_path], window=1)
+    rows = [row for row in curve_rows(logs, Statistic.iqm) if row["curve"] == "return"]
+    assert rows[-1]["value"] == pytest.approx(3.5)
+    assert 0 < rows[-1]["low"] < 3.5 < rows[-1]["high"] < 50
+    line = plots.plot(logs, statistic=Statistic.iqm).axes[0].lines[0]
+    assert line.get_label().endswith("(IQM, 95 % interval of 8 seeds)")
+    assert line.get_ydata().tolist() == [row["value"] for row in rows]
 
 
 def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
@@ -424,12 +438,13 @@ def test_an_evaluation_after_the_training_is_a_diamond_at_its_step_and_dots_are_
 
 def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
     folder = _events(tmp_path / "sb3", rollout__ep_rew_mean=[(0, 1.0), (100, 3.0)])
-    for suffix in (".png", ".svg"):
+    for suffix, content in ((".png", b"\x89PNG\r"), (".svg", b">timesteps</text>"), (".pdf", b"/FontFile2")):
         out = tmp_path / f"plot{suffix}"
         deepbots("plot", folder, "--dark", "--output", out)
-        assert out.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml")
+        assert content in out.read_bytes()
     assert (
-        "must end in .png or .svg" in deepbots("plot", folder, "--output", tmp_path / "plot.pdf", code=2).err
+        "must end in .png, .svg, .pdf or .csv"
+        in deepbots("plot", folder, "--output", tmp_path / "plot.gif", code=2).err
     )
 
 

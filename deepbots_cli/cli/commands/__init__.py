@@ -3,7 +3,7 @@
 A command is the function `command` of the module with its name. One with little code of its own is
 `command_NAME` in the module of another command (`BESIDE`):
 
-compare.py      diff, runs       lint.py      fmt          train.py      resume, tune, apply
+compare.py      diff, runs       lint.py      fmt          train.py      resume, repeat, tune, apply
 view.py         play, studio,    try_.py      test         transfer.py   robustness, diagnose
                 replay           new.py       scenarios    compile.py    lsp
 render.py       report, plot     export.py    serve        bench.py      doctor
@@ -36,6 +36,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "Train": {
         "train": "Train a policy in a new run directory, and evaluate it.",
         "resume": "Continue a training, a group of trainings, or a study.",
+        "repeat": "Train a run again, and compare the two policies.",
         "tune": "Search for better values of a scenario.",
         "apply": "Write the best values of a search into the scenario file.",
         "eval": "Evaluate the policy of a run on held-out episodes.",
@@ -213,6 +214,7 @@ BESIDE: Mapping[str, str] = {
     "play": "view",
     "plot": "render",
     "replay": "view",
+    "repeat": "train",
     "report": "render",
     "resume": "train",
     "robustness": "transfer",

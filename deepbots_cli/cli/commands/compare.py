@@ -21,7 +21,10 @@ from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
     ClusterAddress,
+    Csv,
+    Force,
     Json,
+    Latex,
     Overrides,
     Workers,
     check_options,
@@ -29,9 +32,10 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
-from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.cli.tables import Row, table, write_tables
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.files import check_output
 from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
@@ -85,10 +89,14 @@ def command(
     ] = False,
     workers: Workers = None,
     address: ClusterAddress = None,
+    csv: Csv = None,
+    latex: Latex = None,
+    force: Force = False,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Compare trained policies on the same starts."""
+    check_output(*filter(None, (csv, latex)), force=force)
     model: ModelName = "last" if last else "best"
     rivals = _rivals(runs, model)
     judged = None if rivals else _scenario_of_rivals(runs, permissions)
@@ -117,7 +125,20 @@ def command(
             on_run=show,
             executor=executor,
         )
-    terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+    groups, differences = _group_rows(comparison), _difference_rows(comparison)
+    if csv is not None or latex is not None:
+        by_group = {row["group"]: row for row in differences}
+        write_tables(
+            [
+                {**row}
+                | {f"difference_{name}": value for name, value in by_group.get(row["group"], {}).items()}
+                for row in groups
+            ],
+            csv,
+            None,
+        )
+        write_tables(groups, None, latex)
+    terminal.show(_data(comparison), *_lines(comparison, groups, differences), as_json=as_json)
 
 
 def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compiled | None:
@@ -176,7 +197,28 @@ def _rivals(runs: Sequence[Path], model: ModelName) -> list[ModelRef]:
     return [ref if ref.is_named else ModelRef(ref.run, model) for ref in refs]
 
 
-def _lines(comparison: Comparison) -> Iterator[str]:
+def _group_rows(comparison: Comparison) -> list[Row]:
+    """Return a row for each group, without columns that are not comparable."""
+    has_success = all(group.success_defined for group in comparison.groups)
+    left_out = [] if comparison.returns_comparable else ["return", "return_95 %", "interquartile_mean"]
+    left_out += [] if comparison.criteria_comparable else ["solved_after_steps"]
+    groups = [_row(group, success_defined=has_success) for group in comparison.groups]
+    return [{**row, **dict.fromkeys(left_out)} for row in groups]
+
+
+def _difference_rows(comparison: Comparison) -> list[Row]:
+    """Return a row for the difference of each group from the first one."""
+    rows: list[Row] = []
+    for entry in comparison.differences:
+        steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
+        improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
+        row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
+        measured = None if entry.compared is None else getattr(entry, entry.compared)
+        rows.append(row | {improvement_column: None if measured is None else measured.improvement})
+    return rows
+
+
+def _lines(comparison: Comparison, groups: Sequence[Row], differences: Sequence[Row]) -> Iterator[str]:
     has_own_scenarios = any(entry.own_scenarios for entry in comparison.differences)
     if comparison.scenario:
         where = f"{comparison.scenario}: "
@@ -188,20 +230,9 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         f"{where}{counted(comparison.episodes, 'held-out episode')} of each run, from evaluation seed"
         f" {comparison.seed}"
     )
-    has_success = all(group.success_defined for group in comparison.groups)
-    left_out = [] if comparison.returns_comparable else ["return", "return_95 %", "interquartile_mean"]
-    left_out += [] if comparison.criteria_comparable else ["solved_after_steps"]
-    groups = [_row(group, success_defined=has_success) for group in comparison.groups]
-    yield table([{**row, **dict.fromkeys(left_out)} for row in groups])
+    yield table(groups)
     yield f"\ndifference from {comparison.groups[0].name}"
-    rows: list[Row] = []
-    for entry in comparison.differences:
-        steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
-        improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
-        row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
-        measured = None if entry.compared is None else getattr(entry, entry.compared)
-        rows.append(row | {improvement_column: None if measured is None else measured.improvement})
-    yield table(rows)
+    yield table(differences)
     compared = [entry.compared for entry in comparison.differences if not entry.between_seeds]
     for measure in dict.fromkeys(filter(None, compared)):
         yield (
@@ -415,11 +446,15 @@ def command_runs(
             " largest value.",
         ),
     ] = Sort.date,
+    csv: Csv = None,
+    latex: Latex = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """List trainings, with their results."""
+    check_output(*filter(None, (csv, latex)), force=force)
     if folder_kind(folder) is SourceKind.RUN:
-        _show_run(folder, as_json=as_json)
+        write_tables(_show_run(folder, as_json=as_json), csv, latex)
         return
     if not folder.is_dir() and folder != Path("runs"):
         raise UsageError(f"there is no folder {folder}")
@@ -431,13 +466,14 @@ def command_runs(
         and (run.solved or not solved)
         and (run.state == "training" or not live)
     ]
+    files: dict[str, set[str]] = {}
+    for run in runs:
+        files.setdefault(run.scenario, set()).add(run.source)
+    rows = [_run_row(run, with_file=len(files[run.scenario]) > 1) for run in runs]
+    write_tables(rows, csv, latex)
     if as_json:
         terminal.show_json([_run_data(run) for run in runs])
     elif runs:
-        files: dict[str, set[str]] = {}
-        for run in runs:
-            files.setdefault(run.scenario, set()).add(run.source)
-        rows = [_run_row(run, with_file=len(files[run.scenario]) > 1) for run in runs]
         words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(
             folder_kind(folder) or SourceKind.RUN, "runs in"
         )
@@ -515,8 +551,8 @@ def _seeds(seeds: tuple[int, ...]) -> str:
     return ", ".join(map(str, seeds))
 
 
-def _show_run(folder: Path, *, as_json: bool) -> None:
-    """Show a run, and its evaluations."""
+def _show_run(folder: Path, *, as_json: bool) -> list[Row]:
+    """Show a run, and its evaluations. Returns the rows of these."""
     run = read_listed(folder)
     entries = evaluations(folder)
     data = [
@@ -534,6 +570,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     if not as_json:
         for note in notes:
             terminal.note(note)
+    return rows
 
 
 def _evaluation(folder: Path, number: int, record: EvaluationResult) -> Row:

@@ -24,6 +24,7 @@ from deepbots_cli.cli.command import (
     SCENARIO,
     ClusterAddress,
     Force,
+    Latex,
     Overrides,
     Workers,
     check_options,
@@ -35,7 +36,7 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.tables import table
+from deepbots_cli.cli.tables import table, write_tables
 from deepbots_cli.diagnostics.render import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -197,6 +198,7 @@ def command(
     csv: Annotated[
         Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.", ADVANCED)
     ] = None,
+    latex: Latex = None,
     junit: Annotated[
         Path | None,
         option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.", ADVANCED),
@@ -212,7 +214,7 @@ def command(
         _repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
-    check_output(*filter(None, (csv, junit)), force=force)
+    check_output(*filter(None, (csv, latex, junit)), force=force)
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if engine is not None and len(engine) > 1:
         check_options(ctx, "several engines")
@@ -228,6 +230,7 @@ def command(
         stage=stage,
         gates=gates,
         csv=csv,
+        latex=latex,
         junit=junit,
         as_json=as_json,
         workers=workers,
@@ -265,6 +268,7 @@ class _Request:
     stage: str | None
     gates: Gates
     csv: Path | None
+    latex: Path | None
     junit: Path | None
     as_json: bool
     workers: int | None
@@ -277,6 +281,16 @@ class _Request:
             evaluation_scenario(self.source, trained_in, self.scenario, self.overrides, name)
             for name in self.engines
         ]
+
+    def write(self, results: Sequence[EvaluationResult]) -> None:
+        """Write each episode as CSV, and each evaluation for LaTeX."""
+        if self.csv is not None:
+            records.write_csv(self.csv, results)
+        named = (
+            (" ".join(filter(None, (result.run.name, result.engine, records.case_label(result)))), result)
+            for result in results
+        )
+        write_tables(records.evaluation_rows("run", named), None, self.latex)
 
 
 def _evaluate_run(
@@ -330,10 +344,7 @@ def _evaluate_run(
                 break
     if missing := tuple(f"engine {name}" for name in request.engines[len(evaluations) :]):
         evaluations[-1] = replace(evaluations[-1], unfinished=(*evaluations[-1].unfinished, *missing))
-    if request.csv is not None:
-        records.write_csv(
-            request.csv, [result for evaluation in evaluations for result in evaluation.results]
-        )
+    request.write([result for evaluation in evaluations for result in evaluation.results])
     if evaluations[-1].unfinished:
         _show_unfinished(evaluations, details=details, as_json=request.as_json)
         raise KeyboardInterrupt
@@ -585,10 +596,7 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
             if not request.as_json:
                 text = records.group_text(result)
                 terminal.print_result(text if engine is None else f"in {engine}: {text}\n")
-    if request.csv is not None:
-        records.write_csv(
-            request.csv, [result for group_result in groups for result in group_result.evaluations]
-        )
+    request.write([result for group_result in groups for result in group_result.evaluations])
     pairs = [compare_engines(groups[0], group_result) for group_result in groups[1:]]
     if request.as_json:
         rows = [records.group_json(group_result) for group_result in groups]

@@ -37,7 +37,7 @@ from deepbots_cli.cli.command import (
     option,
     start_values,
 )
-from deepbots_cli.cli.tables import Row
+from deepbots_cli.cli.tables import Row, write_tables
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import chosen as engine_or_default
 from deepbots_cli.errors import MissingExtraError, UsageError
@@ -45,6 +45,7 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import add
 from deepbots_cli.learning.campaigns.study import JOURNAL_NAME
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
+from deepbots_cli.learning.runs.statistics import Statistic
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import resting_height, robot_bounds
@@ -581,7 +582,20 @@ def command_plot(
             metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files."
         ),
     ],
-    out: Annotated[Path, option("--output -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
+    out: Annotated[
+        Path,
+        option(
+            "--output -o FILE", "File to write: .png, .svg or .pdf, or .csv with the points of the curves."
+        ),
+    ] = Path("plot.png"),
+    statistic: Annotated[
+        Statistic | None,
+        option(
+            "--statistic NAME",
+            "Draw the `mean` over seeds or the interquartile mean, `iqm`, of returns and successes, with a 95 %"
+            " bootstrap interval; by default the mean, and a band from the lowest to the highest seed.",
+        ),
+    ] = None,
     window: Annotated[
         int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)
     ] = 100,
@@ -595,9 +609,12 @@ def command_plot(
     check_target(out, plots.SUFFIXES, force=force)
     with terminal.transient_line("reading the logs ..."):
         logs = training_logs.read_logs(runs, window, by_agent=True)
-    figure = plots.plot(logs, theme="dark" if dark else "light")
-    with atomic_write(out) as draft:
-        figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
+    if out.suffix.lower() == plots.DATA:
+        from deepbots_cli.insight.figures import curve_rows
+
+        write_tables(curve_rows(logs, statistic), out, None)
+    else:
+        plots.save(plots.plot(logs, theme="dark" if dark else "light", statistic=statistic), out)
     for log in logs:
         if log.evaluation is not None and log.evaluation.remarks:
             terminal.note(

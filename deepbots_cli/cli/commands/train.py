@@ -340,6 +340,50 @@ def command_resume(
     finish(result, **output_options)
 
 
+def command_repeat(
+    trained: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run directory of a finished `deepbots train`.")
+    ],
+    run: Annotated[
+        Path | None, option("--run DIR", "Directory of the new run; by default beside the first one.")
+    ] = None,
+    workers: Workers = None,
+    address: ClusterAddress = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Train a run again, and compare the two policies."""
+    with terminal.transient_line("" if quiet else "loading PyTorch ..."):
+        repeat = learning.repeat
+    with arguments.executor(workers, address, quiet=quiet) as executor:
+        repetition = repeat(
+            trained,
+            new=run,
+            progress=not quiet,
+            permissions=Permissions(code=allow_code),
+            executor=executor,
+            on_start=lambda path: None if quiet else terminal.note(f"the run is {path}"),
+        )
+    if repetition.training.stop_requested:
+        raise typer.Exit(INTERRUPTED)
+    differences = list(repetition.differences)
+    verdict = "the same policy: all weights are equal, bit for bit"
+    if not repetition.is_same:
+        verdict = "another policy: the weights differ"
+        differences = differences or ["the records name no difference"]
+    runs = repetition.original, repetition.training.run
+    terminal.show(
+        vars(repetition),
+        f"{runs[0]} and {runs[1]}: {verdict}",
+        *(f"  {difference}" for difference in differences),
+        as_json=as_json,
+        next_commands=[" ".join(["deepbots compare", *(quote(str(path)) for path in runs)])],
+    )
+    if not repetition.is_same:
+        raise typer.Exit(FAILED)
+
+
 def announce_seed(seed: int, number: int, count: int) -> None:
     terminal.note(f"seed {seed}, {number} of {count}")
 

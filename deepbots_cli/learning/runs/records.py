@@ -21,6 +21,7 @@ from deepbots_cli.learning.runs.curriculum import CompletedStage, LevelSpread
 from deepbots_cli.learning.runs.directories import is_training, read_record, refuse_link, write_text
 from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.evaluations import MAX_CONFIRMATIONS, EvaluationResult
+from deepbots_cli.learning.runs.origin import Origin
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import RECORD_NAME
 
@@ -237,6 +238,7 @@ class RunRecord(BaseModel):
     Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent
     and item (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training
     began in, where it was not the first. `learner` are the reasons for a learner that deepbots chose.
+    `origin` has the commits, packages and processor; records of older versions have none.
     `physics` is the version of the simulated physics (`engine_kinds.PHYSICS`), and `plugins` are the packages
     of other authors that the scenario uses, with their versions. `quoted` is None if no evaluation of the
     best model is quoted.
@@ -273,6 +275,7 @@ class RunRecord(BaseModel):
     task: TaskRecord
     physics: int = Field(default=1, ge=1, lt=2**31)
     plugins: Mapping[str, str] = {}
+    origin: Origin | None = None
     quoted: QuotedEvaluation | None = None
 
     def state(self, folder: Path) -> State:

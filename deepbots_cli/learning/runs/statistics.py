@@ -8,14 +8,20 @@ numpy and scipy are imported where they are used: commands that only read runs w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from enum import StrEnum
 from statistics import NormalDist, fmean, stdev, variance
+from typing import TYPE_CHECKING
 
 from deepbots_cli.program.task import Solved
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.quantities import MAX_SOLVED_EPISODES
 from deepbots_cli.words import beside, number_text
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Interval = tuple[float, float]
 UNBOUNDED: Interval = (-math.inf, math.inf)
@@ -74,17 +80,47 @@ def student_quantile(freedom: float, probability: float) -> float:
     return float(stdtrit(freedom, probability))
 
 
+class Statistic(StrEnum):
+    """A statistic over seeds."""
+
+    mean = "mean"
+    iqm = "iqm"
+
+
 def interquartile_mean(values: Sequence[float]) -> float:
     """Return the mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its
     two edges count in part."""
     import numpy as np
 
-    ordered = np.sort(np.asarray(values, dtype=float))
+    return float(interquartile_means(np.asarray(values, dtype=float)))
+
+
+def interquartile_means(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the interquartile mean of each column."""
+    import numpy as np
+
+    ordered = np.sort(rows, axis=0)
     quarter = len(ordered) / 4
     # The share of each value that lies between the first and the third quartile, for values of equal width.
     edges = np.arange(len(ordered) + 1)
     share = np.clip(np.minimum(edges[1:], 3 * quarter) - np.maximum(edges[:-1], quarter), 0, 1)
-    return float(np.average(ordered, weights=share))
+    means: NDArray[np.float64] = np.average(ordered, axis=0, weights=share)
+    return means
+
+
+def bootstrap_interval(
+    rows: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return the limits of the 95 % interval of a statistic of each column, whose rows are seeds: percentiles
+    of 2,000 samples of the rows with replacement (R. Agarwal et al., NeurIPS 2021). The samples are always
+    the same."""
+    import numpy as np
+
+    chosen = np.random.default_rng(0).integers(len(rows), size=(2000, len(rows)))
+    limits: NDArray[np.float64] = np.percentile(
+        [statistic(rows[sample]) for sample in chosen], [100 * ALPHA / 2, 100 - 100 * ALPHA / 2], axis=0
+    )
+    return limits
 
 
 # -- tests that may be read after every episode
