@@ -19,6 +19,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
+VERDICT_FILE = "DEEPBOTS_VERDICT_FILE"
+"""The environment variable with the file into which a command writes its verdict, for the program that has
+started it."""
 _MAX_LINE_BYTES = 1 << 20
 _LAST_BREATH_S = 1.0
 """The time in s that a process may take to end after it has closed its output."""

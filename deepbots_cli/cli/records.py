@@ -137,6 +137,10 @@ def _statistics(result: Summary, *, success_defined: bool, agents: Mapping[str, 
     }
 
 
+_LEFT_TO_EVAL = ("standard deviation", "interquartile mean", "minimum, maximum", "mean length")
+"""The lines of statistics that the result of a training leaves to `eval`."""
+
+
 def _joined(row: Row) -> str:
     """Return lines as the text of one line."""
     return ", ".join(f"{name} {text}" for name, text in row.items() if text)
@@ -160,13 +164,21 @@ def result_sentence(summary: Summary, *, success_defined: bool) -> str:
 
 
 def training_text(result: TrainingResult) -> str:
-    """Return the result of a training, one value per line, and the command that continues it."""
+    """Return how far an interrupted training came, one value per line, and the commands that go on with it."""
+    lines = [f"training {result.status}", row_as_lines(_training_rows(result)), *_reasons(result)]
+    if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
+        lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
+    if result.interrupted:
+        lines.append(
+            f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}"
+        )
+    return "\n".join(lines)
+
+
+def _training_rows(result: TrainingResult) -> dict[str, object]:
     rows: dict[str, object] = {
         "run": result.run,
-        "steps": f"{result.steps:,} of {result.total_timesteps:,}",
-        "episodes": result.episodes,
-        "simulated time": f"{result.simulated_hours:.3f} h",
-        "CPU time": f"{result.cpu_seconds:.1f} s",
+        "steps": f"{result.steps:,} of {result.total_timesteps:,}, {result.cpu_seconds:.1f} s of CPU time",
     }
     for end in result.stages:
         rows[f"stage {end.name}"] = f"done after {end.steps:,} steps, {end.episodes:,} episodes"
@@ -178,29 +190,15 @@ def training_text(result: TrainingResult) -> str:
     if result.mean_return is not None:
         mean = agents_text(result.agents) if result.agents else f"{result.mean_return:.1f}"
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
-    if result.success_rate is not None:
-        rows["success rate"] = f"{rate_text(result.success_rate)} of these episodes"
-    at = result.solved_at
-    if at is not None:
-        took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
-        rows["solved"] = f"confirmed on new starts after {at.steps:,} steps, {took}"
-    if result.best is not None:
-        rows[f"{result.best.label} model"] = result.best.text
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
-    lines = [
-        f"training {result.status}",
-        row_as_lines(rows),
-        *(f"note: {reason}" for reason in result.inexact),
-    ]
-    if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
-        lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
-    if result.interrupted:
-        lines.append(
-            f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}"
-        )
-    return "\n".join(lines)
+    return rows
+
+
+def _reasons(result: TrainingResult) -> list[str]:
+    """Return why a resumed training is not exactly the one without interruption."""
+    return [f"note: {reason}" for reason in result.inexact]
 
 
 def group_training_text(result: GroupTraining) -> str:
@@ -248,8 +246,7 @@ def held_out(episodes: int) -> str:
 def evaluation_text(
     result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None
 ) -> str:
-    """Return statistics with their intervals, the endings of the episodes, the verdict, and the cases in a
-    table.
+    """Return statistics with their intervals, the endings of the episodes, and the cases in a table.
 
     `scenario` is the scenario, in words, if it is not the one of the training.
     """
@@ -270,10 +267,36 @@ def evaluation_text(
         where = f", stage {result.stage}"
     else:
         where = ""
-    text = "\n".join(
-        [f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict]
-    )
+    text = "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes)])
     return f"{text}\n\ncases\n{table(case_rows([result, *cases]))}" if cases else text
+
+
+def evaluation_verdict(result: EvaluationResult) -> str:
+    """Return whether the task is solved, and why; without a criterion, the result of the episodes."""
+    if result.required_episodes is None and not result.agents:
+        return result_sentence(result, success_defined=result.success_defined)
+    return result.verdict
+
+
+def trained_text(
+    training: TrainingResult, result: EvaluationResult, cases: Sequence[EvaluationResult]
+) -> str:
+    """Return the few lines of a training and its evaluation that a person looks at first."""
+    rows = {
+        **_training_rows(training),
+        "agent": None if result.against is None else f"{result.agent}, against {result.against}",
+        "episodes": f"{held_out(result.episodes)}, which no training uses",
+        "mean return": "",  # of agents that have their own
+        **_statistics(result, success_defined=result.success_defined, agents=result.agents),
+    }
+    shown = {name: text for name, text in rows.items() if name not in _LEFT_TO_EVAL}
+    return "\n".join(
+        [
+            row_as_lines(shown),
+            *_reasons(training),
+            *([f"cases\n{table(case_rows([result, *cases]))}"] if cases else []),
+        ]
+    )
 
 
 def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import is_dataclass
 from pathlib import Path
 from shlex import quote
@@ -23,6 +23,7 @@ from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 from deepbots_cli.display import Display
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
+from deepbots_cli.processes import VERDICT_FILE
 
 if TYPE_CHECKING:
     from deepbots_cli.document import Permissions
@@ -33,6 +34,15 @@ if TYPE_CHECKING:
 def print_result(text: str = "") -> None:
     """Print a result on stdout."""
     print(printable(text))
+
+
+def print_verdict(text: str) -> None:
+    """Print the result of a command in a sentence, bold on a terminal, and write it into the file that
+    `VERDICT_FILE` names."""
+    print(f"\x1b[1m{printable(text)}\x1b[0m" if uses_color(sys.stdout) else printable(text))
+    if path := os.environ.get(VERDICT_FILE):
+        with suppress(OSError):
+            Path(path).write_text(text, encoding="utf-8")
 
 
 def note(text: str) -> None:
@@ -66,7 +76,7 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     """Context with a function that shows the numbers of completed and of all items, again from 1 for the next
     row of them.
 
-    Unless `always`, there is at most one line in 10 s if standard error is not a terminal.
+    Unless `always`, there is at most one line in 2 s if standard error is not a terminal.
     """
     bar: ProgressBar | None = None
     shown_at = time.perf_counter()
@@ -126,11 +136,17 @@ def show_json(data: object) -> None:
     print(json_text(data), end="")
 
 
-def show(data: object, *lines: str, as_json: bool, next_commands: Sequence[str] = ()) -> None:
-    """Print a result on stdout, as JSON or as lines; after the lines, print the next commands on stderr."""
+def show(
+    data: object, *lines: str, as_json: bool, verdict: str = "", next_commands: Sequence[str] = ()
+) -> None:
+    """Print a result on stdout, as JSON or as its verdict and lines; after the lines, print the next commands
+    on stderr."""
     if as_json:
         show_json(data)
         return
+    if verdict:
+        print_verdict(verdict)
+        print_result()
     for line in lines:
         print_result(line)
     if next_commands:
@@ -184,7 +200,7 @@ def json_compatible(data: object) -> object:
 
 _MIN_TIMED_S = 0.5
 """The time before a speed is shown, in s."""
-_LINE_INTERVAL_S = 10.0
+_LINE_INTERVAL_S = 2.0
 """The time between two lines of a work that need not be followed, in s."""
 
 

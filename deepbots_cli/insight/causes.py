@@ -22,7 +22,7 @@ from deepbots_cli.compiler.inputs import ELSEWHERE
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document.files import display_path
-from deepbots_cli.document.nodes import follow_dotted
+from deepbots_cli.document.nodes import Node, ScalarNode, follow_dotted, walk
 from deepbots_cli.insight import learner, rewards, stages
 from deepbots_cli.insight.rewards import per_step
 from deepbots_cli.insight.stages import is_rare, needs_exploration, plateau
@@ -91,10 +91,10 @@ def _is_same(first: Trace, second: Trace, numbers: Sequence[int]) -> bool:
 # Lint
 
 _UNLEARNABLE = {
-    "DB705": "Failing early pays",
-    "DB708": "Avoiding the success pays more than the success",
-    "DB711": "Every policy earns the same",
-    "DB807": "The success is out of reach",
+    "DB705": "failing early pays",
+    "DB708": "avoiding the success pays more than the success",
+    "DB711": "every policy earns the same",
+    "DB807": "the success is out of reach",
     "DB810": "`solved` asks for what no policy can miss or reach",
 }
 """The meaning of findings of lint for a training that cannot learn its task."""
@@ -116,11 +116,13 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
         return None
     first, *others = sorted(concerned, key=lambda finding: finding.code not in meanings)
     reported = list_text([f"{finding.headline} ({finding.code})" for finding in others], 2)
+    title = meanings.get(first.code) or f"lint warns about {RULES[first.code].summary}"
     changed = linted.changed_source
     copy = f" It is the copy that the training read: {changed} was changed since then." if changed else ""
     return {
         "likelihood": 0.91 if first.code in meanings else 0.3,
-        "meaning": meanings.get(first.code) or f"Lint warns about {RULES[first.code].summary}",
+        "title": title,
+        "meaning": sentence(title),
         "finding": first.headline,
         "code": first.code,
         "count": len(concerned),
@@ -129,6 +131,24 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
         "codes": [finding.code for finding in (first, *others)],
         "path": linted.arguments,
         "copy": copy,
+        "settings": {} if evidence.agent else _fixed_value(linted.root, first),
+    }
+
+
+def _fixed_value(root: Node | None, finding: Finding) -> dict[str, str]:
+    """Return the value that the fix of a finding writes in place of another one, by its path; empty for any
+    other fix."""
+    edits = finding.fix.edits if finding.fix is not None else ()
+    if root is None or len(edits) != 1:
+        return {}
+    span = edits[0].span
+    return {
+        ".".join(map(str, path)): edits[0].text
+        for path, node in walk(root)
+        if isinstance(node, ScalarNode)
+        and node.text == span.text
+        and node.span.source == span.source
+        and node.span.start <= span.start <= span.end <= node.span.end
     }
 
 
@@ -521,6 +541,7 @@ CAUSES: tuple[Cause, ...] = (
     # A fact, after certain causes and before all others
     Cause(
         name="changed_since_solved",
+        title="values changed since {earlier}, which was solved",
         likelihood=0.89,
         when=lambda e: not e.verdict.solved and e.earlier_solved is not None,
         numbers=changed_since_solved,
@@ -533,6 +554,7 @@ CAUSES: tuple[Cause, ...] = (
     # Nothing to learn
     Cause(
         name="ending_at_reset",
+        title="an episode cannot start",
         likelihood=1.0,
         when=lambda e: e.failure is not None and e.failure.ends_at_reset,
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure)},
@@ -543,6 +565,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="not_finite",
+        title="the training stopped with an error",
         likelihood=1.0,
         when=lambda e: e.has_failed and not (e.failure is not None and e.failure.ends_at_reset),
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure), "episodes": len(e.episodes)},
@@ -552,6 +575,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="fell_apart",
+        title="the training got worse after its best model",
         likelihood=0.9,
         numbers=learner.fell_apart,
         text="{fall}. {reasons}",
@@ -560,6 +584,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="action_without_effect",
+        title="{count} of {of} action parts have no effect",
         likelihood=0.98,
         numbers=action_without_effect,
         text="{count} of {of} action parts have no effect ({parts}): from the same start, all tested values"
@@ -570,6 +595,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="ending_at_once",
+        title="'{ending}' ends episodes before the policy can act",
         likelihood=0.96,
         when=lambda e: (
             len(e.episodes) >= MIN_EPISODES
@@ -591,6 +617,7 @@ CAUSES: tuple[Cause, ...] = (
     # What pays is not the task
     Cause(
         name="reward_exploited",
+        title="the reward pays for something other than the success",
         likelihood=0.929,
         numbers=rewards.reward_exploited,
         text="The reward pays for something other than the success: the mean return of {what} is {gained},"
@@ -600,6 +627,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="ending_early_pays",
+        title="failing early pays",
         likelihood=0.93,
         when=lambda e: len(e.late) >= MIN_EPISODES and np.ptp(e.episodes.lengths) > 0,
         numbers=rewards.ending_early_pays,
@@ -610,6 +638,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="return_at_ceiling",
+        title="the return is at its ceiling",
         likelihood=0.952,
         when=lambda e: (
             len(e.episodes) >= 4 * MIN_EPISODES
@@ -624,6 +653,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="lint_warns",
+        title="{title}",
         likelihood=0.3,
         numbers=lint_warns,
         text="{meaning}: {finding} ({code}).{others}",
@@ -633,6 +663,7 @@ CAUSES: tuple[Cause, ...] = (
     # The observation
     Cause(
         name="sensor_without_reading",
+        title="{count} of {of} measured numbers of the observation never change",
         likelihood=0.95,
         numbers=lambda e: hardly_changing(e, 0.0, SAME_OBSERVATION),
         text="{count} of {of} measured numbers of the observation never changed in {moments} moments"
@@ -643,6 +674,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="constant_observation",
+        title="{count} of {of} measured numbers of the observation hardly change",
         likelihood=0.95,
         numbers=lambda e: hardly_changing(e, SAME_OBSERVATION, _MAX_CONSTANT_SPAN),
         text="{count} of {of} measured numbers of the observation hardly change ({names}): in {moments}"
@@ -653,6 +685,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="saturated_observation",
+        title="{count} of {of} clipped numbers of the observation are outside their range",
         likelihood=0.95,
         when=lambda e: e.probe_moments >= 2 * MIN_EPISODES,
         numbers=saturated_observation,
@@ -665,6 +698,7 @@ CAUSES: tuple[Cause, ...] = (
     # The reward
     Cause(
         name="term_dominates",
+        title="the reward term '{term}' dominates",
         likelihood=0.94,
         numbers=rewards.term_dominates,
         text="The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives"
@@ -674,6 +708,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="standing_still_pays",
+        title="the reward pays for standing still",
         likelihood=0.93,
         when=lambda e: (
             e.idle
@@ -700,6 +735,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="loitering",
+        title="staying near success pays more than success",
         likelihood=0.935,
         when=lambda e: e.program.defines_success and e.is_mature and e.policy,
         numbers=rewards.loitering,
@@ -711,6 +747,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="stage_too_hard",
+        title="stage '{stage}' is too hard after stage '{before}'",
         likelihood=0.935,
         when=lambda e: e.stage_index and e.program.defines_success and e.is_mature,
         numbers=stages.stage_too_hard,
@@ -723,6 +760,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="easy_stage_counted",
+        title="the policy has learned only an easy stage",
         likelihood=0.93,
         when=lambda e: not e.is_running and (e.steps >= 0.5 * e.planned or e.final_episodes),
         numbers=stages.easy_stage_counted,
@@ -733,6 +771,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="some_starts_fail",
+        title="the policy fails from some starts",
         likelihood=0.55,
         numbers=stages.some_starts_fail,
         text="{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with"
@@ -744,6 +783,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="reward_apart_from_success",
+        title="a higher return does not mean more success",
         likelihood=0.72,
         when=lambda e: e.program.defines_success and e.is_mature,
         numbers=rewards.reward_apart_from_success,
@@ -754,6 +794,7 @@ CAUSES: tuple[Cause, ...] = (
     # Starts, stages and teachers
     Cause(
         name="stuck_in_stage",
+        title="the training is stuck in stage '{stage}'",
         likelihood=0.75,
         numbers=stages.stuck_in_stage,
         text="The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}:"
@@ -764,6 +805,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="levels_stay_lowest",
+        title="all worlds stay in the lowest level",
         likelihood=0.7,
         when=lambda e: len(e.late) >= MIN_EPISODES,
         numbers=stages.levels_stay_lowest,
@@ -773,6 +815,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="script_succeeds",
+        title="the script '{script}' is better than the policy",
         likelihood=0.89,
         when=lambda e: e.script_rates and not e.is_taught,
         numbers=script_succeeds,
@@ -782,6 +825,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="teacher_fails",
+        title="the teacher itself fails",
         likelihood=0.895,
         when=lambda e: e.teacher is not None,
         numbers=teacher_fails,
@@ -793,6 +837,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="teacher_sees_more",
+        title="the teacher sees more than the policy",
         likelihood=0.88,
         when=lambda e: e.teacher is not None and e.scripts.get(e.teacher),
         numbers=teacher_sees_more,
@@ -804,6 +849,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="success_never_seen",
+        title="the training has seen hardly any success",
         likelihood=0.7,
         when=lambda e: e.program.defines_success and len(e.episodes) >= MIN_EPISODES and is_rare(e),
         numbers=stages.success_never_seen,
@@ -816,6 +862,7 @@ CAUSES: tuple[Cause, ...] = (
     # Other agents
     Cause(
         name="rival_too_strong",
+        title="the rival is too strong",
         likelihood=0.94,
         numbers=rival_too_strong,
         text="The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and"
@@ -828,6 +875,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="rival_improved",
+        title="the rival got better",
         likelihood=0.7,
         numbers=rival_improved,
         text="The rival got better: `{agent}` succeeded in {own_before} of the episodes from {begin} to"
@@ -840,6 +888,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="strategies_cycle",
+        title="the strategies go round in a circle",
         likelihood=0.9,
         numbers=strategies_cycle,
         text="The strategies go round in a circle: the newest policy wins {lost} of its decided games against"
@@ -850,6 +899,7 @@ CAUSES: tuple[Cause, ...] = (
     # The learner
     Cause(
         name="learning_rate_too_high",
+        title="the learning rate is too high",
         likelihood=0.93,
         numbers=learner.learning_rate_too_high,
         text="The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of"
@@ -859,6 +909,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="learning_rate_too_low",
+        title="the learning rate is too low",
         likelihood=0.93,
         when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
         numbers=learner.learning_rate_too_low,
@@ -868,6 +919,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="rewards_too_large",
+        title="the rewards are too large for the critic",
         likelihood=0.91,
         when=lambda e: len(e.episodes) >= 2 * MIN_EPISODES,
         numbers=learner.rewards_too_large,
@@ -879,6 +931,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="horizon_too_short",
+        title="the discount factor hides late rewards",
         likelihood=0.45,
         numbers=learner.horizon_too_short,
         text="The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has"
@@ -887,6 +940,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="exploration_hides_success",
+        title="exploration prevents success",
         likelihood=0.923,
         numbers=learner.exploration_hides_success,
         text="Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
@@ -896,6 +950,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="success_needs_exploration",
+        title="the policy succeeds only with exploration",
         likelihood=0.923,
         numbers=learner.success_needs_exploration,
         text="With exploration, the policy succeeds in {with} at the end of the training. Without it, it"
@@ -905,6 +960,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="exploration_too_large",
+        title="the policy is still random",
         likelihood=0.93,
         numbers=learner.exploration_too_large,
         text="The policy is still random: after {updates} updates it has {randomness} its initial randomness"
@@ -915,6 +971,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="exploration_collapsed",
+        title="the policy hardly explores",
         likelihood=0.6,
         numbers=learner.exploration_collapsed,
         text="The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy"
@@ -924,6 +981,7 @@ CAUSES: tuple[Cause, ...] = (
     # The end
     Cause(
         name="missed_condition",
+        title="episodes miss a condition of '{ending}'",
         likelihood=0.69,
         when=lambda e: e.is_mature,
         numbers=stages.missed_condition,
@@ -936,6 +994,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="success_plateau",
+        title="the success rate does not rise",
         likelihood=0.6,
         numbers=stages.success_plateau,
         text="{verdict}: it was {before} in the second quarter of {whole} and {late} in the last one, which"
@@ -946,6 +1005,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="one_ending",
+        title="'{ending}' ends {share} of the last episodes",
         likelihood=0.25,
         when=lambda e: (
             len(e.late) >= MIN_EPISODES
@@ -968,6 +1028,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="stopped_early",
+        title="the training stopped early",
         likelihood=0.9,
         when=lambda e: e.verdict.solved is False and not e.is_running,
         numbers=stopped_early,
@@ -976,6 +1037,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="too_few_steps",
+        title="the training is too short",
         likelihood=0.5,
         numbers=too_few_steps,
         text="{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets"

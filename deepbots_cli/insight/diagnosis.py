@@ -5,7 +5,7 @@ A training that solves its task has none, unless it fell apart afterwards, or ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import join, quote
@@ -26,6 +26,8 @@ from deepbots_cli.insight.training import (
 from deepbots_cli.learning.multi_agent import SHARED
 from deepbots_cli.learning.runs.run import Run
 
+CHANGED = "changed_since_solved"
+"""The fact of what was changed since a solved run, which is no cause."""
 CERTAIN = 0.9
 """The likelihood of a certain cause."""
 _BY_NAME = {row.name: row for row in CAUSES}
@@ -69,6 +71,14 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     remaining = [statement for statement in statements if not is_left_out(statement)]
     explained = {name for statement in remaining for name in _BY_NAME[statement.cause].explains}
     return [_with_command(training, statement) for statement in remaining if statement.cause not in explained]
+
+
+def verdict(training: TrainingEvidence, causes: Sequence[Statement]) -> str:
+    """Return whether a training solves its task, and its most likely cause, in a sentence."""
+    states = {True: "solved", False: "not solved", None: ""}
+    state = "not solved yet" if training.is_running else states[training.verdict.solved]
+    titles = [cause.title for cause in sorted(causes, key=lambda cause: cause.cause == CHANGED)]
+    return ": ".join(filter(None, (state, *titles[:1]))) or "no cause of a failure was found"
 
 
 def _with_command(evidence: TrainingEvidence, statement: Statement) -> Statement:

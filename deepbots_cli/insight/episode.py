@@ -78,6 +78,8 @@ _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached it
 
 def _ending(trace: Trace) -> Numbers:
     suffix, outcome = f" (agent {trace.agent})" if trace.agent else "", _WORDS[trace.outcome]
+    if trace.outcome == "time limit" and trace.program.failures and not trace.program.defines_success:
+        outcome = "reached its time limit without a failure"
     if trace.succeeded and trace.outcome != "success":
         outcome = f"was a success of {list_text(trace.succeeded, len(trace.succeeded))}"
     return {

@@ -25,6 +25,7 @@ class StatementRule(Generic[T]):
 
     Attributes:
         name: The cause.
+        title: The cause in a few words, with the same fields; causes have one.
         text: The sentence, with a field in braces for each number.
         numbers: Returns the numbers, or None where the row does not apply. They may be more than the sentence
             shows; the entries `settings` and `command` become those of the statement, and the entry
@@ -45,6 +46,7 @@ class StatementRule(Generic[T]):
     numbers: Callable[[T], Numbers | None]
     when: Callable[[T], object] = lambda subject: True
     advice: str = ""
+    title: str = ""
     likelihood: float | None = None
     command: str = ""
     explains: tuple[str, ...] = ()
@@ -61,7 +63,7 @@ class StatementRule(Generic[T]):
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence with the numbers of its evidence.
+    """A sentence with the numbers of its evidence, and for a cause a title of a few words.
 
     `settings` are the advised values of the scenario: the value as text, by the path of its setting.
     `command` is the next command to run.
@@ -73,6 +75,7 @@ class Statement:
     evidence: Mapping[str, Any]
     settings: Mapping[str, str] = field(default_factory=dict)
     command: str = ""
+    title: str = ""
 
     def as_json(self) -> dict[str, Any]:
         further = {"advice": self.advice, "settings": self.settings, "command": self.command}
@@ -155,8 +158,10 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
             texts = {key: _shown(value) for key, value in evidence.items()}
             further = {"settings": evidence.get("settings", {}), "command": evidence.get("command", "")}
             numbers = {key: value for key, value in evidence.items() if key not in further}
-            sentence, remedy = (form.format(**texts).strip() for form in (rule.text, rule.advice))
-            statements.append(Statement(rule.name, sentence, remedy, numbers, **further))
+            sentence, remedy, title = (
+                form.format(**texts).strip() for form in (rule.text, rule.advice, rule.title)
+            )
+            statements.append(Statement(rule.name, sentence, remedy, numbers, **further, title=title))
     return statements
 
 

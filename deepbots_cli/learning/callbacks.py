@@ -30,7 +30,7 @@ from deepbots_cli.learning.environments import (
     six_digits,
 )
 from deepbots_cli.learning.executor import Interruption
-from deepbots_cli.learning.report import LINE_INTERVAL_S, Activity, Reporter, TrainingProgress
+from deepbots_cli.learning.report import LINE_INTERVAL_S, Activity, Reporter, TrainingProgress, time_left
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.episodes import (
     AGENTS_COLUMN,
@@ -221,8 +221,10 @@ class Confirmations:
         active = self._active
         name = f"confirming on {plan.episodes:,} new starts"
         episodes: list[Episode] = []
+        began = time.perf_counter()
         while len(episodes) < plan.episodes and not plan.is_lost(episodes):
-            self.activity = Activity(name, f"{len(episodes):,} played, needs {plan.requirement}")
+            left = time_left(len(episodes), plan.episodes, time.perf_counter() - began)
+            self.activity = Activity(name, f"{len(episodes):,} played{left}, needs {plan.requirement}")
             report()
             part = range(len(episodes), min(plan.episodes, len(episodes) + CONFIRMATION_PART))
             seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
@@ -349,7 +351,7 @@ class TrainingEvaluations:
         """
         active = self._active
         count = len(self.shortlist.candidates)
-        played = 0
+        played, began = 0, time.perf_counter()
         if count < 2:
             return
         scenario = active.curriculum.scenario_of(active.curriculum.index)
@@ -357,9 +359,11 @@ class TrainingEvaluations:
 
         def play(model: Path, numbers: range) -> list[Episode]:
             nonlocal played
+            most = most_episodes(count)
+            left = time_left(played, most, time.perf_counter() - began)
             self.activity = Activity(
                 f"choosing the best of {count} models on new starts",
-                f"{played} of at most {most_episodes(count)} episodes",
+                f"{played} of at most {most} episodes{left}",
             )
             report()
             played += len(numbers)

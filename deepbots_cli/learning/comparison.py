@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -18,7 +19,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.campaigns.group import Group
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.evaluation import evaluate, until_enough
+from deepbots_cli.learning.evaluation import FinishedEpisodes, evaluate, until_enough
 from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import check_common_measure
@@ -37,10 +38,11 @@ from deepbots_cli.learning.runs.verdict import run_verdict, written_scenario
 from deepbots_cli.program.identity import timing_differences
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.words import counted, number_text
+from deepbots_cli.words import beside, counted, rate_beside
 
 MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
@@ -162,6 +164,7 @@ class GroupDifference:
         own_scenarios: Whether each group is evaluated in its own scenario.
         meanings: The differences of the two scenarios, which determine the scores that can be compared.
         same_criterion: Whether `solved` asks for the same in both scenarios.
+        means: The means of both groups, also of a measure that cannot be compared.
     """
 
     first: str
@@ -174,21 +177,17 @@ class GroupDifference:
     own_scenarios: bool = False
     meanings: Meanings = Meanings()
     same_criterion: bool = True
+    means: Mapping[Measure, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence: by the measure of the task, and by the steps until it was solved."""
+        """The group that is better, in a sentence: by the measure of the task, and by the steps until it was
+        solved if they differ by more than chance."""
         steps = self.solved_after
-        if steps is None or steps.interval is None:
+        if steps is None or not steps.certain:
             return self._verdict_on_measure
-        difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
-        interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
-        sooner = (
-            f"it is solved after {difference}"
-            if steps.certain
-            else f"it is solved after {difference}, but the interval contains 0"
-        )
-        return f"{self._verdict_on_measure}; {sooner} {interval}"
+        difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps"
+        return f"{self._verdict_on_measure}; {self.group} is solved after {difference}"
 
     @property
     def compared(self) -> Measure | None:
@@ -199,44 +198,30 @@ class GroupDifference:
 
     @property
     def _verdict_on_measure(self) -> str:
-        compared = self.compared
+        compared, sides = self.compared, f"{self.group} and {self.first}"
         if compared is None:
-            paths = ", ".join(
-                change.path for change in (*self.meanings.returns, *self.meanings.success)[:_MAX_LISTED]
-            )
-            return (
-                f"{self.group}: cannot be compared with {self.first}, because returns do not mean the"
-                f" same ({paths} differ)"
-            )
+            changes = (*self.meanings.returns, *self.meanings.success)[:_MAX_LISTED]
+            paths = ", ".join(change.path for change in changes)
+            return f"{sides} cannot be compared, because returns do not mean the same ({paths} differ)"
         difference: Difference = getattr(self, compared)
-        words = compared.replace("_", " ")
         if difference.interval is None:
             reason = "a group with one run has no interval; train more seeds"
             if not self.between_seeds:
                 reason = "a single episode has no interval; evaluate more of them with --episodes N"
-            return f"{self.group}: cannot be compared, because {reason}"
-        low, high = difference.interval
-        if low == high == 0:
-            each = "run" if self.between_seeds else "episode"
-            return f"{self.group}: the same {words} as {self.first} in every {each}, so neither is better"
-        if compared == "success_rate":
-            size, interval = f"{abs(difference.mean) * 100:.1f} points", f"{low:+.1%} .. {high:+.1%}"
-        else:
-            size, interval = (
-                number_text(abs(difference.mean)),
-                f"{number_text(low)} .. {number_text(high)}",
-            )
-        interval = f"(95 % interval of the difference: {interval})"
-        sign = "higher" if difference.mean >= 0 else "lower"
+            return f"{sides} cannot be compared, because {reason}"
+        (before, after), words = self.means[compared], compared.replace("_", " ")
+        form = rate_beside if compared == "success_rate" else lambda value, bar: beside(value, bar)[0]
+        low, high = form(before, after), form(after, before)
+        same = "starts with the same seeds" if self.own_scenarios else "the same starts"
+        if difference.interval == (0.0, 0.0):
+            return f"neither is better: {sides} have the same {words} of {low} on {same}"
         if not difference.certain:
             return (
-                f"{self.group}: no significant difference from {self.first}; the {words} is {size} {sign}, "
-                f"but the interval contains 0 {interval}"
+                f"neither is clearly better: {words} of {self.first} {low}, of {self.group} {high}, on {same}"
             )
-        return (
-            f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the"
-            f" {words} is {size} {sign} {interval}"
-        )
+        if difference.mean < 0:
+            return f"{self.first} is better than {self.group}: {words} {low} against {high} on {same}"
+        return f"{self.group} is better than {self.first}: {words} {high} against {low} on {same}"
 
 
 @dataclass(frozen=True)
@@ -282,7 +267,7 @@ def compare(
     own: bool = False,
     permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
-    on_run: OnRun | None = None,
+    on_episode: OnEpisode | None = None,
     executor: Executor = SERIAL,
 ) -> Comparison:
     """Evaluate runs and models of runs on the same starts, and compare them by groups.
@@ -304,7 +289,7 @@ def compare(
         model: The name of the model of each run; a model that `runs` names stays.
         scenario: The scenario to evaluate all runs in. Its interface must be that of every run.
         own: Whether each run is evaluated in its own scenario, also where they mean the same.
-        on_run: Is called after each run.
+        on_episode: Is called with the number of finished episodes of all runs, and the number of all.
         executor: Where the evaluations run; the result does not depend on it.
 
     The other arguments are those of `evaluate`.
@@ -342,7 +327,9 @@ def compare(
         for ref in group.models
     ]
     evaluations = results(
-        executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened))
+        executor.map(
+            _evaluate, calls, watcher=FinishedEpisodes(on_episode, count * len(calls)), files=_records(opened)
+        )
     )
     groups = [
         GroupResult(
@@ -498,7 +485,7 @@ class _Evaluation(NamedTuple):
 
 
 def _evaluate(evaluation: _Evaluation, attempt: Attempt) -> EvaluationResult:
-    return evaluate(evaluation.model, **evaluation.options)
+    return evaluate(evaluation.model, on_episode=lambda done, _: attempt.report(done), **evaluation.options)
 
 
 def _records(models: Sequence[ModelRef]) -> list[Path]:
@@ -591,6 +578,10 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
         world.own,
         world.meanings,
         world.same_criterion,
+        {
+            "mean_return": (first.mean_return, group.mean_return),
+            "success_rate": (first.success_rate, group.success_rate),
+        },
     )
 
 

@@ -137,7 +137,7 @@ def evaluate(
     }
     part_options |= {"permissions": permissions, "engine": engine}
     calls = [_Part(setting.run, part_options, range(*part), policy) for part in pairwise(bounds)]
-    watcher = _Finished(on_episode, setting.episodes)
+    watcher = FinishedEpisodes(on_episode, setting.episodes)
     with closing(
         results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
     ) as played:
@@ -193,8 +193,9 @@ def play_models(
     return results(executor.map(_play_part, calls, watcher=watcher, files=[run.path / RECORD_NAME]))
 
 
-class _Finished(Watcher):
-    """Calls a function with the number of finished episodes of all parts."""
+class FinishedEpisodes(Watcher):
+    """Calls a function with the number of finished episodes of all calls, which report theirs, and the number
+    of all."""
 
     def __init__(self, show: OnEpisode | None, total: int) -> None:
         self._show = show

@@ -372,6 +372,12 @@ def longer_goal(steps: int) -> int:
     return max(1, round(2 * steps / unit)) * unit
 
 
+def time_left(done: int, total: int, elapsed: float) -> str:
+    """Return the longest time to go after `done` of `total` items in `elapsed` s, after a comma; empty before
+    the first item."""
+    return f", at most {duration((total - done) * elapsed / done)} to go" if done else ""
+
+
 def duration(seconds: float) -> str:
     """Return a time as text: `42 s`, `3:07 min` or `2:15 h`."""
     total = round(seconds)

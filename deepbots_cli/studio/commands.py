@@ -1,8 +1,8 @@
 """The commands that the studio runs, each in a process of its own, which survives the server.
 
-A task is a folder with `task.json` (the command), `log` (its output) and, once it has ended, `exit` (its
-exit code). The process, `python -m deepbots_cli.studio.commands FOLDER`, locks the folder while it runs, so a
-studio that starts again finds it.
+A task is a folder with `task.json` (the command), `log` (its output), `verdict` (its result) and, once it has
+ended, `exit` (its exit code). The process, `python -m deepbots_cli.studio.commands FOLDER`, locks the folder
+while it runs, so a studio that starts again finds it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.runs.directories import is_training, read_json, run_lock, write_text
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.processes import VERDICT_FILE, python_command, python_environment
 from deepbots_cli.records import dataclass
 
 RUNS_FOLDER = "runs"
@@ -46,29 +46,21 @@ _TITLES = {
     "eval": "Evaluation",
     "render": "Video",
     "report": "Report",
+    "train": "Training",
+    "resume": "Training",
+    "compare": "Comparison",
+    "diagnose": "Explanation",
+    "lint": "Check",
+    "diff": "Differences",
 }
-"""The headings of outputs of commands, before the name of a run."""
-_RESULTS = {
-    "test": re.compile(r"^\d+ passed.*|^\d+ failed.*", re.MULTILINE),
-    "try": re.compile(r"^[\d,]+ (?:of [\d,]+ )?episodes?(?: succeeded)?, .*", re.MULTILINE),
-    "eval": re.compile(r"^ +(?:mean return|success rate) .*|^(?:not )?solved.*", re.MULTILINE),
-    "compare": re.compile(
-        r"^.*(?: is (?:better|worse) than | no significant difference |: the same .* in every |"
-        r": cannot be compared).*|(?<=note: )the rewards of the runs differ.*",
-        re.MULTILINE,
-    ),
-    "diagnose": re.compile(r"^Episode .*", re.MULTILINE),
-    "lint": re.compile(r"^.*: no findings$|^\d+ (?:error|warning).*", re.MULTILINE),
-}
-"""The lines of the output of a command with its result."""
-
-TASK_NAME, LOG_NAME, EXIT_NAME = "task.json", "log", "exit"
+"""What commands make, in headings and notices."""
+TASK_NAME, LOG_NAME, EXIT_NAME, VERDICT_NAME = "task.json", "log", "exit", "verdict"
 _MAX_RECORD_BYTES = 100_000
 MAX_LOG_BYTES = 200_000
 """The number of bytes at the end of an output that the page shows."""
 _MAX_LINE_BYTES = 1_000
 _BESIDE_LEARNING = re.compile(r"[\d,]+ of [\d,]+ steps  (.+?)(, needs .+)? \.\.\.")
-_EPISODES = re.compile(r"[\d,]+ of [\d,]+ episodes")
+_EPISODES = re.compile(r"([\d,]+ of [\d,]+ episodes)(?:.*  (\d+ s to go))?")
 _START_S = 10.0
 """The time in s within which a process locks its folder."""
 _MAX_TASKS = 100
@@ -132,12 +124,18 @@ class Task:
         training = _BESIDE_LEARNING.fullmatch(line)
         if training is not None:
             return training[1]
-        return f"evaluating, {line}" if _EPISODES.match(line) else ""
+        episodes = _EPISODES.fullmatch(line)
+        return ", ".join(["evaluating", *filter(None, episodes.groups())]) if episodes is not None else ""
 
-    def _tail(self, size: int) -> str:
-        """Return at most `size` bytes of the end of the output as text."""
+    @property
+    def verdict(self) -> str:
+        """The result of the command in a sentence; empty before its end and without one."""
+        return self._tail(MAX_LOG_BYTES, VERDICT_NAME)
+
+    def _tail(self, size: int, name: str = LOG_NAME) -> str:
+        """Return at most `size` bytes of the end of a file, by default the output, as text."""
         try:
-            with (self.path / LOG_NAME).open("rb") as stream:
+            with (self.path / name).open("rb") as stream:
                 stream.seek(max(0, stream.seek(0, os.SEEK_END) - size))
                 return stream.read(size).decode("utf-8", "replace")
         except OSError:
@@ -202,7 +200,7 @@ class Tasks:
         process = subprocess.Popen(
             python_command("deepbots_cli.studio.commands", str(path)),
             cwd=folder,
-            env=python_environment({"DEEPBOTS_STUDIO_TASK": "1"}),
+            env=python_environment({VERDICT_FILE: str(path / VERDICT_NAME)}),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -245,14 +243,14 @@ def title_of(task: Task) -> str:
 
 
 def result_of(task: Task) -> str:
-    """Return the result of a command that has ended, in a sentence; empty if there is none."""
-    pattern = _RESULTS.get(task.record.words[0])
+    """Return the result of a command in a sentence, or what it does while it runs; empty if neither is
+    known."""
     if task.exit_code == 0 and task.record.output:
         return f"{task.record.output} is written"
-    lines = pattern.findall(task.output()) if pattern is not None and not task.is_running else []
-    text = "; ".join(" ".join(line.split()) for line in dict.fromkeys(lines))
+    if task.is_running:
+        return task.activity
     is_random = task.record.words[0] == "try" and "--driver" not in task.record.words
-    return f"Random actions: {text}" if text and is_random else text
+    return f"Random actions: {task.verdict}" if task.verdict and is_random else task.verdict
 
 
 class Commands:
@@ -342,22 +340,17 @@ class Commands:
         return [*options, "--allow-code"] if self._permissions.code and verb in _CODE_VERBS else options
 
     def end_of(self, task: Task) -> str:
-        """Return a sentence about a command that has ended."""
-        # The process of a task needs neither, and starts 0.25 s earlier.
+        """Return a few words about a command that has ended."""
+        # The process of a task does not need it, and starts 0.25 s earlier.
         from deepbots_cli.learning.campaigns.listing import read_listed
-        from deepbots_cli.studio.trainings import result_text
 
-        code, run = task.exit_code, task.record.run
-        name = f"{task.record.words[0]} of {run}" if run else task.record.words[0]
+        code, run, title = task.exit_code, self.trained_run(task), title_of(task)
         if code == _INTERRUPTED:
-            return f"{name} was stopped"
-        if result := result_of(task):
-            return f"{name}: {result}"
-        if code:
-            return f"{name} has failed; the tab Commands shows why"
-        if run and task.record.words[0] in _TRAINING_VERBS:
-            return f"{run}: {result_text(read_listed(self._folder / run))}"
-        return f"{name} has ended; the tab Commands shows its output"
+            return f"{title}: stopped"
+        if task.verdict or not code:
+            solved = None if run is None else read_listed(run).solved
+            return f"{title}: {({True: 'solved', False: 'not solved', None: 'finished'})[solved]}"
+        return f"{title}: failed; the tab Commands shows why"
 
     def look(self) -> tuple[list[Task], bool]:
         """Return the commands that have ended since the last look, and whether any runs."""

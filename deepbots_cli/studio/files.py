@@ -135,9 +135,7 @@ class OpenFile:
             raise UsageError(f"{self.path.name} belongs to deepbots or another project; save a copy of it")
         self.read_outside()
         if self.outside is not None:
-            raise UsageError(
-                f"another program has changed {self.path.name}; take its text or keep this one, then save"
-            )
+            raise UsageError(f"another program has changed {self.path.name}; take its text or keep this one")
         if not self.is_modified:
             return
         with atomic_write(self.path) as draft:
@@ -205,7 +203,7 @@ def read_text(path: Path) -> tuple[str, Form]:
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {(error.strerror or 'error').lower()}") from error
     if len(content) > MAX_BYTES:
-        raise UsageError(f"{path.name} has more than {MAX_BYTES:,} bytes, which is too large for a scenario")
+        raise UsageError(f"{path.name} has more than {MAX_BYTES:,} bytes, the limit of a scenario")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -19,7 +19,7 @@ from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
 from deepbots_cli.studio.lesson_tab import LessonTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
-from deepbots_cli.studio.runs_tab import RunsTab, values_text
+from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import HAS_ERRORS, TABS, Session, Topic
 from deepbots_cli.studio.training_tab import TrainingTab
 from deepbots_cli.words import counted
@@ -327,9 +327,7 @@ class StudioPage:
 
         def write() -> None:
             lines = self._session.write_values(values)
-            self._shown.say(
-                f"{values_text(values)} is in the text; save it, or press Train, which saves it too"
-            )
+            self._shown.say(f"wrote {counted(len(values), 'value')} into the text; save it, or press Train")
             if self._file is not None and self._file.path == self._session.current:
                 self._editor.refresh()
                 self._editor.mark_lines(lines)

@@ -202,9 +202,7 @@ class Robot:
     def _recover(self, code: int) -> None:
         """Start the process again, unless it has crashed too often."""
         if self.crashes == _MAX_CRASHES:
-            self.problem = (
-                f"the process of the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
-            )
+            self.problem = f"the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
         else:
             self.problem = f"the process of the simulation ended ({_ended_by(code)}); it was started again"
             self._open_process()

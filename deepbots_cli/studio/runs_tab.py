@@ -14,10 +14,11 @@ from typing import Any
 
 from nicegui import events, ui
 
+from deepbots_cli.analysis.changes import compared_meanings
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values
+from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values, written_scenario
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.commands import RUNS_FOLDER, Task, title_of
 from deepbots_cli.studio.layout import Result, text_with_code
@@ -39,12 +40,10 @@ _ADVISED_COMMANDS = {
 the command replaces the braces."""
 _RANKS = ((0.9, "Certain cause"), (0.5, "Likely cause"), (0.0, "Possible cause"))
 """The lowest likelihood of each rank, which orders the causes of a diagnosis."""
-_NO_CAUSE = {
-    True: "the task is solved, and no cause of a failure was found",
-    False: "no known cause was found; let a script of the scenario drive the robot: if it fails, too, the"
-    " task may be too hard. Look at the robot of the run and at the endings in its report, and compare it"
-    " with a run before the last change",
-}
+_NO_CAUSE = (
+    "Let a script of the scenario drive the robot: if it fails, too, the task may be too hard. Look at the robot"
+    " of the run and at the endings in its report, and compare it with a run before the last change."
+)
 _AGE = """at => {
   const seconds = Date.now() / 1000 - at;
   if (!at) return "";
@@ -70,11 +69,11 @@ _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("return", "mean return", "right", {"classes": "studio-return", ":format": _RETURN}),
     ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
     ("solved", "solved", "left", _SHORT),
-    ("steps", "steps", "right", {**_SHORT, ":format": _COUNT}),
+    ("steps", "steps", "right", {**_WIDE, ":format": _COUNT}),
     ("when", "when", "left", {**_WIDE, ":format": _AGE}),
     (
         "change",
-        "changed since the run before",
+        "changed",
         "left",
         {"style": "overflow-wrap: anywhere", "classes": "studio-change"},
     ),
@@ -96,7 +95,7 @@ class RunsTab:
         self._session, self._shown = session, session.shown
         self._write_advice, self._train = write_advice, train
         self._is_dark = False
-        self._compared: tuple[ui.echart, dict[str, TrainingLog]] | None = None
+        self._compared: tuple[ui.echart, dict[str, TrainingLog], bool] | None = None
         self._names: set[str] = set()
         self._columns = [
             {"name": name, "field": name, "label": label, "align": align, "sortable": True, **more}
@@ -144,9 +143,9 @@ class RunsTab:
         """Draw the curves of a comparison in other colors."""
         self._is_dark = dark
         if self._compared is not None:
-            chart, logs = self._compared
+            chart, logs, has_returns = self._compared
             chart.options.clear()
-            chart.options.update(comparison_chart(logs, dark=dark))
+            chart.options.update(comparison_chart(logs, has_returns=has_returns, dark=dark))
             chart.update()
 
     def close_result(self) -> None:
@@ -266,19 +265,18 @@ class RunsTab:
             for path in (one, other)
             if (log := await asyncio.to_thread(_log_or_none, folder / path)) is not None
         }
-        differences = await asyncio.to_thread(_differences, folder / one, folder / other)
+        differences, same_returns = await asyncio.to_thread(_differences, folder / one, folder / other)
         if not self._result.shows(place):  # it was closed, or shows something newer
             return
         with place:
             with ui.element("div").classes("studio-advice"):
-                results = "; ".join(f"{run.path.name} is {result_text(run)}" for run in runs)
-                ui.label(f"{results}.").classes("studio-cause")
+                sentence = ui.label("").classes("studio-cause")
+                ui.label("; ".join(f"{run.path.name} is {result_text(run)}" for run in runs))
                 ui.label(_unbroken(differences))
-                with ui.element("div"):
-                    ui.label("On the same starts: ").classes("studio-inline")
-                    sentence = ui.label("").classes("studio-inline")
-            chart = ui.echart(comparison_chart(logs, dark=self._is_dark))
-            self._compared = chart.classes("studio-chart studio-compared"), logs
+                if not same_returns:
+                    ui.label("Their rewards differ, so their returns cannot be compared.")
+            chart = ui.echart(comparison_chart(logs, has_returns=same_returns, dark=self._is_dark))
+            self._compared = chart.classes("studio-chart studio-compared"), logs, same_returns
         self._result.watch(task, place, sentence)
 
     async def diagnose(self, path: Path) -> None:
@@ -289,18 +287,15 @@ class RunsTab:
         if not self._result.shows(place):  # it was closed, or shows something newer
             return
         with self._fill(f"Diagnosis of {path.name}", path).classes("studio-advice"):
-            try:
-                (report, *_) = json.loads(text)["runs"] if not code else [None]
-            except (ValueError, KeyError, TypeError):
-                report = None
-            if report is None:
+            if code:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
-            causes = report.get("causes") or ()
-            if not causes:
-                ui.label(_NO_CAUSE[bool(report["solved"])])
+            report = json.loads(text)["runs"][0]
+            ui.label(report["verdict"]).classes("studio-cause")
+            if not report["causes"] and not report["solved"]:
+                ui.label(_NO_CAUSE)
             shown: set[str] = set()
-            for number, cause in enumerate(causes, 1):
+            for number, cause in enumerate(report["causes"], 1):
                 with ui.element("div").classes("studio-cause-card"):
                     self._add_cause(path, cause, number, shown)
 
@@ -310,7 +305,7 @@ class RunsTab:
         with ui.element("div").classes("studio-cause-head"):
             ui.label(str(number)).classes("studio-number-badge")
             ui.label(_rank(cause))
-        text_with_code(_unbroken(cause.get("text") or cause.get("statement"))).classes("studio-cause")
+        text_with_code(_unbroken(cause["text"]))
         advice = str(cause.get("advice") or "").replace(" RUN", f" {shlex.quote(str(path))}")
         if advice:
             text_with_code(advice)
@@ -431,13 +426,17 @@ def _unbroken(text: object) -> str:
     )
 
 
-def _differences(one: Path, other: Path) -> str:
-    """Return a sentence about the values in which one run differs from another one."""
+def _differences(one: Path, other: Path) -> tuple[str, bool]:
+    """Return a sentence about the values in which one run differs from another one, and whether the returns of
+    both mean the same."""
     try:
-        values = changed_values(Run.open(one), Run.open(other))
+        runs = Run.open(one), Run.open(other)
+        values = changed_values(*runs)
+        meanings = compared_meanings(*(written_scenario(run.compiled) for run in runs))
     except (DeepbotsError, OSError) as error:
-        return f"{other.name} and {one.name} cannot be compared value by value: {error}."
-    return f"{other.name} differs from {one.name} in {'; '.join(map(str, values)) or 'nothing'}."
+        return f"{other.name} and {one.name} cannot be compared value by value: {error}.", True
+    changes = "; ".join(map(str, values)) or "nothing"
+    return f"{other.name} differs from {one.name} in {changes}.", not meanings.reward
 
 
 def _log_or_none(run: Path) -> TrainingLog | None:

@@ -120,7 +120,10 @@ class Shown:
         if self._restarts and state is not None and robot.is_current:
             self._restarts = False
             changes = state.changes.replace(" -> ", " → ")
-            self.say(f"the robot has started again, with {changes or 'the saved text'}")
+            self.say(
+                "the robot has started again, with "
+                + (changes if 0 < len(changes.split()) < 7 else "the saved text")
+            )
         self._tell("robot")
 
     # Trainings
@@ -301,9 +304,7 @@ class Session:
             return self.files[real]
         is_read = any(real in self.language.files_of(other) for other in self.files)
         if real is None or (not self.may_open(path) and not is_read):
-            raise UsageError(
-                f"{path} is not a scenario in {self.folder}; the studio does not open other files"
-            )
+            raise UsageError(f"{path} is no scenario in {self.folder}; the studio opens no other files")
         file = self.files[real] = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
         self.language.update(file)
         self._tell("files")
@@ -400,7 +401,7 @@ class Session:
         for path, value in values.items():
             edit = self.language.assignment(draft, path, value)
             if edit is None:
-                raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
+                raise UsageError(f"{file.path.name} has no place for `{path}`; write it yourself")
             draft.edit([edit])
         if "train.total_timesteps" in values:
             self.timesteps = ""

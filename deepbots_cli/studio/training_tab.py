@@ -10,7 +10,6 @@ from typing import Any
 from nicegui import ui
 
 from deepbots_cli.learning.campaigns.listing import ListedRun
-from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.layout import ICONS, Result
 from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session
@@ -152,7 +151,8 @@ class TrainingTab:
         activity = task.activity if task is not None and is_running else ""
         if is_running and not activity and (run.state == "finished" or training.stands_still):
             activity = "evaluating ..." if task is not None and task.output() else "starting ..."
-        text = training.problem or status(run, None if activity else training.seconds_left)
+        time_left = "" if activity else training.time_left(self._session.runs)
+        text = training.problem or status(run, time_left)
         self._text.set_text(", ".join(filter(None, (f"{run.path.name}: {text}", activity))))
         key = (run.path, training.log, self._is_dark)
         if key != self._drawn:
@@ -207,11 +207,9 @@ class TrainingTab:
             task.stop()
 
 
-def status(run: ListedRun, seconds_left: float | None) -> str:
+def status(run: ListedRun, time_left: str) -> str:
     """Return the state and the results of a run in one line."""
     if run.state != "training":
         return result_text(run)
-    parts = [f"training, {run.steps or 0:,} of {run.total_timesteps or 0:,} steps", score_text(run)]
-    if seconds_left is not None:
-        parts.append(f"at most {duration(seconds_left)} to go")
-    return ", ".join(filter(None, parts))
+    steps = f"training, {run.steps or 0:,} of {run.total_timesteps or 0:,} steps"
+    return ", ".join(filter(None, (steps, score_text(run), time_left)))

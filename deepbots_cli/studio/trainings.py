@@ -4,16 +4,18 @@ results, and what each changed against the one before it."""
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
+from statistics import median
 from typing import Any, Literal
 
 import numpy as np
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
+from deepbots_cli.learning.report import duration
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
@@ -115,16 +117,22 @@ class WatchedTraining:
         which may have begun after the files were read last."""
         return (is_running or not self._ended) and time.monotonic() >= self._due
 
-    @property
-    def seconds_left(self) -> float | None:
-        """The time until the last timestep at the present speed, in s; None while it is unknown."""
+    def time_left(self, others: Iterable[ListedRun]) -> str:
+        """Return the longest time to go at the present speed, and the usual one if others of these runs
+        solved the scenario; empty while it is unknown."""
         run, steps = self.listed, self._steps
         if run is None or run.state != "training" or not run.total_timesteps or len(steps) < 2:
-            return None
+            return ""
         (begin, first), (end, last) = steps[0], steps[-1]
         if last <= first or end - begin < _STILL_S:
-            return None
-        return max(0.0, (run.total_timesteps - last) * (end - begin) / (last - first))
+            return ""
+        per_step = (end - begin) / (last - first)
+        longest = f"at most {duration(max(0.0, (run.total_timesteps - last) * per_step))} to go"
+        solved = [
+            other.solved_after or 0 for other in others if other.solved and other.scenario == run.scenario
+        ]
+        usual = median(solved) - last if solved else 0.0
+        return f"{longest}, usually {duration(usual * per_step)}" if usual > 0 else longest
 
     @property
     def stands_still(self) -> bool:
@@ -188,7 +196,7 @@ class RunChanges:
         self._started = begun
         last: dict[str, ListedRun] = {}
         changes: dict[Path, RunChange] = {}
-        opened: dict[Path, Run] = {}
+        opened = cache(Run.open)
         for run in sorted(single, key=lambda run: begun[run.path])[-_MAX_RUNS:]:
             before = last.get(run.scenario)
             text = "first run" if before is None else self._compared(before, run, opened)
@@ -196,21 +204,16 @@ class RunChanges:
             last[run.scenario] = run
         return changes
 
-    def _compared(self, before: ListedRun, run: ListedRun, opened: dict[Path, Run]) -> str:
+    def _compared(self, before: ListedRun, run: ListedRun, opened: Callable[[Path], Run]) -> str:
         # A resumed training has more timesteps.
         key = tuple((side.path, side.digest, side.total_timesteps) for side in (before, run))
         if key not in self._texts:
             try:
-                self._texts[key] = self._text(before, run, opened)
+                values = changed_values(opened(before.path), opened(run.path))
+                self._texts[key] = listed_values(values) or "nothing"
             except (DeepbotsError, OSError):
                 self._texts[key] = "cannot be compared"
         return self._texts[key]
-
-    def _text(self, before: ListedRun, run: ListedRun, opened: dict[Path, Run]) -> str:
-        for side in (before, run):
-            if side.path not in opened:
-                opened[side.path] = Run.open(side.path)
-        return listed_values(changed_values(opened[before.path], opened[run.path])) or "nothing"
 
 
 def _started(path: Path) -> float:
@@ -248,20 +251,24 @@ def training_chart(log: TrainingLog, *, has_successes: bool, dark: bool) -> dict
     return options
 
 
-def comparison_chart(logs: dict[str, TrainingLog], *, dark: bool) -> dict[str, Any]:
-    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
+def comparison_chart(logs: dict[str, TrainingLog], *, has_returns: bool, dark: bool) -> dict[str, Any]:
+    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations.
+
+    Without `has_returns`, it has success rates only, for runs whose returns do not mean the same.
+    """
     lines = []
     by_length = sorted(logs, key=lambda name: logs[name].last_step, reverse=True)
     for color, (name, log) in zip(_COLORS_ON_DARK if dark else _COLORS, logs.items(), strict=False):
-        for line in (
-            _line(name, log.returns, 0),
-            _line(name, log.evaluations, 0, "marks"),
-            _line(f"{name} success", log.successes, 1, "dashes"),
-        ):
+        returns = [_line(name, log.returns, 0), _line(name, log.evaluations, 0, "marks")]
+        successes = _line(f"{name} success", log.successes, 1, "dashes" if has_returns else "line")
+        for line in (*(returns if has_returns else ()), successes):
             # Runs with the same seed may begin alike, so the shorter run is drawn over the longer one.
             lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
     has_successes = any(log.successes is not None for log in logs.values())
-    return _chart([*lines, *_goals(logs.values(), dark=dark)], logs.values(), has_successes, dark)
+    goals = _goals(logs.values(), dark=dark) if has_returns else []
+    options = _chart([*lines, *goals], logs.values(), has_successes, dark)
+    options["yAxis"][0]["show"] = has_returns
+    return options
 
 
 def _chart(

@@ -361,7 +361,6 @@ class Panel:
         agent = self._agent.of(frame)
         running = "press a key to begin" if playback.waiting else "running"
         state = frame.ending or ("paused" if playback.paused else running)
-        state = f"{world.title}: {state}" if world.title else state
         member = player.program.members.get(self._agent.name)
         solved = (member.program if member else player.program).agent.solved
         goal = solved.mean_return if solved is not None else None
@@ -369,7 +368,9 @@ class Panel:
         if frame.ended_by:
             unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
             reaches_goal = frame.truncated and goal is not None and agent.episode_return >= goal
+            state = f"goal reached: {frame.ended_by}" if reaches_goal else state
             color = "#009E73" if frame.is_success or frame.succeeded or reaches_goal else unsuccessful
+        state = f"{world.title}: {state}" if world.title else state
         # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
         total = (
             "" if player.reader.layout.of_robot else f"<br>return so far {number_text(agent.episode_return)}"

@@ -642,7 +642,7 @@ def test_a_training_is_diagnosed_the_same_without_docstrings(deepbots, tmp_path,
     trained = without_docstrings(
         tmp_path, "-m", "deepbots_cli", "train", "cartpole", "--timesteps", "2000", "--run", "mine"
     )
-    assert "most likely cause: The training is short." in trained.stdout + trained.stderr
+    assert "most likely cause: the training is too short" in trained.stdout + trained.stderr
     diagnosis = without_docstrings(tmp_path, "-m", "deepbots_cli", "diagnose", "mine").stdout
     assert "Try: Continue the training" in diagnosis
     assert diagnosis == deepbots("diagnose", "mine").out

@@ -70,9 +70,9 @@ def trained(first, tmp_path):
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "mean return" in trained.out
-    assert "\nnot solved: mean return " in trained.out
-    assert "deepbots render mine -o mine.mp4" in trained.err
-    assert "tensorboard --logdir mine" in trained.err
+    assert trained.out.startswith("not solved: mean return ")
+    assert len(trained.out.splitlines()) <= 12
+    assert trained.err.rstrip().splitlines()[-1].startswith("  deepbots ")
     assert (
         "`deepbots lint cartpole --exploits` looks for ways to earn this reward without doing the task\n"
         in trained.err
@@ -124,7 +124,6 @@ def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_i
     best = RunRecord.read(tmp_path / "mine").result.best
     assert 0 < best.steps <= 256
     assert best.text.startswith(f"after {best.steps} steps, by mean return ")
-    assert re.search(rf"^  best model +{re.escape(best.text)}$", trained.out, re.MULTILINE)
     assert best.text in deepbots("inspect", "mine").out
     (listed,) = json.loads(deepbots("runs", ".", "--json").out)
     assert (listed["best_steps"], listed["chosen_by"]) == (best.steps, best.chosen_by)
@@ -135,11 +134,7 @@ def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_i
 
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
-    assert ran.err.split("next:")[1].split("\n")[1:4] == [
-        "  deepbots view mine",
-        "  deepbots report mine",
-        "  deepbots export mine",
-    ]
+    assert ran.err.split("next:\n")[1].splitlines() == ["  deepbots report mine", "  deepbots view mine"]
     assert "deepbots resume" not in ran.err
 
 
@@ -156,8 +151,8 @@ def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(dee
     monkeypatch.setattr(sys, "argv", ["deepbots", *words, "mine"])
     ran = deepbots(*words, "mine")
     assert "most likely cause (" in ran.out
-    assert "The learning rate is 0.5, 167 times the usual 0.003" in ran.out
-    advised = ran.err.split("next:\n")[1].splitlines()[0].split()
+    assert "the learning rate is too high" in ran.out
+    advised = ran.err.split("next:\n")[1].splitlines()[1].split()
     assert advised[:5] == ["deepbots", "train", "cartpole", "--seed", "0"]
     assert "train.learning_rate=0.003" in advised
     assert "train.learning_rate=0.5" not in advised
@@ -195,9 +190,8 @@ def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepb
 @pytest.mark.slow
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
-    assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err
+    assert "deepbots diagnose 'my läufe/a b'" in ran.err
     assert "deepbots resume 'my läufe/a b'" in ran.err
-    assert "--logdir 'my läufe/a b/tensorboard'" in ran.err
     assert (
         "deepbots lint 'to change/cartpole.yaml'"
         in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
@@ -368,7 +362,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert "at least two runs" in ran.err
     shutil.copytree("mine", "other")
     ran = deepbots("compare", "mine", "other", "--episodes", "3")
-    assert "other: the same mean return as mine in every episode, so neither is better" in ran.out
+    assert ran.out.startswith("neither is better: other and mine have the same mean return of ")
     assert "each group has one run" in ran.out
     report = json.loads(deepbots("compare", "mine", "other", "--episodes", "3", "--json").out)
     assert report["differences"][0]["mean_return"] == {
@@ -468,7 +462,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     assert "--baselines does not go with a group; name one of its runs" in refused.err
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "5")
-    assert any(words in ran.out for words in ("no significant difference", "neither is better"))
+    assert any(words in ran.out for words in ("neither is clearly better", "neither is better"))
     assert json.loads(deepbots("resume", group, "--json").out)["training"]["skipped"] == [0, 2]
 
 
@@ -537,8 +531,8 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
     changed = ("--set", "solved=mean_return >= 1 over 4 episodes", "--min-return", "0")
     ran = deepbots("eval", "mine", *changed, "--require-solved", "--junit", "gate.xml", "--csv", "gate.csv")
     remarks = "(--set 'solved=mean_return >= 1 over 4 episodes')"
-    assert ran.out.splitlines()[-1].startswith("solved: ")
-    assert ran.out.splitlines()[-1].endswith(remarks)
+    assert ran.out.splitlines()[0].startswith("solved: ")
+    assert ran.out.splitlines()[0].endswith(remarks)
     suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
     assert [case.get("name") for case in suite.iter("testcase")] == [
         f"the task is solved {remarks}",
@@ -824,7 +818,7 @@ def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots
 def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, trained: Ran) -> None:
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert "models of mine on new starts, the best first" in ran.out
-    assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
+    assert "on further new starts, which were not used to choose it:\nnot solved: mean return " in ran.out
     best = RunRecord.read(Path("mine")).result.best  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"

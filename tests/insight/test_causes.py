@@ -23,6 +23,7 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
+from deepbots_cli.insight.causes import CAUSES
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.learner import suspects
 from deepbots_cli.insight.stages import PRESENT_STAGE
@@ -636,6 +637,19 @@ def test_the_logs_of_a_training_have_these_causes(name: str, run_of: Callable[[A
         assert {key: statements[cause].evidence[key] for key in numbers} == numbers
     for cause, command in case.commands.items():
         assert statements[cause].command == command
+
+
+def test_a_verdict_names_each_cause_in_a_few_words() -> None:
+    assert [cause.name for cause in CAUSES if not 0 < len(cause.title.split()) <= 14] == []
+
+
+def test_a_diagnosis_writes_the_value_of_the_line_that_lint_names(run_of: Callable[[Any], Path]) -> None:
+    case = CASES["a finding of lint that the training confirms"]
+    lower = statement_of(with_logs(run_of(case.run), **case.logs), "lint_warns")
+    ((path, value),) = lower.settings.items()
+    assert path == "reward.stay"
+    assert f"to `{value}` or less" in lower.advice
+    assert lower.command.endswith(f"--set reward.stay={value}")
 
 
 def test_a_stage_is_told_with_the_value_of_its_criterion(run_of: Callable[[Any], Path]) -> None:

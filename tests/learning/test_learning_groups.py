@@ -309,12 +309,13 @@ def test_the_runs_of_one_group_are_compared_with_each_other(trained_group: Group
 def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> None:
     equal = compare_seeds([200.0] * 3, [200.0] * 3)
     steps = compare_seeds([26_900, 26_300, 27_400], [46_400, 44_200, 48_800])
-    verdict = GroupDifference(
-        "wide", "narrow", "mean_return", equal, None, between_seeds=True, solved_after=steps
-    ).verdict
-    assert verdict.startswith(
-        "narrow: the same mean return as wide in every run, so neither is better; it is solved after 19,600 more"
-        " steps of training (95 % interval "
+    means = {"mean_return": (200.0, 200.0)}
+    assert (
+        GroupDifference(
+            "wide", "narrow", "mean_return", equal, None, True, solved_after=steps, means=means
+        ).verdict
+        == "neither is better: narrow and wide have the same mean return of 200 on the same starts; narrow is"
+        " solved after 19,600 more steps"
     )
 
 
@@ -645,11 +646,14 @@ def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: P
 def test_the_verdict_is_about_successes_where_the_task_asks_for_them() -> None:
     returns = compare_episodes([200.0] * 99 + [199.0], [100.0] * 99 + [99.0])
     successes = compare_episodes([0.0] * 100, [0.0] * 50 + [1.0] * 50)
-    difference = GroupDifference("one", "other", "success_rate", returns, successes, between_seeds=False)
-    assert difference.verdict.startswith("other is better than one: the success rate is 50.0 points higher")
-    assert replace(difference, measure="mean_return").verdict.startswith(
-        "other is worse than one: the mean return is 100 lower"
-    )
+    means = {"mean_return": (199.99, 99.99), "success_rate": (0.0, 0.5)}
+    difference = GroupDifference("one", "other", "success_rate", returns, successes, False, means=means)
+    better = "other is better than one: success rate 50% against 0% on the same starts"
+    assert difference.verdict == better
+    worse = "one is better than other: mean return 200 against 99.99 on the same starts"
+    assert replace(difference, measure="mean_return").verdict == worse
+    few = replace(difference, success_rate=compare_episodes([0.0, 1.0], [1.0, 1.0]))
+    assert few.verdict.startswith("neither is clearly better: success rate of one 0%, of other 50%, on")
 
 
 def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_seeds() -> None:
@@ -657,7 +661,7 @@ def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_see
     between_runs = GroupDifference("one", "other", "mean_return", single, None, between_seeds=False)
     assert (
         between_runs.verdict
-        == "other: cannot be compared, because a single episode has no interval; evaluate more of them with"
+        == "other and one cannot be compared, because a single episode has no interval; evaluate more of them with"
         " --episodes N"
     )
     assert replace(between_runs, between_seeds=True).verdict.endswith(

@@ -8,6 +8,7 @@ Test the axes of the learning curves on the page.
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import json
 import os
@@ -34,6 +35,7 @@ import uvicorn
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepbots_cli import studio
 from deepbots_cli.cli import main
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.document import Permissions
@@ -41,7 +43,17 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
-from deepbots_cli.studio.commands import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
+from deepbots_cli.studio.commands import (
+    EXIT_NAME,
+    LOG_NAME,
+    TASK_NAME,
+    VERDICT_NAME,
+    Commands,
+    Task,
+    TaskRecord,
+    Tasks,
+    result_of,
+)
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference, edited
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
@@ -346,7 +358,7 @@ def test_what_a_scenario_may_not_read_is_not_opened(tmp_path):
         file = session.open(Path("a.yaml"))
         await _until(lambda: session.language.checked_revision(file.path) == file.revision)
         assert session.language.has_errors(file.path)
-        with pytest.raises(UsageError, match="does not open other files"):
+        with pytest.raises(UsageError, match="opens no other files"):
             session.open(Path("../other.yaml"))
         await session.close()
 
@@ -453,10 +465,12 @@ def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
     with (tmp_path / LOG_NAME).open("w", encoding="utf-8") as log:
         reporter, progress = ProgressReporter(log), TrainingProgress(8_000, 10_000, 40, 12.5, None)
         reporter.start(progress)
-        confirms = Activity("confirming on 200 new starts", "40 played, needs 90 % of them")
+        confirms = Activity(
+            "confirming on 200 new starts", "40 played, at most 8 s to go, needs 90 % of them"
+        )
         reporter.update(replace(progress, activity=confirms))
         log.flush()
-        assert task.activity == "confirming on 200 new starts: 40 played"
+        assert task.activity == "confirming on 200 new starts: 40 played, at most 8 s to go"
         reporter.update(replace(progress, steps=9_000))
         log.flush()
         assert task.activity == ""
@@ -593,7 +607,7 @@ def test_a_file_that_was_removed_can_be_saved_again(file):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"x" * (5 << 20), "mine.yaml has more than 1,048,576 bytes, which is too large for a scenario"),
+        (b"x" * (5 << 20), "mine.yaml has more than 1,048,576 bytes, the limit of a scenario"),
         (bytes(range(256)), "mine.yaml is not text in UTF-8"),
     ],
 )
@@ -680,8 +694,61 @@ def test_the_axis_reaches_up_to_the_goal_which_a_comparison_has_once():
     options = _chart(log)
     assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
     assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
-    options = comparison_chart({"a": log, "b": log}, dark=True)
+    options = comparison_chart({"a": log, "b": log}, has_returns=True, dark=True)
     assert [entry["name"] for entry in options["legend"]["data"]] == ["a", "b", "solved: 50"]
+
+
+def test_returns_of_different_rewards_share_no_axis():
+    log = _log(10, 20, solved_return=50.0, successes=(np.array([0.0, 100.0]), np.array([0.0, 1.0])))
+    options = comparison_chart({"a": log, "b": log}, has_returns=False, dark=False)
+    assert [line["name"] for line in options["series"]] == ["a success", "b success"]
+    assert not options["yAxis"][0]["show"]
+
+
+MAX_NOTICE_WORDS = 12
+
+
+def _notices() -> Iterator[tuple[str, str]]:
+    """The place and the text of each notice in the code of the studio, with a word for each value in it."""
+    for path in sorted(Path(studio.__file__).parent.glob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text("utf-8"))):
+            name = ast.unparse(call.func).rpartition(".")[2] if isinstance(call, ast.Call) else ""
+            # Those of the server are on the terminal.
+            if name != "say" and (name != "UsageError" or path.name == "server.py"):
+                continue
+            match call.args:
+                case [ast.Constant(value=text)]:
+                    yield f"{path.name}:{call.lineno}", text
+                case [ast.JoinedStr(values=parts)]:
+                    words = (part.value if isinstance(part, ast.Constant) else "X" for part in parts)
+                    yield f"{path.name}:{call.lineno}", "".join(words)
+
+
+def test_a_notice_has_at_most_twelve_words():
+    notices = list(_notices())
+    assert len(notices) > 12
+    assert [notice for notice in notices if len(notice[1].split()) > MAX_NOTICE_WORDS] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "verdict", "notice"),
+    [
+        (("eval", "runs/mine-1"), 0, "solved: 200", "Evaluation of mine-1: finished"),
+        (("try", "mine.yaml"), 0, "3 episodes, mean return 3", "A few episodes of mine.yaml: finished"),
+        (("lint", "mine.yaml"), 1, "2 errors", "Check of mine.yaml: finished"),
+        (("eval", "runs/mine-1"), 2, "", "Evaluation of mine-1: failed; the tab Commands shows why"),
+        (("compare", "runs/mine-1", "runs/mine-2"), 130, "", "Comparison of mine-1: stopped"),
+    ],
+)
+def test_a_notice_about_a_command_that_ended_is_short_and_its_verdict_is_in_the_result(
+    tmp_path, words, code, verdict, notice
+):
+    task = Task(tmp_path, TaskRecord(words=words, folder="/"))
+    (tmp_path / LOG_NAME).touch()
+    (tmp_path / VERDICT_NAME).write_text(verdict)
+    (tmp_path / EXIT_NAME).write_text(str(code))
+    assert Commands(tmp_path, Permissions(), print).end_of(task) == notice
+    assert result_of(task).removeprefix("Random actions: ") == verdict
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():

@@ -112,7 +112,7 @@ def command(
         judged = _compiled(scenario, permissions)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare
-    with arguments.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
+    with arguments.executor(workers, address) as executor, terminal.progress(always=False) as show:
         comparison = compare(
             runs,
             episodes=episodes,
@@ -122,7 +122,7 @@ def command(
             case=case,
             own=own,
             permissions=permissions,
-            on_run=show,
+            on_episode=show,
             executor=executor,
         )
     groups, differences = _group_rows(comparison), _difference_rows(comparison)
@@ -138,7 +138,9 @@ def command(
             None,
         )
         write_tables(groups, None, latex)
-    terminal.show(_data(comparison), *_lines(comparison, groups, differences), as_json=as_json)
+    verdict = "\n".join(entry.verdict for entry in comparison.differences)
+    lines = _lines(comparison, groups, differences)
+    terminal.show(_data(comparison), *lines, verdict=verdict, as_json=as_json)
 
 
 def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compiled | None:
@@ -210,7 +212,8 @@ def _difference_rows(comparison: Comparison) -> list[Row]:
     """Return a row for the difference of each group from the first one."""
     rows: list[Row] = []
     for entry in comparison.differences:
-        steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
+        after = entry.solved_after
+        steps = None if after is None else f"{after.mean:+,.0f} ({records.interval_text(after.interval)})"
         improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
         measured = None if entry.compared is None else getattr(entry, entry.compared)
@@ -239,7 +242,6 @@ def _lines(comparison: Comparison, groups: Sequence[Row], differences: Sequence[
             f"episodes_better: fraction of episodes with {_BETTER[measure]}; an equal episode"
             " is counted as one half"
         )
-    yield from (entry.verdict for entry in comparison.differences)
     yield from (f"note: {note}" for note in comparison.notes)
 
 
@@ -273,7 +275,7 @@ def _range(steps: Sequence[int]) -> int | str | None:
 def _data(comparison: Comparison) -> dict[str, Any]:
     differences = [
         {
-            **vars(entry),
+            **{name: value for name, value in vars(entry).items() if name != "means"},
             "meanings": _paths(entry.meanings),
             "verdict": entry.verdict,
             "compared": entry.compared,

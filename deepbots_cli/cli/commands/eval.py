@@ -354,7 +354,9 @@ def _evaluate_run(
         data = evaluations[0].as_json() | (
             {} if kept_model is None else {"kept": records.kept_json(kept_model)}
         )
-        terminal.show(data, *evaluations[0].lines(details=details), as_json=request.as_json)
+        verdict = records.evaluation_verdict(evaluations[0].result)
+        lines = evaluations[0].lines(details=details)
+        terminal.show(data, *lines, verdict=verdict, as_json=request.as_json)
     _require(requirements, [evaluation.result for evaluation in evaluations], request.junit)
 
 
@@ -537,8 +539,10 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
         f"  {records.held_out(first.episodes)} from evaluation seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
-        *(f"{evaluation.result.engine}: {evaluation.result.verdict}" for evaluation in evaluations),
         *dict.fromkeys(f"note: {note}" for evaluation in evaluations for note in evaluation.result.notes),
+        verdict="\n".join(
+            f"{each.result.engine}: {records.evaluation_verdict(each.result)}" for each in evaluations
+        ),
         as_json=as_json,
     )
 

@@ -333,9 +333,9 @@ def _sum_up(
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
         scope = "" if selection.selects_all else " among the selected rules"
-        terminal.print_result(f"{called}: no findings{scope}{look.included}")
+        terminal.print_verdict(f"{called}: no findings{scope}{look.included}")
         return
-    terminal.print_result(summary(findings))
+    terminal.print_verdict(summary(findings))
     if fixable and any(finding.fix for finding in findings):
         terminal.note(_hint(findings) or "")
 

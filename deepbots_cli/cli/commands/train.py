@@ -388,7 +388,7 @@ def announce_seed(seed: int, number: int, count: int) -> None:
     terminal.note(f"seed {seed}, {number} of {count}")
 
 
-def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> None:
+def _show_training(text: str, data: object, *, stopped: bool, as_json: bool) -> None:
     """Show a training as text; after an interruption also as JSON, and end the command."""
     if stopped or not as_json:
         terminal.show(data, text, as_json=as_json)
@@ -432,7 +432,7 @@ def finish_group(
     _show_training(
         records.group_training_text(trained),
         {"training": vars(trained), "evaluation": None},
-        trained.interrupted,
+        stopped=trained.interrupted,
         as_json=as_json,
     )
     with _evaluating(trained.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
@@ -482,14 +482,11 @@ def finish_group(
 
 
 def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
-    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next
-    commands."""
-    _show_training(
-        records.training_text(result),
-        {"training": result, "evaluation": None},
-        result.stop_requested,
-        as_json=as_json,
-    )
+    """Evaluate the policy, and show the result with the next commands; of an interrupted training, only how
+    far it came."""
+    if result.stop_requested:
+        unfinished = {"training": result, "evaluation": None}
+        _show_training(records.training_text(result), unfinished, stopped=True, as_json=as_json)
     trained = Run.open(result.run)
     is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
     cases: list[EvaluationResult] = []
@@ -503,27 +500,18 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
             if evaluation.confirmation is None or cases:
                 records.write_evaluation(trained, evaluated)
     verdict = run_verdict(trained.path, trained.record)
-    run, film, logs = (
-        quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard")
-    )
+    run = quote(str(result.run))
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
-    further = [
-        f"deepbots render {run} -o {film}",
-        f"deepbots resume {run} {longer}",
-        f"tensorboard --logdir {logs}",
-    ]
+    further = [f"deepbots report {run}", f"deepbots resume {run} {longer}"]
     if verdict.solved:
-        further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
+        further = [f"deepbots {command} {run}" for command in ("report", "view")]
     unsolved = verdict.is_unsolved(defines_success=trained.program.defines_success)
     fall = decline_of(result.run, trained.record)
     causes = _causes(result.run, quiet=quiet, permissions=permissions) if unsolved or fall is not None else []
     if unsolved and not causes:
-        further.insert(0, f"deepbots eval {run} --details")
+        further = [f"deepbots eval {run} --details", *further[1:]]
     if causes:
-        commands = [causes[0].command, f"deepbots diagnose {run}"]
-        # The command of the cause comes in place of more timesteps.
-        others = [command for command in further if not command.startswith("deepbots resume ")]
-        further = [*dict.fromkeys(filter(None, [*commands, *others]))]
+        further = [*filter(None, (f"deepbots diagnose {run}", causes[0].command))]
     data = {
         "training": result,
         "evaluation": evaluated,
@@ -531,7 +519,6 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         "decline": None if fall is None else fall.as_json(),
         "cause": causes[0].as_json() if causes else None,
     }
-    text = "\n" + records.evaluation_text(evaluation, cases)
     no_cause = (
         ["\nno cause found; `eval --details` shows from which starts the policy fails"]
         if unsolved and not causes
@@ -540,7 +527,14 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     is_explained = bool(causes) and causes[0].cause == "fell_apart"  # the text of this cause is the sentence
     fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
     terminal.show(
-        data, text, *fallen, *_cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
+        data,
+        records.trained_text(result, evaluation, cases),
+        *fallen,
+        *_cause_lines(causes),
+        *no_cause,
+        verdict=records.evaluation_verdict(evaluation),
+        as_json=as_json,
+        next_commands=further,
     )
 
 
@@ -557,7 +551,7 @@ def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Stateme
 
 
 def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
-    """Return what was changed since a solved run, and the first cause with its advice."""
+    """Return what was changed since a solved run, and the first cause in a few words with its advice."""
     changed = [f"\n{cause.text}" for cause in causes if _is_change(cause)]
     causes = [cause for cause in causes if not _is_change(cause)]
     if not causes:
@@ -565,12 +559,14 @@ def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
     first = causes[0]
     further_count = len(causes) - 1
     more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
-    return [*changed, f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
+    return [*changed, f"\nmost likely cause{of}{more}: {first.title}", f"try: {first.advice}"]
 
 
 def _is_change(cause: Statement) -> bool:
     """Return whether this is the fact of what was changed since a solved run, and no cause."""
-    return cause.cause == "changed_since_solved"
+    from deepbots_cli.insight.diagnosis import CHANGED
+
+    return cause.cause == CHANGED
 
 
 _FRAME_RATE = 10

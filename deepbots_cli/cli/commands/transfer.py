@@ -618,7 +618,10 @@ def _explain_episode(
         for note in trace.notes:
             terminal.note(f"note: {note}")
     terminal.show(
-        explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json
+        explanation_json(trace, statements),
+        *(statement.text for statement in statements[1:]),
+        verdict=statements[0].text,
+        as_json=as_json,
     )
 
 
@@ -683,14 +686,15 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    count = len(causes)
+    from deepbots_cli.insight.diagnosis import verdict
+
     subject = f"{folder}, {training.agent}" if training.agent else f"{folder}"
+    terminal.print_verdict(f"{subject}: {verdict(training, causes)}")
     runs = "; it still runs" if training.is_running else ""
     if causes:
-        head = f"{subject}: {counted(count, 'cause')}, the most likely first{runs}"
+        terminal.print_result(f"{counted(len(causes), 'cause')}, the most likely first{runs}")
     else:
-        head = f"{subject}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
-    terminal.print_result(head)
+        terminal.print_result(f"after {training.steps:,} steps{runs}{_outcome(training)}")
     if stage is not None:
         terminal.print_result(stage.text)
     for rank, cause in enumerate(causes, start=1):
@@ -700,13 +704,16 @@ def _print_causes(
 def _report(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> dict[str, Any]:
-    """Return the causes in a training as JSON."""
+    """Return the verdict and the causes in a training as JSON."""
+    from deepbots_cli.insight.diagnosis import verdict
+
     return {
         "run": folder,
         **({"agent": training.agent} if training.agent else {}),
         "steps": training.steps,
         "running": training.is_running,
         "solved": training.verdict.solved,
+        "verdict": verdict(training, causes),
         "stage": stage.evidence if stage is not None else None,
         "causes": [cause.as_json() for cause in causes],
     }

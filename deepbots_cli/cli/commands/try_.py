@@ -287,7 +287,7 @@ def show_episodes(
     summary = Summary.of_episodes(outcomes, possible_returns(program))
     data = {"scenario": program.name, **data, "episodes": list(map(_row, outcomes))}
     agents = agent_scores(program.members, outcomes)
-    first = "" if agents else f"{records.result_sentence(summary, success_defined=program.defines_success)}\n"
+    verdict = "" if agents else records.result_sentence(summary, success_defined=program.defines_success)
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success, agents=agents)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
     if agents:
@@ -296,9 +296,10 @@ def show_episodes(
         terminal.note(f"{program.others.agent} acts against {program.others.text}")
     terminal.show(
         data,
-        *filter(None, (first, *_lines(program, outcomes))),
+        *_lines(program, outcomes),
         *([totals] if len(outcomes) > 1 else []),
         *more,
+        verdict=verdict,
         as_json=as_json,
     )
 
@@ -526,7 +527,7 @@ def _sum_up(scenario_results: Sequence[_ScenarioResults], seconds: float) -> Non
         words.append(f"{failed} failed")
     if broken:
         words.append(f"{counted(broken, 'scenario')} with errors")
-    terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
+    terminal.print_verdict(f"{', '.join(words)} in {seconds:.1f} s")
 
 
 def _junit(tested: _ScenarioResults) -> Iterator[ReportedCase]:
