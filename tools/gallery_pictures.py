@@ -12,9 +12,10 @@ from pathlib import Path
 
 from PIL import Image
 
+from deepbots_cli.cli.starters.draft import template_summaries
 from deepbots_cli.document.shipped import scenario_names
 from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.studio.dialogs import PICTURES, templates
+from deepbots_cli.studio.dialogs import PICTURES
 from tools.results import measure
 from tools.results.experiment import experiments
 from tools.results.measure import Places
@@ -42,10 +43,10 @@ def _rounded(seconds: float) -> str:
 
 def main(names: list[str]) -> None:
     TIMES.write_text(json.dumps(training_times(), indent=2) + "\n", encoding="utf-8")
-    for name in names or [*templates(), *scenario_names()]:
+    for name in names or [*template_summaries(), *scenario_names()]:
         with tempfile.TemporaryDirectory() as folder:
             shown = name
-            if name in templates() and name not in scenario_names():
+            if name in template_summaries() and name not in scenario_names():
                 _run(folder, "new", name, "--template", name)
                 shown = f"{name}.yaml"
             camera = ("--follow", _FOLLOWED[name]) if name in _FOLLOWED else ()

@@ -8,11 +8,13 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple, get_args
 
+from deepbots_cli.cli.starters.draft import template_summaries
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
+from deepbots_cli.document.shipped import data_dir, shipped_summaries
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.scenario import documentation
@@ -108,6 +110,7 @@ def explain_word(word: str) -> Explained:
     blocks = [*map(_topic_lines, matching), *blocks]
     if not blocks and word in documentation.terms():
         blocks = [_isaac_lab_lines(word, documentation.terms()[word])]
+    blocks = blocks or list(_scenario_blocks(word))
     unit = None if blocks else suggest_unit(plain)
     if unit is not None and unit.safe:  # a unit that is written out, such as `radian`
         blocks = list(_blocks(unit.text))
@@ -115,6 +118,24 @@ def explain_word(word: str) -> Explained:
         blocks,
         _others(word, {topic.name for topic in matching} | {spelled}) if blocks and word.strip() else [],
     )
+
+
+def _scenario_blocks(phrase: str) -> Iterator[list[str]]:
+    """Yield the lines about the template and the shipped scenario of this name, or, for a phrase without
+    related entries, about those whose summaries have all its words."""
+    summaries = [
+        ("a template", "--template", template_summaries()),
+        ("a shipped scenario", "--from", shipped_summaries(variants=False)),
+        ("a shipped scenario", "--from", shipped_summaries(variants=True)),
+    ]
+    words = _significant_words(phrase)
+    is_name = any(phrase in names for _, _, names in summaries)
+    if not is_name and (len(words) < 2 or related_entries(phrase)):
+        return
+    for kind, option, names in summaries:
+        for name, summary in names.items():
+            if name == phrase if is_name else words <= set(re.findall(r"\w+", _plain(summary))):
+                yield [f"{name}: {kind}", summary, f"Begin with it: `deepbots new mine {option} {name}`"]
 
 
 def misspelled_word(word: str) -> str | None:
@@ -241,11 +262,7 @@ def unknown_word_message(word: str) -> str:
 def related_entries(phrase: str) -> list[str]:
     """Return the entries that have a word of a phrase in one of their names, or all of them in their texts,
     the best first; empty if there is none."""
-    words = {
-        word
-        for word in _plain(_FACTOR.sub("", phrase)).split()
-        if len(word) >= _MIN_BEGINNING and not _FILLER.fullmatch(word)
-    }
+    words = _significant_words(phrase)
     aliases = {topic.name: topic.names for topic in topics()}
     scores = {}
     for name, text in _texts().items():
@@ -255,6 +272,31 @@ def related_entries(phrase: str) -> list[str]:
             # Of equal names, a concept says more than a key or a function.
             scores[name] = (*in_name, name in aliases, in_text)
     return sorted(scores, key=lambda name: scores[name], reverse=True)[:_MAX_SHOWN]
+
+
+def _significant_words(phrase: str) -> set[str]:
+    return {
+        word
+        for word in _plain(_FACTOR.sub("", phrase)).split()
+        if len(word) >= _MIN_BEGINNING and not _FILLER.fullmatch(word)
+    }
+
+
+def page_section(reference: str) -> str:
+    """Return a section of a page of the documentation (Markdown), given `docs/PAGE.md#section`, or the whole
+    page without a section; empty without the page, as in an installation from a wheel."""
+    page, _, section = reference.partition("#")
+    path = data_dir() / page
+    if not re.fullmatch(r"docs/[\w-]+\.md", page) or not path.is_file():
+        return ""
+    text = path.read_text("utf-8")
+    headings = [
+        (found.start(), len(found[1]), re.sub(r"[^\w -]", "", found[2].lower()).replace(" ", "-"))
+        for found in re.finditer(r"^(##+) (.*)$", text, re.MULTILINE)
+    ]
+    start, depth = next(((at, depth) for at, depth, name in headings if name == section), (0, 0))
+    end = next((at for at, other, _ in headings if at > start and other <= depth), len(text))
+    return text[start:end]
 
 
 def _overlap(words: set[str], name: str) -> tuple[int, float]:

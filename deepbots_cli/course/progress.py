@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import field, replace
+from itertools import accumulate
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
@@ -43,6 +44,17 @@ class Started:
         with atomic_write(self.folder / PROGRESS_NAME) as draft:
             draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
+    @property
+    def scenario(self) -> Path:
+        """The scenario of the first step that the points so far do not fill; that of the last step after it.
+
+        Raises:
+            UsageError: As for `lesson`.
+        """
+        steps = [*self.lesson().steps.items()]
+        done = sum(end <= self.points for end in accumulate(step.points for _, step in steps))
+        return self.folder / f"{steps[min(done, len(steps) - 1)][0]}.yaml"
+
     def check(self, workers: int = 1) -> Marks:
         """Mark the folder, and keep the points."""
         (marks,) = grade(self.lesson(), [(self.folder.resolve().name, self.folder)], workers=workers)
@@ -68,15 +80,11 @@ class Started:
 
 def started_in(folder: Path) -> Started | None:
     """Return the lesson that was started in a folder; None without one."""
-    path = folder / PROGRESS_NAME
-    if not path.is_file():
-        return None
     try:
-        data = json.loads(read_at_most(path, _MAX_BYTES))
+        data = json.loads(read_at_most(folder / PROGRESS_NAME, _MAX_BYTES))
         hints = {step: count for step, count in data.get("hints", {}).items() if isinstance(count, int)}
-        points = data.get("points", 0)
-        return Started(folder, str(data["lesson"]), points if isinstance(points, int) else 0, hints)
-    except (ValueError, RecursionError, KeyError, AttributeError, TypeError):
+        return Started(folder, str(data["lesson"]), int(data.get("points", 0)), hints)
+    except (OSError, OverflowError, ValueError, RecursionError, KeyError, AttributeError, TypeError):
         return None
 
 
@@ -96,5 +104,5 @@ def start(lesson: Lesson, folder: Path) -> None:
         (folder / "README.md").write_text(text, encoding="utf-8")
     for picture in sorted(lesson.folder.glob("*.png")):
         shutil.copy(picture, folder)
-    is_shipped = lesson.folder.parent == course_folder()
-    Started(folder, lesson.name if is_shipped else str(lesson.folder.resolve())).write()
+    reference = lesson.name if lesson.folder.parent == course_folder() else str(lesson.folder.resolve())
+    Started(folder, reference).write()

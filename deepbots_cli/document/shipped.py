@@ -19,6 +19,7 @@ from deepbots_cli.plugins import entry_points_of, warn_unavailable
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
+_SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 
 @cache
@@ -100,6 +101,21 @@ def scenario_names() -> list[str]:
 def scenario_path(name: str) -> Path | None:
     """Return the file of the shipped scenario called `name`, if there is one."""
     return SCENARIOS.path(name)
+
+
+def summary_of(path: Path) -> str:
+    """Return the summary of a scenario file of deepbots; empty without one."""
+    summary = _SUMMARY.search(path.read_text("utf-8"))
+    return summary[1] if summary else ""
+
+
+@cache
+def shipped_summaries(*, variants: bool) -> dict[str, str]:
+    """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
+    paths = [path for path in map(scenario_path, scenario_names()) if path is not None]
+    return {
+        path.stem: summary_of(path) for path in paths if ("\nextends:" in path.read_text("utf-8")) is variants
+    }
 
 
 def robot_names() -> list[str]:

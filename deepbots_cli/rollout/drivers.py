@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 # option of each choice.
 HAND = "you"
 POLICY = "policy"
+POLICY_OF = "policy of "
+"""The beginning of the name of the policy of a run that drives in another scenario; the path of the run follows."""
 RECORDED = "recording"
 ROBOT = "robot"
 

@@ -5,18 +5,24 @@ The page shows the choices in a folder without a scenario, and after `New ...`.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from collections.abc import Awaitable, Callable, Mapping
 from enum import StrEnum
-from functools import cache
+from functools import partial
 from itertools import count
 from pathlib import Path
 
 from nicegui import events, ui
 
-from deepbots_cli.cli.starters.draft import Template, from_template
-from deepbots_cli.document.shipped import scenario_names, scenario_path
+from deepbots_cli.cli.starters.draft import Template, template_summaries
+from deepbots_cli.cli.starters.first_scenario import DroppedRobot, suitable_tasks
+from deepbots_cli.document.shipped import shipped_summaries
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.robots.build import Build
+from deepbots_cli.robots.kinds import NOUNS, judge
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 
@@ -27,12 +33,7 @@ _ABOUT = (
 )
 PICTURES = Path(__file__).with_name("pictures")
 """The folder of pictures by name, and of the times of trainings, which `tools/gallery_pictures.py` makes."""
-_FIRST = "cartpole"
-"""The template for those who begin."""
-MAX_ROBOT_BYTES = 10 << 20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
-_EXTENDS = re.compile(r"^extends:", re.MULTILINE)
-_SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 
 class Kind(StrEnum):
@@ -50,81 +51,78 @@ _TITLES = {
 }
 
 
-@cache
-def templates() -> dict[str, str]:
-    """Return the templates, each with its summary."""
-    texts = {
-        template.value: next(iter(from_template(template.value, "mine").values())) for template in Template
-    }
-    return {name: _summary(text.decode()) for name, text in texts.items()}
-
-
-@cache
-def shipped_scenarios(*, variants: bool) -> dict[str, str]:
-    """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
-    paths = {name: scenario_path(name) for name in scenario_names()}
-    texts = {name: path.read_text("utf-8") for name, path in paths.items() if path}
-    return {
-        name: _summary(text)
-        for name, text in texts.items()
-        if (_EXTENDS.search(text) is not None) is variants
-    }
-
-
-def _summary(text: str) -> str:
-    summary = _SUMMARY.search(text)
-    return summary[1] if summary else ""
-
-
 async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None:
     """Ask for a name, and write a scenario. Returns its file, None if nothing was written.
 
     Args:
         origin: The template, the shipped scenario, or the robot file that it begins with.
     """
-    title = _TITLES[kind].format(Path(origin).name)
+    file = Path(origin)
+    robot = (await _read_robot(session, file, file.read_bytes())).build if kind is Kind.robot else None
 
     async def write() -> None:
         if not name.validate():
             return
-        create.set_enabled(False)
-        state.set_text("writing ...")
-        text, code = await session.commands.call(["new", str(name.value), kind.value, origin])
-        create.set_enabled(True)
-        state.set_text("")
+        create.props("loading")
+        text, code = await session.commands.call(["new", name.value, kind.value, origin, *options()])
+        create.props(remove="loading")
         if code:
             name.error = text.strip().partition("\n\n")[0]
         else:
             dialog.submit(session.folder / f"{name.value}.yaml")
 
     with ui.dialog().props('aria-label="A new scenario"') as dialog, ui.card().classes("studio-dialog"):
-        ui.label(title).classes("studio-heading")
+        ui.label(_TITLES[kind].format(file.name)).classes("studio-heading")
         name = ui.input(
             "Name",
-            value=_free_name(session, Path(origin).stem),
-            validation=lambda value: _problem_of_name(session, value or ""),
+            value=_free_name(session, file.stem),
+            validation={
+                "write up to 61 letters, digits, _ and -, without spaces; begin with a letter": lambda value: (
+                    _NAME.fullmatch(value or "") is not None
+                ),
+                "a file of this name exists already; choose another name": lambda value: (
+                    not (session.folder / f"{value}.yaml").exists()
+                ),
+            },
         )
-        name.classes("studio-wide").on("keydown.enter", write)
-        file = ui.label().classes("studio-status")
-        file.bind_text_from(name, "value", lambda value: f"The file is {value}.yaml." if value else "")
-        with ui.element("div").classes("studio-bar studio-dialog-buttons"):
-            state = ui.label("").classes("studio-status").props('role="status"')
-            ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
-            create = ui.button("Create", on_click=write).props("no-caps unelevated")
+        name.classes("studio-wide").props('suffix=".yaml"').on("keydown.enter", write)
+        options = _robot_options(robot) if robot is not None else list
+        create = _add_buttons(dialog, "Create", write)
     name.run_method("select")
     written: Path | None = await dialog
     return written
 
 
-def _problem_of_name(session: Session, name: str) -> str | None:
-    """Return what is wrong with the name of a new scenario; None for a possible name."""
-    if not name:
-        return "write a name"
-    if not _NAME.fullmatch(name):
-        return "write up to 61 letters, digits, _ and -, without spaces; begin with a letter"
-    if (session.folder / f"{name}.yaml").exists():
-        return f"{name}.yaml exists already; choose another name"
-    return None
+def _add_buttons(dialog: ui.dialog, label: str, act: Callable[[], object]) -> ui.button:
+    """Add the buttons at the end of a dialog. Returns the one with the label."""
+    with ui.element("div").classes("studio-bar studio-dialog-buttons"):
+        ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
+        return ui.button(label, on_click=act).props("no-caps unelevated")
+
+
+async def _read_robot(session: Session, path: Path, content: bytes) -> DroppedRobot:
+    return await asyncio.to_thread(DroppedRobot.read, path, content, session.permissions.folders)
+
+
+def _robot_options(build: Build) -> Callable[[], list[str]]:
+    """Add fields for the kind of a robot, by default the judged one, and for a task that suits it. Returns a
+    function for the options of `deepbots new`."""
+    judgment = judge(build)
+
+    def offer() -> None:
+        tasks = suitable_tasks(build, kind.value)
+        task.set_options(dict(tasks), value=next(iter(tasks), None))
+
+    kind = ui.select(NOUNS, label="The robot is", value=judgment.kind, on_change=offer).classes("studio-wide")
+    ui.label(f"deepbots judges this by its parts: {judgment.evidence}.").classes("studio-status")
+    task = ui.radio({}).props('aria-label="What it is to do"')
+    offer()
+    return lambda: [
+        word
+        for option, value, judged in (("--kind", kind.value, judgment.kind), ("--task", task.value, None))
+        if value and value != judged
+        for word in (option, value)
+    ]
 
 
 def _free_name(session: Session, name: str) -> str:
@@ -135,48 +133,78 @@ def _free_name(session: Session, name: str) -> str:
 
 
 class RobotUpload:
-    """The control for a robot file."""
+    """The control for a robot file, which is checked and corrected before it is written into the folder."""
 
     def __init__(self, session: Session, on_robot: Callable[[Path], Awaitable[object]]) -> None:
         """`on_robot` is called with the file, and awaited."""
         self._session, self._on_robot = session, on_robot
         with ui.element("div").classes("studio-upload"):
-            ui.upload(
+            self._upload = ui.upload(
                 label="Drop a robot file (.urdf) here, or choose one with +",
                 on_upload=self._take,
-                on_rejected=lambda: self.show(
-                    "a robot file ends in .urdf, and has up to 10 MB", is_error=True
+                on_rejected=lambda: session.shown.say(
+                    "a robot file ends in .urdf, and has up to 10 MB", is_warning=True
                 ),
                 auto_upload=True,
-                max_file_size=MAX_ROBOT_BYTES,
-            ).props('accept=".urdf" flat bordered').classes("studio-wide")
-            self._text = ui.label("").props('role="alert"')
-
-    def show(self, text: str, *, is_error: bool = False) -> None:
-        """Show a sentence below the control."""
-        self._text.set_text(text)
-        self._text.classes(replace="studio-problem" if is_error else "studio-status")
+                max_file_size=10 << 20,
+            )
+            self._upload.props('accept=".urdf" flat bordered').classes("studio-wide")
 
     async def _take(self, event: events.UploadEventArguments) -> None:
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(event.file.name).name)
-        path = self._session.folder / name
-        if path.suffix != ".urdf" or name.startswith("."):
-            self.show("a robot file ends in .urdf", is_error=True)
-            return
-        content = await event.file.read()
+        self._upload.reset()  # so that the same file can be dropped again
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(event.file.name).stem).lstrip(".") or "robot"
+        path = self._session.folder / f"{stem}.urdf"
         try:
-            with path.open("xb") as file:  # which follows no link
-                file.write(content)
-        except FileExistsError:
-            self.show(f"{name} exists already; choose another name for the file", is_error=True)
-        except OSError as error:
-            self.show(f"{name} cannot be written: {error.strerror}", is_error=True)
-        else:
-            self.show(f"{name} is in the folder")
-            await self._on_robot(path)
+            # The editor counts the end of a line as one character.
+            content = await self._corrected(path, (await event.file.read()).replace(b"\r\n", b"\n"))
+            if content is not None and await self._may_write(path, content):
+                with atomic_write(path) as draft:
+                    draft.write_bytes(content)
+                await self._on_robot(path)
+        except (UsageError, OSError) as error:
+            self._session.shown.say(str(error), is_warning=True)
 
+    async def _may_write(self, path: Path, content: bytes) -> bool:
+        """Return whether a robot file is new, or the person or no scenario needs the present one."""
+        if path.is_symlink():
+            raise UsageError(f"{path.name} in the folder is a link; choose another name")
+        if not path.exists() or path.read_bytes() == content:
+            return True
+        users = [one.name for one in self._session.scenarios() if path.name.encode() in one.read_bytes()]
+        with ui.dialog().props('aria-label="Replace a robot file"') as dialog, ui.card():
+            ui.label(f"{', '.join(users)} uses the present {path.name}, which differs from this file.")
+            _add_buttons(dialog, "Replace it", lambda: dialog.submit(True))
+        return not users or bool(await dialog)
 
-Begin = Callable[[Kind, str], Awaitable[object]]
+    async def _corrected(self, path: Path, content: bytes) -> bytes | None:
+        """Return the content of a robot file without errors, which the person corrects; None if they leave
+        it."""
+        if (await _read_robot(self._session, path, content)).build is not None:
+            return content
+
+        async def check(text: str) -> None:
+            robot = await _read_robot(self._session, path, text.encode())
+            if robot.build is not None:
+                dialog.submit(text.encode())
+            editor.set_value(text)
+            problem.set_text(robot.problem)
+            fixes.clear()
+            with fixes:
+                for title, corrected in robot.fixes.items():
+                    ui.button(title, on_click=partial(check, corrected)).props("dense outline no-caps")
+
+        with ui.dialog().props('aria-label="Errors"') as dialog, ui.card().classes("studio-dialog"):
+            ui.label(f"{path.name} has errors").classes("studio-heading")
+            problem = ui.label("").classes("studio-problem studio-text-line")
+            fixes = ui.element("div").classes("studio-bar")
+            editor = ui.codemirror(language="XML", line_wrapping=True).classes("studio-wide")
+            # The places of the fixes are those of the text that was checked.
+            editor.on_value_change(fixes.clear)
+            _add_buttons(dialog, "Check again", lambda: check(editor.value))
+        dialog.open()
+        await check(content.decode("utf-8", "replace"))
+        corrected: bytes | None = await dialog
+        return corrected
 
 
 class StartPage:
@@ -186,7 +214,12 @@ class StartPage:
         element: The element of them.
     """
 
-    def __init__(self, session: Session, begin: Begin, leave: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        begin: Callable[[Kind, str], Awaitable[object]],
+        leave: Callable[[], object],
+    ) -> None:
         """`begin` is called with what was chosen, and `leave` if nothing is."""
         self._begin = begin
         with (
@@ -202,14 +235,15 @@ class StartPage:
                 'role="heading" aria-level="2"'
             )
             ui.label(_ABOUT).classes("studio-about")
+            templates = {name.value: template_summaries()[name] for name in Template}
             _heading("template", "Templates", "short scenarios with comments")
-            self._add_choices(Kind.template, templates(), "studio-choices-large")
+            self._add_choices(Kind.template, templates, "studio-choices-large")
             _heading("robot", "Your own robot", "deepbots writes a scenario for it")
             RobotUpload(session, lambda path: begin(Kind.robot, str(path)))
             _heading("gallery", "Gallery", "whole tasks, each trained and tested; you get a copy")
-            self._add_choices(Kind.shipped, shipped_scenarios(variants=False), "")
+            self._add_choices(Kind.shipped, shipped_summaries(variants=False), "")
             _heading("gallery", "Variants", "the same tasks with other actions, settings or robots")
-            self._add_choices(Kind.shipped, shipped_scenarios(variants=True), "")
+            self._add_choices(Kind.shipped, shipped_summaries(variants=True), "")
 
     def show(self, shown: bool, *, can_leave: bool) -> None:
         """Show the choices or hide them; `can_leave` if there is a text to go back to."""
@@ -227,7 +261,7 @@ class StartPage:
                         ui.element("img").props(f'src="studio/pictures/{name}.webp" alt="" loading="lazy"')
                     with ui.element("span").classes("studio-choice-name"):
                         ui.label(name)
-                        if kind == Kind.template and name == _FIRST:
+                        if kind == Kind.template and name == Template.cartpole:
                             ui.label("begin here").classes("studio-badge")
                         if name in times:
                             ui.label(f"learns in {times[name]}").classes("studio-badge")

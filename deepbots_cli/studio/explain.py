@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import urllib.parse
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 from nicegui import ui
 
@@ -16,6 +17,7 @@ from deepbots_cli.cli.explanations import (
     entry_names,
     explain_word,
     misspelled_word,
+    page_section,
     related_entries,
     unknown_word_message,
 )
@@ -29,7 +31,8 @@ _LINK = "#explain:"
 _MAX_NAMES = 6
 _HINT = "Put the cursor on a word of the text and press F1, or write a word here: a key, a unit, a term."
 _FENCED = re.compile(r"(```.*?```|^(?: {4}.*\n?)+)", re.DOTALL | re.MULTILINE)
-_WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3})\b")
+_WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3}|docs/[\w-]+\.md(?:#[\w-]+)?)(?!\w)")
+_PAGE_LINK = re.compile(r"!?\[([^]]*)\]\((?:([\w-]+\.md)?(#[\w-]+)?\)|[^)]*\))")
 _ON_CLICK = """(event) => {
   const link = event.target.closest("a[href]");
   if (!/^#(explain|line):/.test(link?.hash ?? "")) return;
@@ -59,30 +62,32 @@ class OfText:
 def explanation(word: str, *, only_concepts: bool = False) -> str:
     """Return what `deepbots explain` says about a word, or a code or name of a finding, as Markdown with
     links."""
-    word = word.strip()
+    if page := page_section(word):
+        return _PAGE_LINK.sub(partial(_of_page, word), page)
     rules = matching_rules(word) if word else ()
     if len(rules) == 1:
         rule = rules[0]
         return f"**{rule.code} {rule.name}** ({rule.severity}): {rule.summary}.\n\n{rule_page(rule.code)}"
-    if (retired := retired_rule_message(word)) is not None:
-        return _with_links(retired)
     if rules:
         return "\n".join(f"- {_link(rule.code)} {rule.name}: {rule.summary}" for rule in rules)
     explained = explain_word(word)
-    if not explained.entries and (nearest := misspelled_word(word)):
-        return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
-    if not explained.entries and (related := related_entries(word)):
-        nearest, *others = related
-        others = [name for name in others if name not in explain_word(nearest).others]
-        more = f"\n\nFurther entries: {', '.join(map(_link, others))}" if others else ""
-        return f"The entry that is nearest to these words:\n\n{explanation(nearest)}{more}"
+    misspelled, retired = misspelled_word(word), retired_rule_message(word)
+    related = [misspelled] if misspelled else related_entries(word)
+    if not explained.entries and (retired or not related):
+        return _with_links(retired or unknown_word_message(word))
     if not explained.entries:
-        return _with_links(unknown_word_message(word))
+        nearest, *others = related
+        more = ", ".join(_link(name) for name in others if name not in explain_word(nearest).others)
+        parts = [
+            f"The entry that is nearest to `{word}`:",
+            explanation(nearest),
+            more and f"Further entries: {more}",
+        ]
+        return "\n\n".join(filter(None, parts))
     entries = [entry for entry in explained.entries if not only_concepts or entry[0].endswith(": a concept")]
-    parts = [_entry(title, text) for title, *text in entries]
-    if explained.others:
-        parts.append(f"See also: {', '.join(_link(name) for name in explained.others)}")
-    return "\n\n---\n\n".join(parts)
+    also = ", ".join(map(_link, explained.others))
+    parts = [*(_entry(title, text) for title, *text in entries), also and f"See also: {also}"]
+    return "\n\n---\n\n".join(filter(None, parts))
 
 
 def rule_page(code: str) -> str:
@@ -108,14 +113,10 @@ def linked(on_word: Callable[[str], object], on_line: Callable[[int], object] | 
 
 def _entry(title: str, text: list[str]) -> str:
     name, _, kind = title.partition(": ")
-    lines = [f"**{name}**: {_with_links(kind, name)}" if kind else f"**{name}**"]
-    for line in text:
-        # Lines of an example are one block.
-        is_example = line.startswith("    ")
-        separator = "\n" if is_example and lines[-1].rpartition("\n")[2].startswith("    ") else "\n\n"
-        shown = line if is_example else _with_links(_escaped(line), name)
-        lines = [*lines[:-1], f"{lines[-1]}{separator}{shown}"]
-    return lines[0]
+    head = f"**{name}**: {_with_links(kind, name)}" if kind else f"**{name}**"
+    # Lines of an example are one block.
+    lines = (line if line.startswith("    ") else f"\n{_with_links(_escaped(line), name)}\n" for line in text)
+    return "\n".join([head, *lines]).rstrip()
 
 
 def _escaped(text: str) -> str:
@@ -131,15 +132,22 @@ def _with_links(text: str, itself: str = "") -> str:
 
     def word(match: re.Match[str]) -> str:
         name = match[1] or match[2]
-        return _link(name) if name != itself and (match[2] in RULES or name in entry_names()) else match[0]
+        is_known = name in entry_names() or match[2] in RULES or bool(match[2] and page_section(match[2]))
+        return _link(name) if name != itself and is_known else match[0]
 
     parts = _FENCED.split(text)
     return "".join(part if number % 2 else _WORD.sub(word, part) for number, part in enumerate(parts))
 
 
-def _link(word: str) -> str:
-    text = word.replace("_", "\\_")  # which would be emphasis
+def _link(word: str, text: str = "") -> str:
+    text = text or word.replace("_", "\\_")  # which would be emphasis
     return f"[{text}]({_LINK}{urllib.parse.quote(word)})"
+
+
+def _of_page(shown: str, link: re.Match[str]) -> str:
+    """Return a link of a shown page to another section or page; the text alone of other links."""
+    word = f"docs/{link[2]}" if link[2] else shown.partition("#")[0]
+    return _link(f"{word}{link[3] or ''}", link[1]) if link[2] or link[3] else link[1]
 
 
 def show_explanation(first: str, of_text: OfText, meaning: str = "") -> None:

@@ -39,6 +39,7 @@ class LessonTab:
             self._check.props("dense unelevated no-caps")
         with ui.element("div").classes("studio-lesson"):
             text = lesson.text("text.md").replace("](world.png)", f"]({self._picture()})")
+            text = text.replace("```yaml part", "```yaml")  # which the renderer does not know
             ui.markdown(text).classes("studio-answer studio-lesson-text")
             self._steps = ui.element("div").classes("studio-lesson-steps")
         with self._steps:

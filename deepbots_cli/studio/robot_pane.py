@@ -9,7 +9,7 @@ from pathlib import Path
 from nicegui import ui
 
 from deepbots_cli.program import ZERO
-from deepbots_cli.rollout.drivers import HAND
+from deepbots_cli.rollout.drivers import HAND, POLICY_OF
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.robot_process import RobotState
 from deepbots_cli.studio.session import Session
@@ -56,7 +56,8 @@ _BY_SCRIPT = "driven by the script {driver}, which is rules written by hand, and
 _DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>
   <q-item-label>{{{{ props.opt.label }}}}</q-item-label>
   <q-item-label caption>{{{{ ({json.dumps(_DRIVERS)})[props.opt.label] ??
-    "a script of the scenario: rules written by hand" }}}}</q-item-label></q-item-section></q-item>"""
+    (props.opt.label.startsWith("{POLICY_OF}") ? "what the run has learned, in the saved text" :
+    "a script of the scenario: rules written by hand") }}}}</q-item-label></q-item-section></q-item>"""
 """The entry of a driver in the list, with a sentence about it."""
 _MAX_RUNS = 30
 """The number of runs, the newest ones, whose policies can be chosen."""
@@ -151,7 +152,7 @@ class RobotPane:
         state = robot.state
         self._robot_text.set_text(robot_text(self._session))
         self._robot_text.classes(replace=f"studio-status {'studio-starts' if starts else ''}")
-        drivers = [driver for driver in state.drivers if driver != ZERO] if state else []
+        drivers = self._drivers()
         driver = state.driver if state and state.driver in drivers else None
         if drivers != self._driver.options or driver != self._driver.value:
             self._driver.set_options(drivers, value=driver)
@@ -165,6 +166,17 @@ class RobotPane:
             dark = "&darkMode" if self._is_dark else ""
             source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
             self._frame.props(f'src="{source}"')
+
+    def _drivers(self) -> dict[str, str]:
+        """Return the drivers of the shown world by their names; for a scenario, also the policies of its
+        runs, which drive if they fit."""
+        state, shown = self._session.robot.state, Path(self._session.shown.source)
+        policies = {
+            f"{POLICY_OF}{run.path}": f"{POLICY_OF}{run.path.name}"
+            for run in reversed(self._session.runs[-_MAX_RUNS:])
+            if not run.runs and run.problem is None and Path(run.source).name == shown.name
+        }
+        return {name: name for name in state.drivers if name != ZERO} | policies if state is not None else {}
 
     def show_offer(self) -> None:
         """Offer to follow a training that runs."""
@@ -277,5 +289,7 @@ def robot_text(session: Session) -> str:
         return state.text
     if state.note:
         return f"{name}: {state.note}"
+    if state.driver.startswith(POLICY_OF):
+        return f"driven by the {POLICY_OF}{Path(state.driver).name}"
     text = _STATES.get(state.state) or _DRIVEN_BY.get(state.driver, _BY_SCRIPT)
     return text.format(name=name, driver=state.driver)

@@ -166,7 +166,7 @@ def _obey(page: Page, command: Command) -> None:
     elif page.player is None:
         return
     elif command.verb == "driver":
-        page.playback.set_driver(command.name)
+        page.set_driver(command.name)
     else:
         page.playback.begin()
 

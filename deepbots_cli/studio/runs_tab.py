@@ -111,6 +111,13 @@ class RunsTab:
                     "Evaluate",
                     lambda run: self._show_output(run, session.commands.run(["eval", str(run)], run)),
                 ),
+                (
+                    "Evaluate the text",
+                    lambda run: self._show_output(
+                        run,
+                        session.commands.run(["eval", str(run), "--scenario", session.saved_name()], run),
+                    ),
+                ),
                 ("Diagnose", self.diagnose),
                 ("Report", partial(self.make_file, ["report"], "report.html")),
                 ("Video", self.make_video),

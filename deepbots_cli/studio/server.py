@@ -25,6 +25,7 @@ from nicegui import ui
 from starlette.datastructures import Headers
 
 from deepbots_cli.cli.written_files import refuse_links_within
+from deepbots_cli.course.progress import started_in
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
@@ -147,6 +148,9 @@ def studio(
     folder = path if path.is_dir() else path.parent
     session = Session(folder, permissions)
     first = path if path.is_file() else next(iter(session.scenarios()), None)
+    with suppress(UsageError):  # of a lesson that is not on this machine
+        if path.is_dir() and (started := started_in(session.folder)) and started.scenario.is_file():
+            first = started.scenario
     if first is not None and not session.may_open(first):
         raise UsageError(f"{first} is no YAML file in {session.folder}")
     host = web.plain_address(host)

@@ -28,7 +28,15 @@ from deepbots_cli.port import View
 from deepbots_cli.program import RANDOM, ZERO, Program, identity
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.drivers import HAND, POLICY, RECORDED, ROBOT, action_from_values, named_driver
+from deepbots_cli.rollout.drivers import (
+    HAND,
+    POLICY,
+    POLICY_OF,
+    RECORDED,
+    ROBOT,
+    action_from_values,
+    named_driver,
+)
 from deepbots_cli.rollout.recordings import RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import BatchEpisodes
@@ -311,14 +319,13 @@ class Player:
         """Set the driver that acts from the next step on.
 
         Raises:
-            UsageError: There is no such script, or no policy.
+            UsageError: There is no such script, or no policy that fits.
         """
-        if name != POLICY:
-            self.driver = self.make_driver(self.env, name)
-        elif self.opened.run is None:
-            raise UsageError("only a run has a policy")
-        else:
-            self.driver = self.run_driver(self.opened.run)
+        run = self.opened.run if name == POLICY else None
+        if name.startswith(POLICY_OF):
+            permissions = self.opened.shown.permissions
+            run = Run.open(Source.open(name.removeprefix(POLICY_OF), permissions, SourceKind.RUN))
+        self.driver = self.make_driver(self.env, name) if run is None else self.run_driver(run)
         self.driver_name = name
 
     def run_driver(self, run: Run, batch: BatchSupervisor | None = None) -> RunDriver:

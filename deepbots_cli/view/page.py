@@ -163,6 +163,15 @@ class Page:
             self.playback.forget()
         self.reload(again=is_same)
 
+    def set_driver(self, name: str) -> None:
+        """Let another driver act; if it does not fit, such as the policy of a run, the present one says
+        why."""
+        try:
+            self.playback.set_driver(name)
+        except UsageError as error:
+            if self.player is not None:
+                self.player.driver.note = str(error)
+
     def show_source(self, reference: str, driver: str | None = None) -> None:
         """Show another scenario or run from its first episode, driven by `driver` or by its default.
 
@@ -214,10 +223,12 @@ class Page:
         # The old players stay open until all new ones have begun, so that an error leaves the world before.
         try:
             players = [open_player(opened, playback.driver or default)]
-        except UsageError:
+        except UsageError as error:
             if self.player is None:
                 raise
-            players = [open_player(opened, default)]  # a script may go while it acts
+            # A script may go while it acts, and a policy may no longer fit.
+            players = [open_player(opened, default)]
+            players[0].driver.note = str(error)
         try:
             if self._compared is not None:
                 players.append(open_player(self._compared))

@@ -364,9 +364,9 @@ class Playback:
 
     def set_driver(self, name: str) -> None:
         assert self.player is not None
+        self.player.set_driver(name)
         self.driver = name
         self._forget_results()
-        self.player.set_driver(name)
         self.begin()
 
     def choose_world(self, number: int) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from deepbots_cli.document.shipped import robot_path
 from deepbots_cli.processes import python_command, python_environment
 from tests.studio.served import BACKSPACE, ENTER, ESCAPE, TAB, Served, StudioTab, served
 from tests.view.browser import CHROMIUM, browser
@@ -522,6 +523,46 @@ def test_an_empty_folder_offers_what_to_begin_with(tmp_path, new_tab):
         assert "\nname: Wheeled\n" in (tmp_path / "wheeled.yaml").read_text("utf-8")
 
 
+def drop(page: StudioTab, path: Path) -> None:
+    root = page.tab.call("DOM.getDocument")["root"]["nodeId"]
+    node = page.tab.call("DOM.querySelector", nodeId=root, selector=".q-uploader__input")["nodeId"]
+    page.tab.call("DOM.setFileInputFiles", files=[str(path)], nodeId=node)
+
+
+def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(folder, new_tab):
+    good = robot_path("balancer").read_text("utf-8")
+    outside = folder.with_name("outside")
+    outside.mkdir()
+    dropped = outside / "buggy.urdf"
+    dropped.write_text(good.replace("<parent ", "<parnt ", 1), encoding="utf-8")
+    with served(folder, "mine.yaml") as studio:
+        page = StudioTab(new_tab(), studio.address, 1280, 800)
+        page.click("New ...")
+        page.wait("!!document.querySelector('.studio-start').offsetParent")
+        drop(page, dropped)
+        page.wait("!!document.querySelector('.studio-dialog .cm-line')")
+        assert "without <parent>" in page.tab.run("document.querySelector('.studio-dialog').innerText")
+        page.click("Correct line 60")
+        task = (
+            "[...document.querySelectorAll('.q-radio')].find(one => /drives to a mark/.test(one.innerText))"
+        )
+        page.wait(f"!!{task}")
+        assert (folder / "buggy.urdf").read_text("utf-8") == good
+        page.tab.run(f"{task}.click()")
+        page.click("Create")
+        page.wait("document.querySelector('.studio-files').innerText.includes('buggy.yaml')", 60)
+        assert "summary: A robot on wheels drives to a mark." in (folder / "buggy.yaml").read_text("utf-8")
+
+        heavier = good.replace('<mass value="1"/>', '<mass value="2"/>')
+        dropped.write_text(heavier, encoding="utf-8")
+        page.click("New ...")
+        drop(page, dropped)
+        page.click("Replace it")
+        page.wait("!!document.querySelector('.studio-dialog input[aria-label=Name]')")
+        assert (folder / "buggy.urdf").read_text("utf-8") == heavier
+        assert not page.tab.errors
+
+
 def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)
@@ -539,7 +580,7 @@ def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):
         page.type("mine")
         page.click("Create")
         message = f"{field}.closest('.q-field').querySelector('[role=alert]')?.innerText"
-        page.wait(f"{message} == 'mine.yaml exists already; choose another name'")
+        page.wait(f"{message} == 'a file of this name exists already; choose another name'")
         page.tab.run(f"{field}.focus()")
         page.press(("End", 35))
         page.type("s")

@@ -781,6 +781,36 @@ def test_the_evaluations_beside_the_robot_are_those_of_the_run_that_is_watched_n
     acted(trained, tmp_path, *("watch", "look_at_curve") * 2)
 
 
+def test_the_policy_of_a_run_drives_the_saved_text_until_another_observation_does_not_fit(trained, tmp_path):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    policy = f"policy of {tmp_path / 'runs' / 'mine-1'}"
+
+    async def run() -> None:
+        async with Running(tmp_path) as running:
+            session, robot = running.session, running.session.robot
+            session.show(Path("mine.yaml"))
+            await running.runs()
+            robot.set_driver(policy)
+            await running.until(lambda: robot.state.driver == policy)
+            _writes(session, TINY.replace("15 deg", "20 deg"))
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
+            assert robot_text(session) == "driven by the policy of mine-1"
+
+            _writes(session, TINY.replace("-20 .. 20 deg", "-30 .. 30 deg"))
+            await running.until(lambda: robot.state.driver == "random")
+            differs = (
+                "observation.cart.pole_angle: run -0.349066 .. 0.349066 rad, scenario -0.523599 .. 0.523599"
+            )
+            assert differs in robot_text(session)
+            robot.set_driver("random")
+            await running.until(lambda: differs not in robot_text(session))
+            robot.set_driver(policy)
+            await running.until(lambda: differs in robot_text(session))
+            assert robot.state.driver == "random"
+
+    asyncio.run(run())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("session", range(10))
 def test_all_that_is_shown_agrees_with_the_files_in_random_walks(trained, tmp_path, session):
@@ -843,10 +873,21 @@ def test_a_phrase_finds_names_of_the_text(tmp_path, phrase):
         ("make the pole longer", "size and mass of a robot"),
         ("what is a policy", "policy"),
         ("my learning rate is too high", "learning rate"),
+        ("drive to a ball", "wheeled"),
+        ("quadrotor", "kind of a robot"),
+        ("prismatic", "joint of a robot"),
     ],
 )
 def test_a_phrase_without_an_entry_gets_the_nearest_one_or_that_with_its_words_as_the_name(phrase, entry):
     assert f"**{entry}**" in explanation(phrase)
+
+
+def test_a_link_to_the_documentation_opens_the_section_in_the_explanation():
+    assert "(#explain:docs/language.md%23scripts)" in explanation("script")
+    section = explanation("docs/language.md#scripts")
+    assert section.startswith("### scripts\n")
+    assert "\n### " not in section
+    assert "](#explain:docs/" in explanation("docs/teach.md")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepbots_cli.cli.written_files import Files
 from deepbots_cli.document.layout import plain_or_quoted
+from deepbots_cli.document.shipped import summary_of
 from deepbots_cli.engine_kinds import ENGINES, MAX_PYBULLET_JOINTS
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, neutral
@@ -245,6 +246,11 @@ class Template(StrEnum):
     arm = "arm"
     pit = "pit"
     duel = "duel"
+
+
+def template_summaries() -> dict[str, str]:
+    """Return the templates, each with its summary."""
+    return {name.value: summary_of(_FOLDER / f"{name}.yaml") for name in Template}
 
 
 def from_template(template: str, name: str) -> Files:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from enum import StrEnum
 from math import atan2, degrees, hypot, inf, prod
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.arms import grasp, reach
@@ -19,6 +19,8 @@ from deepbots_cli.cli.starters.draft import (
     yaml_name,
 )
 from deepbots_cli.cli.starters.legs import walk
+from deepbots_cli.diagnostics import Findings, edited
+from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, Wheel, is_endless, neutral, range_of
@@ -31,11 +33,15 @@ from deepbots_cli.robots.kinematics import (
     with_mass_of_shapes,
 )
 from deepbots_cli.robots.model import WATER, Joint, Link, RobotModel, volume, with_link
+from deepbots_cli.robots.packages import Places
+from deepbots_cli.robots.reader import read_bytes
 
 _LARGEST_INERTIA_RATIO = 1000.0
 """The largest ratio of the inertia of a link to that of its shapes, either way."""
 _LEAST_MASS = 1e-3
 """The least mass (kg) of a link without a mass."""
+_MAX_FINDINGS = 20
+"""The largest number of findings of a robot file that are listed, errors first."""
 _SHARE_OF_FRAME = 0.01
 """The share of the mass of the robot of a link that has neither a mass nor a shape, and moves alone."""
 
@@ -350,30 +356,60 @@ class Task(StrEnum):
 
 @dataclass(frozen=True)
 class _Writer:
-    """The parts that a task needs, in words and as a test, and the function that adds its entries to a
-    draft."""
+    """The summary of the scenarios of a task, the parts that it needs, in words and as a test, and the
+    function that adds its entries to a draft."""
 
+    summary: str
     needs: str
     suits: Callable[[Build], object]
     write: Callable[[Draft], dict[str, object] | None]
 
 
 _WRITERS: dict[Task, _Writer] = {
-    Task.drive: _Writer("wheels with motors", lambda build: build.wheels, drive),
-    Task.balance: _Writer(
-        "wheels, or a pole without a motor", lambda build: build.wheels or build.poles, balance
+    Task.drive: _Writer(
+        "A robot on wheels drives to a mark.", "wheels with motors", lambda build: build.wheels, drive
     ),
-    Task.hover: _Writer("propellers", lambda build: build.propellers, hover),
-    Task.reach: _Writer("an arm of hinges with motors", lambda build: build.limbs, reach),
-    Task.walk: _Writer("legs", lambda build: build.legs, walk),
-    Task.grasp: _Writer("fingers", lambda build: build.limbs, grasp),
-    Task.follow: _Writer("joints with motors", lambda build: build.driven, follow),
-    Task.roam: _Writer("joints with motors", lambda build: build.driven, roam),
+    Task.balance: _Writer(
+        "A robot balances an unstable part upright.",
+        "wheels, or a pole without a motor",
+        lambda build: build.wheels or build.poles,
+        balance,
+    ),
+    Task.hover: _Writer(
+        "A body with rotors flies to a point and stays there.",
+        "propellers",
+        lambda build: build.propellers,
+        hover,
+    ),
+    Task.reach: _Writer(
+        "An arm brings its end to a place in space, and holds it there.",
+        "an arm of hinges with motors",
+        lambda build: build.limbs,
+        reach,
+    ),
+    Task.walk: _Writer(
+        "A robot on legs walks forwards at a commanded speed.", "legs", lambda build: build.legs, walk
+    ),
+    Task.grasp: _Writer(
+        "A hand closes its fingers around a ball.", "fingers", lambda build: build.limbs, grasp
+    ),
+    Task.follow: _Writer(
+        "A mechanism brings its joints to a posture.",
+        "joints with motors",
+        lambda build: build.driven,
+        follow,
+    ),
+    Task.roam: _Writer(
+        "A robot moves away from its start by moving its joints.",
+        "joints with motors",
+        lambda build: build.driven,
+        roam,
+    ),
 }
 _TASKS: dict[Kind, tuple[Task, ...]] = {
     Kind.drone: (Task.hover,),
     Kind.underwater: (Task.hover,),
-    Kind.balance: (Task.balance, Task.follow),
+    Kind.balance: (Task.balance, Task.drive, Task.follow),
     Kind.omni: (Task.drive,),
     Kind.rover: (Task.drive,),
     Kind.car: (Task.drive,),
@@ -415,12 +451,19 @@ class FirstScenario:
     further: tuple[Task, ...]
 
 
-def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> FirstScenario:
-    """Return a scenario called `name` about a robot file.
+def suitable_tasks(build: Build, kind: Kind | None) -> dict[Task, str]:
+    """Return the tasks of a kind for which a robot has the parts, the default first, each with the summary of
+    its scenarios; all tasks with such parts where no kind is sure."""
+    tasks = _WRITERS if kind is None else _TASKS[kind]
+    return {task: _WRITERS[task].summary for task in tasks if _WRITERS[task].suits(build)}
+
+
+def drivable(model: RobotModel, urdf: str) -> tuple[Build, dict[str, dict[str, str]]]:
+    """Return the parts of a robot that can be simulated and controlled, and the settings of links that this
+    needs.
 
     Raises:
-        UsageError: No joint of the robot can be driven, one is floating, it has neither masses nor shapes, no
-            kind is sure, or the task does not suit the robot.
+        UsageError: No joint of the robot can be driven, one is floating, or it has neither masses nor shapes.
     """
     model, settings = _completed(model)
     build = Build(model)
@@ -438,12 +481,53 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
             f"{urdf} has neither a joint that a motor can drive nor a propeller, so a policy could not control"
             " it; a drone needs a link for each propeller, with its z axis along the thrust"
         )
+    return build, settings
+
+
+@dataclass(frozen=True)
+class DroppedRobot:
+    """A robot file that need not be written yet: its parts, or else what is wrong with it, a line for each
+    finding, and the text after each fix, by what the fix does."""
+
+    build: Build | None
+    problem: str = ""
+    fixes: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, path: Path, content: bytes, allowed: Iterable[str | Path]) -> DroppedRobot:
+        """Check a robot file. Its meshes are beside `path`, in an `allowed` folder, or below them."""
+        findings = Findings()
+        file = read_bytes(
+            content, path.name, findings, resolve_mesh=Places(path.parent, map(Path, allowed)).resolve
+        )
+        if file is None or findings.errors:
+            listed = sorted(findings, key=lambda finding: finding.severity != "error")[:_MAX_FINDINGS]
+            fixes = {
+                f"Correct line {finding.span.start_position.line}": edited(
+                    finding.span.source, finding.fix.edits
+                )
+                for finding in listed
+                if finding.fix
+            }
+            return cls(None, render(listed, "concise"), fixes)
+        try:
+            return cls(drivable(file.model, path.name)[0])
+        except UsageError as error:
+            return cls(None, str(error))
+
+
+def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> FirstScenario:
+    """Return a scenario called `name` about a robot file.
+
+    Raises:
+        UsageError: As for `drivable`, or no kind is sure, or the task does not suit the robot.
+    """
+    build, settings = drivable(model, urdf)
     judgment = judge(build) if choices.kind is None else Judgment(choices.kind, "as --kind says")
     if judgment.kind is None and choices.task is None:
-        tasks = [task for task, writer in _WRITERS.items() if writer.suits(build)]
         raise UsageError(
             f"deepbots is not sure what {urdf} is ({judgment.evidence}); say it with --kind, or say what it"
-            f" is to do with --task {'|'.join(tasks)}. `deepbots new --help` lists the kinds"
+            f" is to do with --task {'|'.join(suitable_tasks(build, None))}. `deepbots new --help` lists the kinds"
         )
     draft = Draft(build, urdf, judgment, {name: yaml_name(value) for name, value in choices.xacro.items()})
     draft.links |= settings
@@ -451,9 +535,17 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
     text = (
         templates()
         .get_template(f"{task}.yaml")
-        .render(name=name, robot=draft, build=build, found=_found(draft), **{"place": draft.raised, **values})
+        .render(
+            name=name,
+            robot=draft,
+            build=build,
+            found=_found(draft),
+            summary=_WRITERS[task].summary,
+            **{"place": draft.raised, **values},
+        )
     )
-    further = tuple(other for other in _TASKS[judgment.kind or Kind.mechanism] if other != task)
+    suitable = suitable_tasks(build, judgment.kind or Kind.mechanism)
+    further = tuple(other for other in suitable if other != task)
     return FirstScenario("".join(f"{aligned(line)}\n" for line in text.splitlines()), judgment, task, further)
 
 
