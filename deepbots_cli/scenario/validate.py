@@ -7,7 +7,8 @@ passes get all valid entries and nothing is reported twice.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 from itertools import takewhile
 from typing import Any
@@ -18,7 +19,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document import nodes
-from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
+from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, node_at, to_data, walk
 from deepbots_cli.document.parse import resolve_plain_scalar
 from deepbots_cli.document.syntax_hints import missing_colon
 from deepbots_cli.document.value_hints import GIVE_A_VALUE
@@ -42,6 +43,7 @@ _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 
 _ONLY_SPACE = re.compile(r"\s*:(\s|#[^\n]*)*")
+_END_OF_LINE = re.compile(r"( *:)?[ \t]*(#[^\n]*)?\n *")
 _LINE = re.compile(r"^(?=[^\n])", re.MULTILINE)
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still checked.
@@ -98,7 +100,8 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
                 for problem in problems
                 if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))
             ]
-            new = _merge_forms_of_isaac_lab(root, data, _merge_unindented_entries(root, new))
+            new = _merge_outdented_entries(root, data, new, len(errors))
+            new = _merge_forms_of_isaac_lab(root, data, new)
             outcome = [
                 problem.finding
                 for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))
@@ -351,54 +354,96 @@ def _merge_forms_of_isaac_lab(root: nodes.MappingNode, data: Any, problems: list
     return problems
 
 
-def _merge_unindented_entries(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
-    """Replace the unknown keys directly below a key without a value, which lack its indentation, by a single
-    problem for each such key."""
-    unknown: dict[NodePath, dict[str, _Problem]] = {}
-    for problem in problems:
-        if problem.finding.code == "DB101" and problem.path:
-            unknown.setdefault(problem.path[:-1], {})[str(problem.path[-1])] = problem
-    for path, by_name in unknown.items():
-        section = descend(root, path)[0]
-        if not isinstance(section, nodes.MappingNode) or section.span.text.startswith("{"):
+def _merge_outdented_entries(
+    root: nodes.MappingNode, data: Any, problems: list[_Problem], errors: int
+) -> list[_Problem]:
+    """Replace the problems of entries by a single one if they are valid in the section right above them,
+    which is empty or indented by more."""
+    paths = {problem.path[:depth]: None for problem in problems for depth in range(1, len(problem.path) + 1)}
+    for *path, name in paths:
+        holder = node_at(root, *path)
+        if not isinstance(holder, nodes.MappingNode) or name not in holder.entries:
             continue
-        for owner in section.keys_without_value:
-            entries = _entries_directly_below(owner, section, by_name)
-            if entries:
-                merged = [by_name[entry.key.text] for entry in entries]
-                finding = _unindented(owner, entries, merged[0].finding)
-                remaining = [problem for problem in problems if problem not in merged]
-                problems = [replace(merged[0], finding=finding), *remaining]
+        faulty = {problem.path[len(path)] for problem in problems if _is_below(problem, path)}
+        entries = list(holder.entries.values())
+        following = entries[list(holder.entries).index(str(name)) :]
+        moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023
+        owner, spaces = _section_above(holder, following[0].key)
+        if owner is None or not moved or any(problem.path == (*path, owner.text) for problem in problems):
+            continue
+        if not _fits(data, path, owner.text, moved, errors):
+            continue
+        names = {entry.key.text for entry in moved}
+        problems = [
+            _Problem((*path, name), _unindented(owner, moved, spaces)),
+            *(each for each in problems if not (_is_below(each, path) and each.path[len(path)] in names)),
+        ]
     return problems
 
 
-def _entries_directly_below(
-    owner: ScalarNode, section: nodes.MappingNode, names: Container[str]
-) -> list[nodes.Entry]:
-    """Return the entries with these names directly below a key, up to the first with another name."""
-    source = owner.span.source
-    entries = [entry for entry in section.entries.values() if entry.key.span.source is source]
-    below = [entry for entry in entries if entry.key.span.start > owner.span.end]
-    below.sort(key=lambda entry: entry.key.span.start)
-    following = list(takewhile(lambda entry: entry.key.text in names, below))
-    is_directly_below = following and _ONLY_SPACE.fullmatch(
-        source.text, owner.span.end, following[0].key.span.start
-    )
-    return following if is_directly_below else []
+def _is_below(problem: _Problem, path: Sequence[str | int]) -> bool:
+    return len(problem.path) > len(path) and problem.path[: len(path)] == tuple(path)
 
 
-def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], finding: Finding) -> Finding:
+def _section_above(holder: nodes.MappingNode, key: ScalarNode) -> tuple[ScalarNode | None, int]:
+    """Return the key of the section that ends, or is empty, right above a key, and by how many spaces the key
+    is indented less than the keys of this section."""
+    source = key.span.source
+    for owner in holder.keys_without_value:
+        if owner.span.source is source and _ONLY_SPACE.fullmatch(source.text, owner.span.end, key.span.start):
+            return owner, 2
+    for entry in holder.entries.values():
+        section = entry.value
+        if entry.key.span.source is source and isinstance(section, nodes.MappingNode) and section.entries:
+            spaces = _column(next(iter(section.entries.values())).key) - _column(key)
+            is_right_above = _END_OF_LINE.fullmatch(source.text, section.span.end, key.span.start)
+            if is_right_above and spaces > 0 and not section.span.text.startswith("{"):
+                return entry.key, spaces
+    return None, 0
+
+
+def _column(node: Node) -> int:
+    return node.span.start_position.column
+
+
+def _fits(
+    data: Any, path: Sequence[str | int], owner: str, entries: Sequence[nodes.Entry], errors: int
+) -> bool:
+    """Return whether there are fewer errors, and none of the entries, if they are moved into the section
+    `owner` beside them."""
+    data = holder = deepcopy(data)
+    for step in path:
+        holder = holder[step]
+    section = holder.setdefault(owner, {})
+    names = {entry.key.text for entry in entries}
+    if not names.isdisjoint(section):
+        return False
+    section |= {name: holder.pop(name) for name in names}
+    try:
+        Scenario.model_validate(data, context={LENIENT: False})
+    except ValidationError as invalid:
+        left = [error["loc"] for error in invalid.errors(include_url=False, include_input=False)]
+        inside = (*path, owner)
+        return len(left) < errors and not any(
+            loc[: len(inside)] == inside and names.intersection(map(str, loc[len(inside) :])) for loc in left
+        )
+    return True
+
+
+def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], spaces: int) -> Finding:
     source = owner.span.source
     first = entries[0].key
     more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
-    verb = "are" if more else "is"
     begin = source.text.rfind("\n", 0, first.span.start) + 1
     starts = [match.start() for match in _LINE.finditer(source.text, begin, entries[-1].value.span.end)]
-    return replace(
-        finding,
-        headline=f"`{first.text}`{more} {verb} not indented below `{owner.text}`",
-        help=f"indent {'them' if more else 'it'} by two spaces: `  {first.text}: ...`",
-        fix=Fix(tuple(Edit(Span(source, start, start), "  ") for start in starts), safe=False),
+    if len(entries) == 1 and _column(entries[0].value) > _column(first) + spaces:
+        starts = starts[:1]  # the lines below it are indented as they should be
+    return Finding(
+        "DB101",
+        first.span,
+        f"`{first.text}`{more} {'are' if more else 'is'} not indented below `{owner.text}`",
+        f"indent {'them' if more else 'it'} by {counted(spaces, 'space')}: `{' ' * spaces}{first.text}: ...`",
+        fix=Fix(tuple(Edit(Span(source, start, start), " " * spaces) for start in starts), safe=False),
     )
 
 

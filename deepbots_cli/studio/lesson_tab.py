@@ -9,7 +9,7 @@ from nicegui import run, ui
 from deepbots_cli.course.grading import Marks
 from deepbots_cli.course.progress import started_in
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.studio.layout import ICONS
+from deepbots_cli.studio.layout import ICONS, text_with_code
 from deepbots_cli.studio.session import Session
 from deepbots_cli.words import counted
 
@@ -45,7 +45,7 @@ class LessonTab:
         with self._steps:
             for name, step in lesson.steps.items():
                 self._heading(name, f"{step.points} points")
-                ui.label(step.goal)
+                text_with_code(step.goal)
 
     def _picture(self) -> str:
         """Return the address of the picture of the world, which the page of the studio may read."""
@@ -88,7 +88,7 @@ class LessonTab:
                         "studio-lesson-check" + (" studio-solved" if is_full else "")
                     ):
                         ui.label(f"{check.points}/{check.of}")
-                        ui.label(check.says)
+                        text_with_code(check.says)
                     if check.reason and len(reasons) > 1:
                         ui.label(check.reason).classes("studio-lesson-reason")
                 if len(reasons) == 1 and (shared := reasons.pop()):

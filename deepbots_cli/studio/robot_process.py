@@ -74,7 +74,6 @@ class RobotState(BaseModel, strict=True, frozen=True):
         ended: How the last episode of the present driver ended; empty before.
         last, best: The returns of the last and of its best episode, None before one.
         goal: The mean return with which the task is solved, None without one.
-        evaluations: The mean return of each evaluation that the tab *Training* of the page lists.
     """
 
     address: str = ""
@@ -95,7 +94,6 @@ class RobotState(BaseModel, strict=True, frozen=True):
     last: float | None = None
     best: float | None = None
     goal: float | None = None
-    evaluations: tuple[float, ...] = ()
 
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[bytes]) -> None:
@@ -194,7 +192,6 @@ def _state(page: Page, loaded: int) -> RobotState:
         last=playback.last_return,
         best=playback.best_return if playback.last_return is not None else None,
         goal=solved.mean_return if (solved := player.program.agent.solved) is not None else None,
-        evaluations=training.mean_returns if (training := page.panel.training) is not None else (),
     )
 
 

@@ -307,7 +307,7 @@ class Page:
             playback,
             self._tasks.put,
             self.change_parameter,
-            chooses_driver=not self._embedded,
+            embedded=self._embedded,
         )
         self.banner = self.panel.banner
 

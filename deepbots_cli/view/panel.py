@@ -9,29 +9,20 @@ from __future__ import annotations
 import html
 import math
 import re
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
-from pathlib import Path
 from shlex import quote
-from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepbots_cli.errors import RunError
-from deepbots_cli.files import file_stamps
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
-from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.runtime.overview import follows_robot
-from deepbots_cli.view import training_logs
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import COLORS, AgentFrame, FrameLayout, Image, PlottedField, WorldFrame
 from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
 from deepbots_cli.view.replay import ReplayPlayer
-from deepbots_cli.words import number_text, rate_text
+from deepbots_cli.words import number_text
 
 if TYPE_CHECKING:
     import viser
@@ -63,26 +54,6 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
         yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
     yield _head("reported by the robot" if layout.of_robot else "observation")
     yield from _limited(_bar(*pair) for pair in zip(layout.observation, agent.observation, strict=True))
-
-
-def training_rows(
-    stages: Sequence[tuple[str, float]], evaluations: Sequence[Mapping[str, Any]], *, success: bool
-) -> Iterator[str]:
-    """Yield rows of the stages of a curriculum with the timesteps at their beginning, and of the evaluations
-    of a training, the newest first."""
-    if stages:
-        yield _head("stages of the curriculum, and their first timestep")
-        yield from (
-            _wide_row(f"{number}. {name}", f"{steps:,.0f}") for number, (name, steps) in enumerate(stages, 1)
-        )
-    yield _head("evaluations during the training" if evaluations else "no evaluation yet")
-    for evaluation in list(reversed(evaluations))[:_MAX_ROWS]:
-        stage = f", stage {evaluation['stage']}" if evaluation["stage"] else ""
-        rate = f", success {rate_text(fmean(evaluation['successes']))}" if success else ""
-        yield _wide_row(
-            f"{evaluation['steps']:,.0f} steps{stage}",
-            f"return {number_text(fmean(evaluation['returns']))}{rate}",
-        )
 
 
 def message_rows(layout: FrameLayout, frame: WorldFrame, other_agents: Collection[str]) -> Iterator[str]:
@@ -137,14 +108,6 @@ def _row(name: str, value: str, bar: str = "") -> str:
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 
-def _wide_row(name: str, value: str) -> str:
-    """Return a row without a bar, which leaves room for long words."""
-    return (
-        f"<tr><td>{html.escape(name)}</td><td colspan='2'"
-        f" style='text-align:right'>{html.escape(value)}</td></tr>"
-    )
-
-
 def _bar(field: PlottedField, value: float) -> str:
     """Return a number with a mark at its place in its range."""
     share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
@@ -163,7 +126,6 @@ def _bar(field: PlottedField, value: float) -> str:
     return _row(field.name, field.text(value), rail)
 
 
-_TRAINING_INTERVAL_S = 20.0  # the shortest time between two reads of the logs of a running training
 _MAX_SERIES = 8
 _TIME_BUTTONS = ("pause", "step", "reset", "next")
 _NUMBER_WITH_UNIT = re.compile(
@@ -194,7 +156,7 @@ class Panel:
         banner: The state of the episode, or an error (HTML).
         values: Reward terms, action, observation and messages of the chosen agent (HTML).
         slider: The step of a recording; None for other sources.
-        plots, training, show: Tabs; `training` is None for other sources than runs.
+        plots, show: Tabs.
     """
 
     def __init__(
@@ -204,15 +166,15 @@ class Panel:
         queue: Queue,
         on_parameter: Callable[[str, str], None],
         *,
-        chooses_driver: bool = True,
+        embedded: bool = False,
     ) -> None:
         """Add the controls. `queue` runs the work of a control in the thread of the page; `on_parameter`
-        takes a name and its new value. The page around an embedded panel has the list of drivers itself
-        (`chooses_driver`)."""
+        takes a name and its new value. The page around an `embedded` panel has the list of drivers and the
+        keys itself, so the tab *Show* has what is needed rarely."""
         self._gui = gui
         self._playback = playback
         self._queue = queue
-        self._chooses_driver = chooses_driver
+        self._embedded = embedded
         worlds = playback.worlds
         player = playback.worlds[0].player
         self._agents = {
@@ -229,15 +191,13 @@ class Panel:
             "Values": partial(gui.add_html, ""),
             "Plots": partial(PlotsTab, gui, worlds, self._agent, queue),
         }
-        if not isinstance(player, ReplayPlayer):
+        if not isinstance(player, ReplayPlayer) and not embedded:
             drive = {"Drive": partial(add_drive, gui, playback, queue)}
             tabs = drive | tabs if playback.by_hand else tabs | drive
         # A recording has fixed parameters.
         if player.opened.parameters and len(worlds) == 1 and playback.driven is None:
             tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
-        if player.opened.run is not None:
-            tabs["Training"] = partial(TrainingTab, gui, player.opened.run)
-        tabs["Show"] = partial(ShowTab, gui, playback, queue)
+        tabs["Show"] = self._add_show
         group = gui.add_tab_group()
         contents = {}
         for title, add in tabs.items():
@@ -245,7 +205,6 @@ class Panel:
                 contents[title] = add()
         self.values: Any = contents["Values"]
         self.plots: PlotsTab = contents["Plots"]
-        self.training: TrainingTab | None = contents.get("Training")
         self.show: ShowTab = contents["Show"]
         self._cameras: dict[str, Any] = {}
         if any(
@@ -288,17 +247,29 @@ class Panel:
             world.on_update(lambda _: queue(lambda: playback.choose_world(int(world.value))))
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=playback.speed)
         speed.on_update(lambda _: setattr(playback, "speed", speed.value))
-        if self.slider is None:
-            seed = gui.add_number("seed", playback.seed, min=0, step=1)
-            seed.on_update(lambda _: queue(lambda: playback.set_seed(int(seed.value))))
+        if self.slider is None and not self._embedded:
+            self._add_seed()
         # The name of the driver may be `actions`.
         names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))
-        if self._chooses_driver and len(names) > 1 and len(playback.worlds) == 1:
+        if not self._embedded and len(names) > 1 and len(playback.worlds) == 1:
             driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
             driver.on_update(lambda _: queue(lambda: playback.set_driver(driver.value)))
         if len(self._agents) > 1:
             agent = gui.add_dropdown("robot", tuple(self._agents))
             agent.on_update(lambda _: queue(lambda: self._show_agent(agent.value)))
+
+    def _add_seed(self) -> None:
+        seed = self._gui.add_number("seed", self._playback.seed, min=0, step=1)
+        seed.on_update(lambda _: self._queue(lambda: self._playback.set_seed(int(seed.value))))
+
+    def _add_show(self) -> ShowTab:
+        gui = self._gui
+        tab = ShowTab(gui, self._playback, self._queue)
+        if self._embedded:
+            self._add_seed()
+            with gui.add_folder("Drive", expand_by_default=False):
+                add_drive(gui, self._playback, self._queue)
+        return tab
 
     def _show_agent(self, name: str) -> None:
         self._agent = self._agents[name]
@@ -312,8 +283,6 @@ class Panel:
     def begin(self) -> None:
         """Show the beginning of an episode."""
         player = self._playback.worlds[0].player
-        if self.training is not None and player.opened.run is not None:
-            self.training.read(player.opened.run)
         if self.slider is not None and isinstance(player, ReplayPlayer):
             self.slider.max = max(1, player.length - 1)
         self.update_texts()
@@ -521,41 +490,6 @@ def _term_value(term: str, agent: AgentFrame) -> float:
     return agent.terms.get(term, math.nan)
 
 
-class TrainingTab:
-    """The stages and evaluations of the training of a run. `mean_returns` are those of the evaluations."""
-
-    def __init__(self, gui: viser.GuiApi, run: Run) -> None:
-        self.text = gui.add_html("")
-        self.mean_returns: tuple[float, ...] = ()
-        self._run: Run | None = None
-        self._read_at = 0.0
-        self._stamps: Mapping[Path, object] = {}
-        self.read(run)
-
-    def read(self, run: Run) -> None:
-        """Read the logs of a run if they have changed; those of a run that was not opened again at most once
-        in `_TRAINING_INTERVAL_S`."""
-        now = time.monotonic()
-        if run is self._run and now - self._read_at < _TRAINING_INTERVAL_S:
-            return
-        self._run, self._read_at = run, now
-        stamps = file_stamps([run.path / RECORD_NAME, run.monitor])
-        if stamps == self._stamps:
-            return
-        self._stamps, self.mean_returns = stamps, ()
-        try:
-            record = RunRecord.read(run.path)
-            episodes, evaluations = training_logs.logs_of(run.path)
-        except RunError as error:
-            self.text.content = notice("the training cannot be shown", html.escape(str(error)), "#D55E00")
-            return
-        self.mean_returns = tuple(fmean(evaluation["returns"]) for evaluation in evaluations)
-        rows = training_rows(
-            training_logs.stage_starts(record, episodes), evaluations, success=run.program.defines_success
-        )
-        self.text.content = table(rows)
-
-
 class ShowTab:
     """The parts that are drawn, and the settings of camera and time."""
 
@@ -589,7 +523,7 @@ class ShowTab:
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
     # viser's share button uploads the scene to a public host.
-    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
+    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark, brand_color=(26, 107, 176))
 
 
 def add_parameters(

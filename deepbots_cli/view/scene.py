@@ -163,8 +163,14 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
 
 
 def _light(server: viser.ViserServer) -> None:
-    server.scene.set_up_direction("+z")
-    server.scene.configure_default_lights(cast_shadow=False)
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.configure_default_lights(cast_shadow=False)
+    # All is black until a browser has read viser's environment map, which takes up to 20 s without a GPU.
+    scene.configure_environment_map(None)
+    scene.add_light_hemisphere(
+        "/sky", sky_color=(255, 255, 255), ground_color=(120, 125, 135), intensity=1.5, position=(0, 0, 1)
+    )
 
 
 def add_shape(scene: viser.SceneApi, name: str, shape: Shape, color: Color, frame: frames.Frame) -> Any:

@@ -247,9 +247,13 @@ _WEBOTS_KEY = """e => {
   const modifiers = 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey;
   return !code || e.metaKey ? null : code + modifiers; }"""
 
-# All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the
-# world; here it stands below.
-_STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; }
+# The fonts and colors of the studio. All tabs fit in a row. In a window that is narrower than viser's limit
+# (36em), its panel lies over the world; here it stands below.
+_STYLE = """<style>html:root {
+  --mantine-font-family: -apple-system, BlinkMacSystemFont, "Segoe UI", Helvetica, Arial, sans-serif; }
+html:root[data-mantine-color-scheme=dark] { --mantine-color-body: #16191f; --mantine-color-default: #20242c;
+  --mantine-color-text: #e4e6ea; --mantine-color-default-border: #566073; --mantine-color-dimmed: #a9b2c0; }
+[role=tab] { padding-inline: 0.5em !important; }
 [style*="letter-spacing"] { letter-spacing: normal !important; } @media (max-width: 36em) {
   div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
   .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important;

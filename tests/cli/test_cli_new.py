@@ -25,6 +25,7 @@ import pytest
 import yaml
 
 from deepbots_cli import api, frames
+from deepbots_cli.cli import starters
 from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.starters.draft import Draft, Template
@@ -66,6 +67,26 @@ def test_every_section_of_a_template_has_a_comment(deepbots, tmp_path, template)
     ]
     assert blocks
     assert [block for block in blocks if "#" not in block] == []
+
+
+@pytest.mark.parametrize("robot", ["rover", "a1", "panda", "quadrotor"])
+def test_a_comment_behind_a_line_of_a_new_scenario_is_short_or_above_it(deepbots, tmp_path, robot):
+    deepbots("new", "mine", "--urdf", robot)
+    assert _long_comments([tmp_path / "mine.yaml"]) == []
+
+
+def test_a_comment_behind_a_line_of_a_shipped_text_is_short_or_above_it():
+    """The studio would wrap it into the lines below."""
+    root = Path(starters.__file__).parents[3]
+    folders = {"scenarios": "*.yaml", "deepbots_cli/cli/starters": "*.yaml", "course": "*/start/*.yaml"}
+    files = [file for folder, pattern in folders.items() for file in (root / folder).glob(pattern)]
+    assert len(files) > 50
+    assert _long_comments(files) == []
+
+
+def _long_comments(files: list[Path]) -> list[str]:
+    lines = (line for file in files for line in file.read_text(encoding="utf-8").splitlines())
+    return [line for line in lines if len(line) > 60 and re.search(r"\S +# ", re.sub('"[^"]*"', "", line))]
 
 
 def test_the_help_lists_every_template():

@@ -196,10 +196,18 @@ def _errors(text: str) -> list[Finding]:
     return [finding for finding in findings if finding.severity == "error"]
 
 
+def _pressed(text: str) -> str:
+    """The text after the first fixes of its errors, one after the other."""
+    for _ in range(3):
+        fix = next((finding.fix for finding in _errors(text) if finding.fix is not None), None)
+        text = edited(fix.edits[0].span.source, fix.edits) if fix is not None else text
+    return text
+
+
 def _is_improved(text: str) -> bool:
     """Apply the fixes of the errors of a text, the first one of each round, and return whether each leaves no
     more errors, and they end."""
-    for _ in range(4):
+    for _ in range(6):
         errors = _errors(text)
         fix = next((finding.fix for finding in errors if finding.fix is not None), None)
         if fix is None:
@@ -216,11 +224,21 @@ def _template(name: str) -> str:
 
 def test_correcting_the_indentation_of_a_section_does_not_lead_to_more_errors_in_a_circle() -> None:
     right = _template("cartpole")
-    for spaces in (3, 2, 6, 7, 8):
+    for spaces in (3, 6, 7, 8):
         wrong = right.replace("    actuators:\n", f"{' ' * spaces}actuators:\n")
         assert wrong != right
         assert _is_improved(wrong), spaces
-    assert _corrected(right.replace("    actuators:\n", "  actuators:\n")) == right
+
+
+def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text() -> None:
+    right = _template("cartpole")
+    moved = dict(_moved_lines(right, -2))
+    assert len(moved) > 30
+    assert [number for number, wrong in moved.items() if _pressed(wrong) != right] == []
+    apply = next(wrong for wrong in moved.values() if "\n  apply:" in wrong)
+    assert [(error.headline, error.span.text) for error in _errors(apply)] == [
+        ("`apply` is not indented below `cart`", "apply")
+    ]
 
 
 @pytest.mark.parametrize("spaces", [spaces for spaces in range(-4, 5) if spaces])

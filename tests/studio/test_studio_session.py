@@ -515,11 +515,10 @@ def evaluations(run: Path) -> list[float]:
 
 @dataclass(frozen=True)
 class World:
-    """What the robot is to be of, and its angle. `until` are the evaluations of a run when it was shown."""
+    """What the robot is to be of, and its angle."""
 
     reference: Path
     angle: str
-    until: tuple[float, ...] = ()
 
     @property
     def driver(self) -> str:
@@ -605,7 +604,7 @@ class Walk:
     def watch(self) -> None:
         run = self.random.choice(self.runs)
         self.session.shown.show_robot(run)
-        self.world = World(run, self.angle(run), tuple(evaluations(run)))
+        self.world = World(run, self.angle(run))
 
     def save_and_watch(self) -> None:
         """Watch before the robot of the saved text has come."""
@@ -630,7 +629,7 @@ class Walk:
         training = self.session.shown.training
         if self.session.shown.follows and training is not None:
             run = training.path
-            self.world = World(run, self.angle(run), tuple(evaluations(run)))
+            self.world = World(run, self.angle(run))
 
     def train(self) -> None:
         if "parsec" in self.file.text:
@@ -709,7 +708,6 @@ class Walk:
             facts["robot of"] = (shown.source, str(world.reference))
             facts["angle"] = (state.parameters.get("fall_angle"), world.angle)
             facts["driver"] = (state.driver, world.driver)
-            facts["evaluations"] = (state.evaluations[: len(world.until)], world.until)
             name = world.reference.name
             by = f"the policy of {name}" if world.driver == "policy" else "random actions"
             is_outdated = "parsec" in self.angle(self.file.path) and state.state == "outdated"
@@ -774,11 +772,9 @@ def acted(trained: Path, folder: Path, *names: str) -> None:
 
 
 def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(trained, tmp_path):
-    acted(trained, tmp_path, "watch", "edit", "save", "watch", "watch_and_save", "look_at_curve")
-
-
-def test_the_evaluations_beside_the_robot_are_those_of_the_run_that_is_watched_now(trained, tmp_path):
-    acted(trained, tmp_path, *("watch", "look_at_curve") * 2)
+    acted(
+        trained, tmp_path, "watch", "edit", "save", "watch", "watch_and_save", *("watch", "look_at_curve") * 2
+    )
 
 
 def test_the_policy_of_a_run_drives_the_saved_text_until_another_observation_does_not_fit(trained, tmp_path):

@@ -181,7 +181,8 @@ def _unused(name: str, used: Iterable[str]) -> str:
     )
 
 
-_COLUMN = 40
+_COLUMN, _END_OF_COMMENTS = 24, 60
+"""The first column of comments behind a line, from 0, and the last one: the studio wraps longer lines."""
 _WIDTH = 110
 _PATH = re.compile(r"(?:package://|(?:\.\./)+)[A-Za-z_][A-Za-z0-9_./-]*")
 
@@ -226,10 +227,16 @@ def short_number(value: float) -> str:
     return f"{value + 0.0:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
 
 
-def aligned(line: str) -> str:
-    """Return a line with its comment, which follows four spaces, in the column of comments."""
+def with_comment(line: str) -> str:
+    """Return a line with its comment, which follows four spaces, in the column of comments; a long comment
+    becomes a line above it."""
     text, mark, comment = line.partition("    # ")
-    return f"{text:<{_COLUMN - 2}}  # {comment}" if mark else line.rstrip()
+    if not mark:
+        return line.rstrip()
+    column = max(min(_COLUMN, _END_OF_COMMENTS - len(comment) - 2), len(text) + 2)
+    if column + len(comment) + 2 <= _END_OF_COMMENTS:
+        return f"{text:<{column}}# {comment}"
+    return f"{' ' * (len(text) - len(text.lstrip()))}# {comment}\n{text}"
 
 
 def scenario_title(name: str) -> str:

@@ -12,10 +12,10 @@ from deepbots_cli import frames
 from deepbots_cli.cli.starters.arms import grasp, reach
 from deepbots_cli.cli.starters.draft import (
     Draft,
-    aligned,
     grouped_by_unit,
     short_number,
     templates,
+    with_comment,
     yaml_name,
 )
 from deepbots_cli.cli.starters.legs import walk
@@ -546,7 +546,9 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
     )
     suitable = suitable_tasks(build, judgment.kind or Kind.mechanism)
     further = tuple(other for other in suitable if other != task)
-    return FirstScenario("".join(f"{aligned(line)}\n" for line in text.splitlines()), judgment, task, further)
+    return FirstScenario(
+        "".join(f"{with_comment(line)}\n" for line in text.splitlines()), judgment, task, further
+    )
 
 
 def _task(draft: Draft, task: Task | None) -> tuple[Task, dict[str, object]]:
