@@ -34,6 +34,7 @@ words.py            numbers and lists in messages
 plugins.py          plug-ins of other packages
 message_formats.py  the formats of messages
 processes.py        further processes of Python
+records.py          dataclasses that compile nothing at import
 pictures.py         a check of pictures before they are decoded
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,

@@ -198,7 +198,8 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(cart: Make) -> None:
         observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
         return [float(observation[2]) for observation in observations]
 
-    in_range, left_out_of_range = right("3 m"), right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
+    in_range = right("3 m", "termination={}")
+    left_out_of_range = right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
     assert len(set(in_range)) > 10
     assert in_range == left_out_of_range
 
@@ -633,7 +634,7 @@ def test_limits_cut_all_short(copies: Make) -> None:
 
 def test_draws_are_each_copys_own_and_parameters_are_shared(copies: Make) -> None:
     drawn = "parameters={cart_speed: 1 m/s, gust: uniform(0 .. 1), wind: uniform(0 .. 1) every 60 ms}"
-    environment = copies(drawn, "reward={wind: wind, gust: gust}")
+    environment = copies(drawn, "reward={wind: wind, gust: gust}", "termination={}")
     assert len({float(row[2]) for row in environment.reset(seed=0)[0]}) == 3
     rewards = []
     for _ in range(12):
@@ -650,6 +651,7 @@ def test_channels_of_copies_share_no_draw(copies: Make) -> None:
         "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50"
         " %}}",
         "reward={a: 1 when message_received(cart)}",
+        "termination={}",
     )
     environment.reset(seed=0)
     rewards = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])

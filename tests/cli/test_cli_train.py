@@ -544,7 +544,7 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
     assert (row["run"], row["set"]) == ("mine", "solved=mean_return >= 1 over 4 episodes")
-    assert row["remarks"] == remarks[1:-1]
+    assert row["remarks"] == f"'{remarks[1:-1]}"  # which no spreadsheet reads as a formula
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     deepbots(
         "eval",

@@ -77,10 +77,12 @@ def digest(environment: Supervisor, seed: int) -> str:
     """Of an episode and of the one after it, which takes no seed of its own."""
     first = record(environment, seed)
     environment.reset()
-    second = [
-        as_bytes(environment.step(action))
-        for _, action in zip(range(20), actions(environment, 5), strict=False)
-    ]
+    second = list[bytes]()
+    for _, action in zip(range(20), actions(environment, 5), strict=False):
+        transition = environment.step(action)
+        second.append(as_bytes(transition))
+        if transition[2] or transition[3]:
+            break
     return hashlib.sha256(b"".join([*first, *second])).hexdigest()
 
 

@@ -704,7 +704,7 @@ def test_a_mirrored_episode_is_the_mirror_image_of_the_episode(tmp_path: Path) -
     actions = np.random.default_rng(4).uniform(-0.5, 0.5, (40, 1)).astype(np.float32)
 
     def played(acts: Any) -> Any:
-        with api.make(tmp_path / "mirrored.yaml", engine="pybullet") as world:
+        with api.make(tmp_path / "mirrored.yaml", overrides=["termination={}"], engine="pybullet") as world:
             world.reset(seed=0)
             return np.array([world.step(act)[0] for act in acts])
 

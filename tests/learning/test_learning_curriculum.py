@@ -430,7 +430,7 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(
     result = whole()
     assert isinstance(result.levels, LevelSpread)
     assert 0 <= result.levels.lowest <= result.levels.mean <= result.levels.highest < 6
-    assert f"level           {result.levels}" in training_text(result)
+    assert str(result.levels) in training_text(result)
     scalars = outcome(result.run)["scalars"]
     assert scalars["curriculum/mean_level"][-1][1] == pytest.approx(result.levels.mean)
     evaluation = evaluate(result.run, episodes=60)

@@ -24,7 +24,7 @@ from stand_in import hyper
 from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli import records
 from deepbots_cli.cli.arguments import open_source
-from deepbots_cli.cli.commands.compare import _data, _lines
+from deepbots_cli.cli.commands.compare import _data, _difference_rows, _group_rows, _lines
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
@@ -595,7 +595,7 @@ def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_o
     assert (difference.mean_return, difference.compared) == (None, None)
     assert (
         difference.verdict
-        == "other: cannot be compared with climb, because returns do not mean the same (reward.alive differ)"
+        == "other and climb cannot be compared, because returns do not mean the same (reward.alive differ)"
     )
     assert any(
         "returns are not compared, because they do not mean the same: reward.alive: 1 -> 2" in note
@@ -622,14 +622,14 @@ def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Pa
     rewarded, same = comparison.differences
     assert not rewarded.own_scenarios
     assert (rewarded.mean_return, rewarded.solved_after) == (None, None)
-    assert "cannot be compared with climb, because returns do not mean the same" in rewarded.verdict
+    assert "other and climb cannot be compared, because returns do not mean the same" in rewarded.verdict
     assert same.mean_return is not None
     (note,) = [note for note in comparison.notes if "the rewards of the runs differ" in note]
     assert note.endswith("compare success rates, or choose one reward with --scenario: reward.alive: 1 -> 2")
     groups = _data(comparison)["groups"]
     for group in (*groups, *(run for entry in groups for run in entry["runs"])):
         assert {group[name] for name in ("mean_return", "return_interval", "interquartile_mean")} == {None}
-    assert " return" not in "\n".join(_lines(comparison)).partition("difference from")[0]
+    assert " return" not in "\n".join(_lines(comparison, _group_rows(comparison), _difference_rows(comparison))).partition("difference from")[0]
 
 
 def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: Path, tmp_path: Path) -> None:

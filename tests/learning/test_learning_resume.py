@@ -309,7 +309,7 @@ def files_of_at_most(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("size", [0, 8_000])
+@pytest.mark.parametrize("size", [0, 20_000])
 def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_again(
     tmp_path: Path, size: int
 ) -> None:

@@ -430,8 +430,8 @@ def test_the_hover_of_a_code_in_a_comment_is_its_page(client, pit):
         "# that is¦ \n",
         "reward: ¦     {progress",
         "n_steps:¦ 64",
-        "100 episodes  ¦  # rocking",
-        "100 episodes    ¦# rocking",
+        "¦# rocking by",
+        "# rocking¦ by",
     ],
 )
 def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around):

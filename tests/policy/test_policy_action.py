@@ -316,6 +316,7 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers() -> None:
     overrides = [
         world,
         ball,
+        "termination={}",
         f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}",
     ]
     with closing(api.make("cartpole", overrides=overrides)) as environment:
@@ -349,7 +350,8 @@ def test_a_case_may_have_a_script_of_its_own(small: Make) -> None:
 def test_asking_changes_nothing() -> None:
     overrides = [
         "scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast:"
-        " ahead > 0 m, slow: true}}}"
+        " ahead > 0 m, slow: true}}}",
+        "termination={}",
     ]
 
     def episode(*, asking: bool) -> list[Any]:

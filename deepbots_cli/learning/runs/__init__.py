@@ -7,6 +7,7 @@ directories.py  directories of runs, groups and studies: names, locks, files wri
 episodes.py     results of episodes: log, statistics, solved, summaries with intervals
 curriculum.py   the stages of a training, and the levels of worlds
 statistics.py   intervals, gates that may stop early, comparisons of groups, confirmations of a solved task
+origin.py       the commits, packages and processor of a training
 order.py        the order of policies, and the best models of a training
 verdict.py      the quoted evaluation of a run; whether it is solved, got worse; what it changed
 
