@@ -453,12 +453,13 @@ class Observations(NamespaceReader):
             low, high = typed.type.interval.low, typed.type.interval.high
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
-                self._values.add(
-                    "DB102",
-                    text.span,
-                    "deepbots cannot determine the range of this value",
-                    f"write it, as in `-1 .. 1{unit}`",
-                )
+                if not self._values.findings.errors:  # one of them may be why there is no range
+                    self._values.add(
+                        "DB102",
+                        text.span,
+                        "deepbots cannot determine the range of this value",
+                        f"write it, as in `-1 .. 1{unit}`",
+                    )
                 return None
             return (low,) * count, (high,) * count
         scope = self._namespace.scope(Context.FIXED)

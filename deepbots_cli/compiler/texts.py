@@ -226,8 +226,9 @@ _MAX_CHECKS = 12
 
 
 def verify_fix(document: Document, errors_of: Callable[[Document], int]) -> None:
-    """Give the syntax error of a document the fix that leaves the fewest errors, and none if each one leaves
-    more errors than there are. `errors_of` returns the number of errors of another text of the document."""
+    """Give the syntax error of a document its fix if that leaves no more errors than there are, or another
+    indentation that leaves none; otherwise no fix. `errors_of` returns the number of errors of another text
+    of the document."""
     findings = document.findings
     broken = next((each for each in findings if each.fix and each.span.source is document.source), None)
     if document.root is not None or broken is None:
@@ -237,7 +238,7 @@ def verify_fix(document: Document, errors_of: Callable[[Document], int]) -> None
     readable = ((each, text) for each, text in texts if is_readable(text))
     for candidate, text in islice(readable, _MAX_CHECKS):
         errors = errors_of(_with_text(document, text))
-        if errors < fewest:
+        if errors < fewest and (candidate is broken or not errors):
             best, fewest = candidate, errors
         if not errors:
             break

@@ -68,18 +68,16 @@ def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
     try:
         if path.is_symlink():
             raise HandInError("it is a symbolic link, which may lead to the work of another student")
+        if not path.exists():
+            raise HandInError("it does not exist")
         if path.is_dir():
             _copy_folder(path, into, remarks)
-        elif path.exists() and not path.is_file():
-            raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
-        elif zipfile.is_zipfile(path):
+        elif path.is_file() and zipfile.is_zipfile(path):
             _extract(path, into, remarks)
-        elif path.suffix in (".yaml", ".yml"):
+        elif path.is_file() and path.suffix in (".yaml", ".yml"):
             _copy(path, into / path.name, 0)
-        elif path.exists():
-            raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
         else:
-            raise HandInError("it does not exist")
+            raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
     except OSError as error:
         raise HandInError(f"it cannot be read: {(error.strerror or type(error).__name__).lower()}") from None
     folder = _inner_folder(into, lesson)
@@ -103,7 +101,9 @@ def _foreign_files(folder: Path, lesson: Lesson) -> Iterator[str]:
     steps = set(lesson.step_files)
     taken = {name for step in lesson.steps.values() for name in step.files}
     expected = {path.name for path in start.iterdir()} | steps | taken | set(_OWN)
-    foreign = sorted(path.name for path in folder.iterdir() if path.name not in expected)
+    foreign = sorted(
+        path.name for path in folder.iterdir() if path.name not in expected and path.suffix != ".png"
+    )
     if foreign:
         yield f"{', '.join(foreign[:5])}: not a part of the exercise, and without effect on the marks"
     for path in sorted(start.iterdir()):
@@ -223,7 +223,7 @@ def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
     is_changed = any(_data(parts.get(path)) != _data(node) for path, node in before.items())
     is_changed = is_changed or any(_content(folder / name) != _content(start / name) for name in step.files)
     for path, part in parts.items() if is_changed else ():
-        _check_part(file, path, part, step)
+        _check_part(path, part, step)
     return StepFile(parts, tuple(_without_effect(file, root, started, step)), is_changed)
 
 
@@ -257,43 +257,38 @@ def _root(path: Path, file: str) -> MappingNode:
     return node
 
 
-def _check_part(file: str, path: str, part: Node, step: Step) -> None:
-    where = _place(file, part)
+def _check_part(path: str, part: Node, step: Step) -> None:
     if isinstance(part, ScalarNode) and part.value is None:
         return
     if not isinstance(part, MappingNode):
-        raise HandInError(f"`{path}` is not a mapping ({where})")
+        raise HandInError(f"`{path}` is not a mapping ({part.span.location})")
     for inner, node in walk(part):
-        place = _place(file, node)
         key = next((key for key in inner if key in _STRUCTURE), None)
         if key is not None:
-            raise HandInError(f"`{key}` may not stand in `{path}` ({place})")
+            raise HandInError(f"`{key}` may not stand in `{path}` ({node.span.location})")
         if isinstance(node, ScalarNode):
             for word in step.forbidden:
                 if _mentions(node.text, word) or any(_mentions(str(key), word) for key in inner):
                     raise HandInError(
-                        f"`{word}` may not be used in `{path}` ({place}): the robot cannot know it"
+                        f"`{word}` may not be used in `{path}` ({node.span.location}): the robot cannot know it"
                     )
         if step.only and len(inner) == 1 and inner[0] not in step.only:
             allowed = ", ".join(f"`{name}`" for name in step.only)
-            raise HandInError(f"only {allowed} may stand in `{path}`, not `{inner[0]}` ({place})")
+            raise HandInError(
+                f"only {allowed} may stand in `{path}`, not `{inner[0]}` ({node.span.location})"
+            )
         if step.sensors is not None and inner and inner[-1] == "type" and path.endswith("sensors"):
             kind = node.text if isinstance(node, ScalarNode) else ""
             if len(inner) == 2 and kind not in step.sensors:
                 allowed = ", ".join(step.sensors)
                 raise HandInError(
-                    f"a sensor of type `{kind}` is not allowed here ({place}); allowed: {allowed}"
+                    f"a sensor of type `{kind}` is not allowed here ({node.span.location}); allowed: {allowed}"
                 )
 
 
 def _mentions(text: str, word: str) -> bool:
     """Return whether an expression or a key uses a name, which may have dots."""
     return re.search(rf"(?<!\w)(?<!\w\.){re.escape(word)}(?!\w)", text) is not None
-
-
-def _place(file: str, node: Node) -> str:
-    position = node.span.start_position
-    return f"{file}:{position.line}:{position.column}"
 
 
 def _without_effect(file: str, root: MappingNode, started: MappingNode | None, step: Step) -> Iterator[str]:

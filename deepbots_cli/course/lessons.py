@@ -24,6 +24,7 @@ from deepbots_cli.document import MappingNode, files, shipped, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.program.task import ExpectedKey
 from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.quantities import read_fraction
 
@@ -51,6 +52,8 @@ class Check(_Part):
     Attributes:
         says: What is checked, in words that a student reads before and after.
         points: The points for it.
+        fails: What the student reads if an expectation of the test is not met, by its key, such as `always`.
+            Values that it compares stand in braces, as in `{rover.ahead}`; `{measured}` is another result.
         test: The name of a test of the teacher's task.
         without: A code of lint, such as `DB705`, that the task must not have.
         answer: A key of `answers.yaml`; `right` are the accepted values: texts, or ranges such as `3 .. 4`.
@@ -64,6 +67,7 @@ class Check(_Part):
 
     says: Text
     points: int = Field(ge=1, le=100)
+    fails: Mapping[ExpectedKey, Text] = {}
     test: str | None = None
     without: str | None = None
     answer: str | None = None

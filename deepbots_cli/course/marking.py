@@ -46,6 +46,8 @@ UNCHANGED = "not changed yet"
 _MAX_REASON = 400
 _YES_OR_NO = {"true": "yes", "false": "no"}
 _MISSING_TEST = "the task has no such test; tell your teacher"
+_Quantity = tuple[float, Dimension]
+"""A number in SI units, and its dimension."""
 _WEIGHTS = "policy.pth"
 """The file of a model of Stable-Baselines3 with its weights."""
 
@@ -175,20 +177,15 @@ class Marker:
     def _finding(self, name: str, finding: Finding) -> str:
         position = finding.span.start_position
         is_of_student = HANDED_IN in Path(finding.span.source.name).parts
-        place = f"{name}.yaml:{position.line}:{position.column}" if is_of_student else "the task"
-        help = f"; {finding.help}" if finding.help and is_of_student else ""
-        return f"{place}: {finding.headline} ({finding.code}){help}"
+        place = f":{position.line}:{position.column}" if is_of_student else " lacks what the test needs"
+        help = f"; {finding.help}" if finding.help else ""
+        return f"{name}.yaml{place}: {finding.headline} ({finding.code}){help}"
 
     def _tests(self, name: str, task: Path, step: Step) -> dict[str, ScenarioTest | str]:
         """Return the tests of the step. For one that cannot be compiled with the parts of the student, because
         it names what they lack, return the reason."""
-        names = [check.test for check in step.checks if check.test is not None]
-        checked = api.load(task, tests=True)
-        if checked.program is not None:
-            by_name = {test.name: test for test in checked.tests}
-            return {one: by_name.get(one, _MISSING_TEST) for one in names}
         tests: dict[str, ScenarioTest | str] = {}
-        for one in names:
+        for one in (check.test for check in step.checks if check.test is not None):
             checked = api.load(_with_tests(task, (one,)), tests=True)
             errors = [finding for finding in checked.findings if finding.severity == "error"]
             tests[one] = (
@@ -205,9 +202,12 @@ class Marker:
         if result.passed:
             return CheckMark(check.says, check.points, check.points)
         unmet = result.unmet[0]
-        return CheckMark(
-            check.says, 0, check.points, f"expected {unmet.expected}; measured: {unmet.measured}"
-        )
+        reason = f"expected {unmet.expected}; measured: {unmet.measured}"
+        if unmet.key:
+            reason = check.fails.get(unmet.key, reason)
+        for text, value in unmet.values.items():
+            reason = reason.replace(f"{{{text}}}", value)
+        return CheckMark(check.says, 0, check.points, reason)
 
     def _linted(self, name: str, check: Check, findings: Sequence[Finding]) -> CheckMark:
         finding = next((finding for finding in findings if finding.code == check.without), None)
@@ -226,18 +226,16 @@ class Marker:
     def _answered(self, check: Check, answers: dict[str, Any]) -> CheckMark:
         node = answers.get(check.answer or "")
         if not isinstance(node, ScalarNode) or node.value is None or not node.text.strip():
-            reason = f"there is no answer `{check.answer}` in {ANSWERS_NAME}"
+            reason = f"there is no answer in {ANSWERS_NAME}: write it after `{check.answer}:` and a space"
             return CheckMark(check.says, 0, check.points, reason)
         if any(is_right(node.text, expected) for expected in check.right):
             return CheckMark(check.says, check.points, check.points)
-        position = node.span.start_position
-        where = f"{ANSWERS_NAME}:{position.line}:{position.column}"
         number = _quantity(_tree(node.text))
-        lacks_unit = number is not None and any(
-            unit_of(right) not in (None, number[1]) for right in check.right
-        )
+        most = [most for _, most in map(_ends, check.right) if most is not None]
+        lacks_unit = number is not None and any(dimension != number[1] for _, dimension in most)
         help = "; does it have the right unit?" if lacks_unit else ""
-        return CheckMark(check.says, 0, check.points, f"`{node.text[:60]}` is not right ({where}){help}")
+        reason = f"`{node.text[:60]}` is not right ({node.span.location}){help}"
+        return CheckMark(check.says, 0, check.points, reason)
 
 
 def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
@@ -267,28 +265,26 @@ def is_right(text: str, expected: str | float) -> bool:
     in any unit, or one in a range such as `3 .. 4` or `10 .. 20 ms`."""
     text = _YES_OR_NO.get(text.strip().lower(), text)
     expected = _YES_OR_NO.get(str(expected).lower(), str(expected))
-    wanted = _tree(expected)
     answer = _quantity(_tree(text))
-    low, high = (wanted.low, wanted.high) if isinstance(wanted, syntax.Range) else (wanted, wanted)
-    least, most = _quantity(low), _quantity(high)
+    least, most = _ends(expected)
     if least is None or most is None:
         return " ".join(text.lower().split()) == " ".join(expected.lower().split())
     return answer is not None and answer[1] == most[1] and least[0] <= answer[0] <= most[0]
 
 
-def unit_of(expected: str | float) -> Dimension | None:
-    """Return the dimension of an expected number or of a range; None for a text."""
+def _ends(expected: str | float) -> tuple[_Quantity | None, _Quantity | None]:
+    """Return the ends of an expected range, or a number twice; None for a text."""
     wanted = _tree(str(expected))
-    end = _quantity(wanted.high if isinstance(wanted, syntax.Range) else wanted)
-    return None if end is None else end[1]
+    low, high = (wanted.low, wanted.high) if isinstance(wanted, syntax.Range) else (wanted, wanted)
+    return _quantity(low), _quantity(high)
 
 
 def _tree(text: str) -> syntax.Node | None:
     return parser.parse(text.strip(), lambda *_, **__: None) if text.strip() else None
 
 
-def _quantity(node: syntax.Node | None) -> tuple[float, Dimension] | None:
-    """Return a number in SI units and its dimension; None for another text."""
+def _quantity(node: syntax.Node | None) -> _Quantity | None:
+    """Return a number; None for another text."""
     if not isinstance(node, syntax.Number):
         return None
     return (node.value, NUMBER) if node.unit is None else (node.unit.to_si(node.value), node.unit.dimension)
@@ -355,6 +351,10 @@ class _Policy:
                 f"{numbered[-1].name} is not a run that this version of deepbots wrote"
             )
             raise
+        if not run.record.is_finished:
+            self.marker.remarks.append(
+                f"the training of {numbered[-1].name} is not finished: its best policy so far is judged"
+            )
         self.weights = weights_digest(run.model("best"))
         from deepbots_cli.program.identity import task_digest
 

@@ -92,9 +92,11 @@ def start(lesson: Lesson, folder: Path) -> None:
     """Write the files of a lesson for a student into a new folder.
 
     Raises:
-        UsageError: The folder is not empty, or cannot be written.
+        UsageError: The folder is not empty, is within that of a lesson, or cannot be written.
     """
     check_folder(folder)
+    if started_in(folder.resolve().parent) is not None:
+        raise UsageError(f"{folder} would be in the folder of another lesson; run `cd ..` first")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(
             f"{folder} is not empty; name another folder, or go on there with `deepbots course check`"

@@ -336,6 +336,10 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
             len(line) - key.end(),
         )
     help = "write `a if condition else b`" if " ? " in problem.before else help
+    if key is not None and _LINE_KEY.match(line, key.end()) and is_readable(f"{{{line[key.end() :]}\n}}"):
+        value = re.split(r"\s#", line[key.end() :], maxsplit=1)[0].rstrip()
+        mapping = f"{line[: key.end()].lstrip()}{{{value[:MAX_SHOWN]}}}"
+        help = f"put a mapping in braces: `{mapping}`; put a text in quotes"
     return problem.finding("a second colon in one value", help, problem.at)
 
 
@@ -345,6 +349,8 @@ def _colon(problem: _Problem) -> Finding | None:
         return _line_without_key(problem, problem.since, problem.rest_of_line(problem.since))
     if problem.says("sequence entries are not allowed"):
         help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
+        if number := re.match(r"- +([\d.(][^#\n]*)", problem.source.text[problem.at :]):
+            help = f"write a negative number without a space: `-{number[1].rstrip()[:MAX_SHOWN]}`"
         return problem.finding("a list item on the line of its key", help, problem.at)
     if not problem.says("mapping values are not allowed"):
         return None
@@ -382,9 +388,15 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     help = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
-    return problem.finding(
-        headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
-    )
+    labels: tuple[Label, ...] = (problem.label(above, _indented_by(above.indent)),)
+    beside: _Line | None = above
+    for _ in range(_MAX_LINES_ABOVE):
+        if beside is not None and (not beside.key or beside.indent != line.indent):
+            beside = problem.line_above(beside.start)
+    if beside is not None:
+        help += f"; or, if it belongs to the section of {beside.name}, move it there"
+        labels = (problem.label(beside, _indented_by(beside.indent)), *labels)
+    return problem.finding(headline, help, at, length, fix, labels)
 
 
 def _value_and_block(problem: _Problem, above: _Line) -> Finding | None:

@@ -16,6 +16,7 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import (
     ANGLE,
     ANGULAR_VELOCITY,
+    LENGTH,
     NUMBER,
     SPEED,
     TIME,
@@ -55,8 +56,10 @@ _PLAUSIBLE_LIMIT_FACTOR = 10  # times the plausible limit: beyond it, an engine'
 _MAX_VALUE = 1e30  # the limit of a dimension without a plausible one
 WHOLE_TEXT = Replacement(CORRECTED_LINE, safe=False)
 """The replacement of the whole text of an expression by the right one."""
-WHEEL_RADIUS = "2 cm"
-"""The radius of the wheel in examples."""
+WHEEL_RADIUS = "RADIUS"
+"""What stands for the radius of the wheel, which this check does not know."""
+_HAND = 10.0
+"""The number of meters from which a length without a unit may be in cm or mm."""
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
@@ -149,7 +152,10 @@ def dimension_of(
             help, names = _other_unit(first, value)
         headline = f"{_described(first)} is combined with {_described(value)}"
         corrected = None
-        if help is None and NUMBER in (first.type.dimension, value.type.dimension):
+        if help is None and not is_paid and _ends_with_factor(first, value):
+            corrected = _sum_in_parentheses(first, value)
+            help = f"if the unit belongs to the whole sum, put the sum in parentheses: {CORRECTED_LINE}"
+        elif help is None and NUMBER in (first.type.dimension, value.type.dimension):
             corrected = divided_text(needed, f" / {_divisor(needed.type.dimension)}")
             help = (
                 "both sides need the same dimension; for a plain number, divide by the unit:"
@@ -158,6 +164,21 @@ def dimension_of(
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         raise report_at(report, "DB503", node, headline, help, names=names, corrected=corrected)
     return first.type.dimension
+
+
+def _ends_with_factor(first: TypedNode, second: TypedNode) -> bool:
+    """Return whether `first + second` is such as `gas + turn * 6 rad/s`, in which only the factor has a unit."""
+    return (
+        isinstance(second, Operation)
+        and second.operator == "mul"
+        and first.end < second.start == second.args[0].start
+        and first.type.dimension == second.args[0].type.dimension == NUMBER
+    )
+
+
+def _sum_in_parentheses(first: TypedNode, second: TypedNode) -> Callable[[str], str]:
+    end = second.args[0].end if isinstance(second, Operation) else second.end
+    return lambda text: f"{text[: first.start]}({text[first.start : end]}){text[end:]}"
 
 
 def _described(value: TypedNode) -> str:
@@ -301,6 +322,8 @@ def _other_unit(first: TypedNode, second: TypedNode) -> tuple[str | None, dict[s
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
     """Return the units that numbers up to `largest` probably have."""
+    if dimension == LENGTH and largest >= _HAND:
+        return ("m", "cm", "mm")
     if dimension != ANGLE:
         return (str(dimension),)
     return ("deg",) if largest > 2 * math.pi else ("deg", "rad")  # nobody writes three turns in radians
@@ -347,7 +370,7 @@ def _remedy(value: TypedNode, needed: Dimension) -> tuple[str, dict[str, str | N
     if name in names and len(names) == 1:
         names[name] = corrected
     if dimension == SPEED and needed == ANGULAR_VELOCITY:
-        hint = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
+        hint = "if it is the speed of a wheel's rim, divide it by the radius of this wheel"
         return f"correct the unit{suffix}{example}; or, {hint}: {CORRECTED_LINE}", names
     return f"correct the unit{suffix}{example}, or multiply by a factor in {needed / dimension}", names
 

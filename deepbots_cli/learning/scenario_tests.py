@@ -8,19 +8,19 @@ Episode k of a test starts as episode k of an evaluation with the seed of the te
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import field, replace
 from itertools import groupby, islice
 from statistics import fmean
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import api
 from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ExpectedResult, ScenarioTest
+from deepbots_cli.program.task import ExpectedKey, ExpectedResult, ScenarioTest
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver, sequence_driver
@@ -37,7 +37,8 @@ class UnmetExpectation:
 
     `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words.
     `episode`, which counts from 0, is the first that fails. `step` is None if the expectation does not belong
-    to a single step.
+    to a single step. `values` are those that a condition compares, by their texts, or the result under
+    `measured`; `key` is empty for an error.
     """
 
     expected: str
@@ -45,6 +46,8 @@ class UnmetExpectation:
     measured: str
     episode: int
     step: int | None = None
+    key: ExpectedKey | Literal[""] = ""
+    values: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -171,10 +174,20 @@ def _episode(
 
 
 def _unmet_expectation(
-    expected: ExpectedResult, measured: str, episode: int, step: int | None = None
+    expected: ExpectedResult,
+    measured: str,
+    episode: int,
+    step: int | None = None,
+    values: Mapping[str, str] | None = None,
 ) -> UnmetExpectation:
     return UnmetExpectation(
-        f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step
+        f"{expected.key}: {expected.text}",
+        expected.span.location,
+        measured,
+        episode,
+        step,
+        expected.key,
+        {"measured": measured} if values is None else values,
     )
 
 
@@ -198,8 +211,9 @@ class _ExpectationMonitor:
             if holds:
                 self._met.add(expected)
             elif expected.key == "always" and expected not in self._broken:
+                values = self._compared(expected)
                 self._broken[expected] = _unmet_expectation(
-                    expected, self._compared(expected) or "false", self._episode, step
+                    expected, _in_words(values) or "false", self._episode, step, values
                 )
 
     def unmet(self, length: str) -> Iterator[UnmetExpectation]:
@@ -207,25 +221,29 @@ class _ExpectationMonitor:
         yield from self._broken.values()
         for expected in self._test.conditions:
             if expected.key == "eventually" and expected not in self._met:
-                compared = self._compared(expected)
+                values = self._compared(expected)
                 yield _unmet_expectation(
                     expected,
-                    f"never in {length}" + (f"; at the end, {compared}" if compared else ""),
+                    f"never in {length}" + (f"; at the end, {_in_words(values)}" if values else ""),
                     self._episode,
+                    values=values,
                 )
 
-    def _compared(self, expectation: ExpectedResult) -> str:
-        """Return the compared values of the condition, after the last step."""
+    def _compared(self, expectation: ExpectedResult) -> dict[str, str]:
+        """Return the compared values of the condition, after the last step, by their texts."""
         values = iter(self._agent.tested(self._test.name, "compared"))
         compared = {
             expected: [(value, next(values)) for value in expected.compared]
             for expected in self._test.conditions
         }
-        texts = (
-            f"{value.text} is {with_unit(number, value.typed.type.dimension)}"
+        return {
+            value.text: with_unit(number, value.typed.type.dimension)
             for value, number in compared[expectation]
-        )
-        return ", ".join(dict.fromkeys(texts))
+        }
+
+
+def _in_words(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{text} is {value}" for text, value in values.items())
 
 
 def _unmet_over_episodes(

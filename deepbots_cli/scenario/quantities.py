@@ -220,6 +220,7 @@ _ENDS = (
     rf"\s*({NUMBER_PATTERN}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
 )
 
+_ONE_END = r"\d[\d.]*(?:[ ]?[A-Za-z%][\w*/^%]*)?"
 _SCALAR_RANGE = rf"\s*({NUMBER_PATTERN})\s*\.\.\s*({NUMBER_PATTERN})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
 
 
@@ -470,7 +471,9 @@ class Range(Parsed):
         near = _range_replacement(value)
         example = self.example
         shown = f"write `{near}`" if near else f"write it like `{example}`"
-        if self.vector and not near:
+        if isinstance(value, str) and re.fullmatch(_ONE_END, value):
+            shown = f"write both ends, such as `0 .. {value}`"
+        elif self.vector and not near:
             shown += f" (a vector: `{example.replace('-1 .. 1', '-1 -2 .. 1 2')}`)"
         return f"{shown}, or `auto`" if self.auto else shown
 

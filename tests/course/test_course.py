@@ -33,14 +33,14 @@ steps:
     parts: [reward, augment]
     forbidden: [velocity]
     checks:
-      - {test: pays, points: 2, says: driving forward pays}
+      - {test: pays, points: 2, says: driving forward pays, fails: {mean_return: "it earns {measured}"}}
       - {without: DB101, guard: true, points: 1, says: no unknown keys}
     hints: [first, second]
   sense:
     goal: Add a sensor.
     parts: [robots.cart.sensors]
     sensors: [joint_position]
-    checks: [{test: sees, points: 2, says: the sensor sees the pole}]
+    checks: [{test: sees, points: 2, says: the sensor sees the pole, fails: {eventually: "`angle` reads {abs(cart.angle)}"}}]
   know:
     goal: Answer.
     checks:
@@ -113,6 +113,30 @@ def test_a_finding_names_the_line_of_the_student(lesson: Lesson, tmp_path: Path)
     mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("mend")
     assert mark.points == 0
     assert mark.checks[0].reason.startswith("mend.yaml:6:21: unknown name `y` (DB402)")
+
+
+@pytest.mark.parametrize(
+    ("step", "text", "reason"),
+    [
+        ("mend", STEP % "-1", "it earns -"),
+        (
+            "sense",
+            SENSE % SENSOR.replace("pole_hinge", "pole_hinge, range: 0 .. 0.001 deg"),
+            "`angle` reads 0 deg",
+        ),
+        (
+            "sense",
+            SENSE % SENSOR.replace("angle", "angel"),
+            "sense.yaml lacks what the test needs: unknown name `cart.angle` (DB402); did you mean `cart.angel`?",
+        ),
+    ],
+)
+def test_a_failed_test_says_what_the_robot_of_the_student_did(
+    lesson: Lesson, tmp_path: Path, step: str, text: str, reason: str
+) -> None:
+    put(tmp_path / "own", **{step: text})
+    mark = Marker(lesson, tmp_path / "own", tmp_path / "work", takes_unchanged=True).mark(step)
+    assert mark.checks[0].reason.startswith(reason)
 
 
 @pytest.mark.parametrize(
@@ -367,6 +391,7 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     own = tmp_path / "own"
     deepbots("course", "start", lesson.folder, own)
     assert "is not empty" in deepbots("course", "start", lesson.folder, own, code=2).err
+    assert "run `cd ..` first" in deepbots("course", "start", lesson.folder, own / "inner", code=2).err
     put(own, mend=STEP % "1", answers="length: 35 cm\nfair: maybe\n")
     checked = deepbots("course", "check", own, code=1)
     assert "lesson 1 Small: 4 of 7 points" in checked.out

@@ -629,7 +629,12 @@ def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Pa
     groups = _data(comparison)["groups"]
     for group in (*groups, *(run for entry in groups for run in entry["runs"])):
         assert {group[name] for name in ("mean_return", "return_interval", "interquartile_mean")} == {None}
-    assert " return" not in "\n".join(_lines(comparison, _group_rows(comparison), _difference_rows(comparison))).partition("difference from")[0]
+    assert (
+        " return"
+        not in "\n".join(_lines(comparison, _group_rows(comparison), _difference_rows(comparison))).partition(
+            "difference from"
+        )[0]
+    )
 
 
 def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: Path, tmp_path: Path) -> None:
