@@ -11,20 +11,29 @@ import html
 import json
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict
+from datetime import date
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from deepbots_cli.course.copies import without_copies
 from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson
-from deepbots_cli.course.marking import StepMark, as_data, from_data, nothing, without_policy
+from deepbots_cli.course.marking import (
+    CheckMark,
+    StepMark,
+    unfinished,
+)
 from deepbots_cli.files import csv_text
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.records import dataclass
-from deepbots_cli.words import printable, sentence_list
+from deepbots_cli.words import counted, printable
 
 _SUFFIXES = (".zip", ".yaml", ".yml")
 """The suffixes that are not part of the name of a student."""
@@ -36,7 +45,8 @@ class Limits:
 
     Attributes:
         cpu: s of CPU time.
-        clock: s by the clock, on a machine that may be busy.
+        clock: s by the clock in which the process uses less than 1 s of CPU time: it hangs, or the machine is
+            too busy. The step is then not marked.
         memory: MiB of address space, most of which PyTorch reserves.
         disk: MiB of files that the process writes.
     """
@@ -47,7 +57,7 @@ class Limits:
     disk: int = 500
 
 
-TRAINING_LIMITS = Limits(cpu=900, clock=1800.0)
+TRAINING_LIMITS = Limits(cpu=900)
 
 
 @dataclass(frozen=True)
@@ -69,26 +79,46 @@ class Marks:
         return sum(step.of for step in self.steps)
 
     @property
+    def is_open(self) -> bool:
+        """Whether a step was not marked."""
+        return any(step.is_open for step in self.steps)
+
+    @property
+    def score(self) -> str:
+        return "not marked" if self.is_open else f"{self.points} of {self.of}"
+
+    @property
     def all_remarks(self) -> tuple[str, ...]:
         """The remarks about the hand-in and about its steps, each once."""
         own = [remark for step in self.steps for remark in step.remarks]
+        own += [
+            f"{step.step}: {check.reason}" for step in self.steps for check in step.checks if check.is_open
+        ]
         every = (*((self.refused,) if self.refused else ()), *self.remarks, *own)
         return tuple(dict.fromkeys(map(_readable, every)))
 
     def data(self) -> dict[str, Any]:
         """Return the marks as JSON."""
         steps = [
-            {key: value for key, value in as_data(step).items() if key not in ("weights", "parts")}
+            {key: value for key, value in asdict(step).items() if key not in ("policy", "models", "parts")}
             for step in self.steps
         ]
         return {
             "student": self.student,
             "lesson": self.lesson,
-            "points": self.points,
+            "points": None if self.is_open else self.points,
             "of": self.of,
             "steps": steps,
             "remarks": list(self.all_remarks),
         }
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C while a class is marked; `marks` are those of the hand-ins that were begun."""
+
+    def __init__(self, marks: list[Marks]) -> None:
+        super().__init__()
+        self.marks = marks
 
 
 def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]:
@@ -135,23 +165,39 @@ def grade(
         on_marks: Called with the marks of a student once they are known, and the number of students so far.
     """
     bounds = limits or (TRAINING_LIMITS if train else Limits())
-    lock = threading.Lock()
+    lock, stop = threading.Lock(), threading.Event()
     done = 0
 
     def marked(entry: tuple[str, Path]) -> Marks:
         nonlocal done
-        marks = _mark_one(lesson, *entry, seed=seed, train=train, limits=bounds)
+        marks = _mark_one(lesson, *entry, {"seed": seed, "train": train}, bounds, stop)
         with lock:
-            done += 1
-            on_marks(marks, done)
+            if not stop.is_set():
+                done += 1
+                on_marks(marks, done)
         return marks
 
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
-        marks = list(pool.map(marked, hand_ins))
-    return _without_copies(lesson, marks)
+        futures = [pool.submit(marked, entry) for entry in hand_ins]
+        try:
+            marks = [future.result() for future in futures]
+        except BaseException as error:
+            stop.set()
+            begun = [future for future in futures if not future.cancel()]
+            if not isinstance(error, KeyboardInterrupt):
+                raise
+            raise Interrupted(without_copies(lesson, [future.result() for future in begun])) from None
+    return without_copies(lesson, marks)
 
 
-def _mark_one(lesson: Lesson, student: str, path: Path, *, seed: int, train: bool, limits: Limits) -> Marks:
+def _mark_one(
+    lesson: Lesson,
+    student: str,
+    path: Path,
+    options: Mapping[str, Any],
+    limits: Limits,
+    stop: threading.Event,
+) -> Marks:
     with tempfile.TemporaryDirectory(prefix="deepbots-marks-", ignore_cleanup_errors=True) as name:
         folder, work = Path(name, "handed_in"), Path(name, "work")
         folder.mkdir()
@@ -162,19 +208,21 @@ def _mark_one(lesson: Lesson, student: str, path: Path, *, seed: int, train: boo
             reason = (
                 str(error) if isinstance(error, HandInError) else f"it is damaged ({type(error).__name__})"
             )
-            steps = (nothing(step, content, reason) for step, content in lesson.steps.items())
+            steps = (unfinished(step, content, reason) for step, content in lesson.steps.items())
             return Marks(student, lesson.name, tuple(steps), (), f"not marked: {reason}")
         request = {"lesson": str(lesson.folder.resolve()), "folder": str(hand_in.folder), "work": str(work)}
         marks = [
-            _mark_step(lesson, step, {**request, "step": step, "seed": seed, "train": train}, limits)
+            _mark_step(lesson, step, {**request, **options, "step": step}, limits, stop)
             for step in lesson.steps
         ]
     return Marks(student, lesson.name, tuple(marks), hand_in.remarks)
 
 
-def _mark_step(lesson: Lesson, step: str, request: Mapping[str, Any], limits: Limits) -> StepMark:
+def _mark_step(
+    lesson: Lesson, step: str, request: Mapping[str, Any], limits: Limits, stop: threading.Event
+) -> StepMark:
     """Return the marks of a step, which a process of its own finds."""
-    answers: list[bytes] = []
+    heard: dict[str, Any] = {"cpu": 0.0, "checks": []}
     codes: list[int] = []
     is_over = threading.Event()
 
@@ -186,37 +234,36 @@ def _mark_step(lesson: Lesson, step: str, request: Mapping[str, Any], limits: Li
     process = Process(
         "deepbots_cli.course.marking_process",
         *map(str, (limits.cpu, limits.memory, limits.disk)),
-        hear=answers.append,
+        hear=lambda line: heard.update(json.loads(line)),
         on_end=over,
         environment={"TMPDIR": str(work), "OMP_NUM_THREADS": "1", "HOME": str(work)},
         quiet=True,
+        apart=True,
     )
     process.send(json.dumps(request).encode() + b"\n")
-    waited = 0.0
-    reason = ""
-    while not is_over.wait(1.0):
-        waited += 1.0
-        if waited > limits.clock:
-            reason = f"it was not finished after {limits.clock:.0f} s"
+    used, used_at = 0.0, time.monotonic()
+    reason, is_open = "", False
+    too_long = f"it took more than {limits.cpu} s of CPU time"
+    while not reason and not is_over.wait(1.0):
+        if heard["cpu"] >= used + 1.0:
+            used, used_at = heard["cpu"], time.monotonic()
+        if stop.is_set():
+            reason, is_open = "not marked: interrupted", True
+        elif time.monotonic() - used_at > limits.clock:
+            reason, is_open = f"not marked: no CPU time for {limits.clock:.0f} s; mark it again", True
+        elif heard["cpu"] > limits.cpu:
+            reason = too_long
         elif _size(work) > limits.disk * 2**20:
             reason = f"it wrote more than {limits.disk} MiB"
-        if reason:
-            process.end()
-            is_over.wait()
-            break
-    if not reason and answers:
-        try:
-            return from_data(json.loads(b"".join(answers)))
-        except (ValueError, KeyError, TypeError):
-            pass
-    word = ending(codes[0]) if codes else "no answer"
-    reasons = {
-        "SIGXCPU": f"it took more than {limits.cpu} s of CPU time",
-        "SIGKILL": "it took too much time or memory",
-    }
-    return nothing(
-        step, lesson.steps[step], reason or reasons.get(word, f"the program that marks it ended ({word})")
-    )
+    process.end()
+    is_over.wait()
+    if not reason and "step" in heard:
+        return TypeAdapter(StepMark).validate_python(heard)
+    word = ending(codes[0])
+    reasons = {"SIGXCPU": too_long, "SIGKILL": "it took too much time or memory"}
+    reason = reason or reasons.get(word, f"the program that marks it ended ({word})")
+    finished = [CheckMark(**check) for check in heard["checks"]]
+    return unfinished(step, lesson.steps[step], reason, finished, is_open=is_open)
 
 
 def _size(folder: Path) -> int:
@@ -229,31 +276,6 @@ def _size(folder: Path) -> int:
     return total
 
 
-def _without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
-    """Return marks in which a policy of several students is named. It earns nothing where their parts differ:
-    one of them did not train it. Equal parts give equal policies, since a training repeats itself."""
-    holders: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for student_marks in marks:
-        for step in student_marks.steps:
-            if step.weights:
-                holders.setdefault((step.step, step.weights), []).append((student_marks.student, step.parts))
-    result = []
-    for student_marks in marks:
-        steps, remarks = [], [*student_marks.remarks]
-        for step in student_marks.steps:
-            same = holders.get((step.step, step.weights), ())
-            others = [name for name, _ in same if name != student_marks.student]
-            if others and step.weights:
-                reason = f"the same policy as that of {sentence_list(others)}"
-                if any(parts != step.parts for _, parts in same):
-                    reason += " with other parts: ask who trained it"
-                    step = without_policy(step, lesson.steps[step.step], reason)
-                remarks.append(f"{step.step}: {reason}")
-            steps.append(step)
-        result.append(replace(student_marks, steps=tuple(steps), remarks=tuple(remarks)))
-    return result
-
-
 # Tables
 
 
@@ -261,8 +283,8 @@ def row_of(marks: Marks) -> dict[str, object]:
     """Return the row of a student in the table of a class."""
     return {
         "student": marks.student,
-        "points": f"{marks.points} of {marks.of}",
-        **{step.step: f"{step.points}/{step.of}" for step in marks.steps},
+        "points": marks.score,
+        **{step.step: step.score.replace(" of ", "/") for step in marks.steps},
         "remarks": "; ".join(marks.all_remarks),
     }
 
@@ -272,9 +294,9 @@ def as_csv(marks: Iterable[Marks]) -> str:
     rows = [
         {
             "student": student_marks.student,
-            "points": student_marks.points,
+            "points": "" if student_marks.is_open else student_marks.points,
             "of": student_marks.of,
-            **{step.step: step.points for step in student_marks.steps},
+            **{step.step: "" if step.is_open else step.points for step in student_marks.steps},
             "remarks": "; ".join(student_marks.all_remarks),
         }
         for student_marks in marks
@@ -294,28 +316,46 @@ td {{ border-top: 1px solid #8884; padding: .4rem .6rem .4rem 0; vertical-align:
 td:first-child {{ white-space: nowrap; font-weight: 600; width: 4rem; }}
 small {{ opacity: .75; overflow-wrap: anywhere; }}
 </style>
-<h1>{title}</h1><p><b>{points} of {of} points</b></p>
+<h1>{title}</h1><p><b>{score}</b></p>
 {body}
 </html>
 """
 
 
-def as_page(lesson: Lesson, marks: Marks) -> str:
+def heading(lesson: Lesson, marks: Sequence[Marks], seed: int) -> str:
+    """Return what points depend on: the lesson with its bars, the date, the seed and the engines."""
+    bars = [
+        f"{name} {', '.join(map(str, check.policy))}"
+        for name, step in lesson.steps.items()
+        for check in step.checks
+        if check.policy
+    ]
+    engines = sorted({step.engine for one in marks for step in one.steps if step.engine})
+    return (
+        f"lesson {lesson.label}, {counted(lesson.points, 'point')}; {date.today()}, seed {seed}"
+        + "".join(f", {engine}" for engine in engines)
+        + (f"; policies earn points from {'; '.join(bars)}" if bars else "")
+    )
+
+
+def as_page(lesson: Lesson, marks: Marks, seed: int) -> str:
     """Return one page of HTML with the marks of a student, without scripts and links."""
-    parts = []
+    parts = [f"<p><small>{html.escape(heading(lesson, [marks], seed))}</small></p>"]
     for step in marks.steps:
         rows = "".join(
-            f"<tr><td>{check.points} of {check.of}</td><td>{html.escape(check.says)}"
-            + (f"<br><small>{html.escape(check.reason)}</small>" if check.reason else "")
+            f"<tr><td>{check.score}</td><td>{html.escape(check.says)}"
+            + (f"<br><small>{html.escape(check.reason)}</small>" if not step.common_reason else "")
             + "</td></tr>"
             for check in step.checks
         )
-        goal = html.escape(lesson.steps[step.step].goal)
+        goal, reason = html.escape(lesson.steps[step.step].goal), html.escape(step.common_reason)
         parts.append(
-            f"<h2>{html.escape(step.step)}: {step.points} of {step.of}</h2><p>{goal}</p><table>{rows}</table>"
+            f"<h2>{html.escape(step.step)}: {step.score}</h2><p>{goal}</p><table>{rows}</table>"
+            f"<small>{reason}</small>"
         )
     if marks.all_remarks:
         items = "".join(f"<li>{html.escape(remark)}</li>" for remark in marks.all_remarks)
         parts.append(f"<h2>Remarks</h2><ul>{items}</ul>")
     title = html.escape(f"{lesson.label}: {marks.student}")
-    return _PAGE.format(title=title, points=marks.points, of=marks.of, body="\n".join(parts))
+    score = marks.score if marks.is_open else f"{marks.score} points"
+    return _PAGE.format(title=title, score=score, body="\n".join(parts))

@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from deepbots_cli.course.lessons import (
     ANSWERS_NAME,
@@ -23,6 +24,7 @@ from deepbots_cli.course.lessons import (
     START,
     Lesson,
     Step,
+    data_of,
     read_mapping,
     settings_of,
 )
@@ -270,7 +272,7 @@ def _check_part(path: str, part: Node, step: Step) -> None:
             for word in step.forbidden:
                 if _mentions(node.text, word) or any(_mentions(str(key), word) for key in inner):
                     raise HandInError(
-                        f"`{word}` may not be used in `{path}` ({node.span.location}): the robot cannot know it"
+                        f"`{word}` may not be used in `{path}` ({node.span.location}): this step does not allow it"
                     )
         if step.only and len(inner) == 1 and inner[0] not in step.only:
             allowed = ", ".join(f"`{name}`" for name in step.only)
@@ -297,14 +299,15 @@ def _without_effect(file: str, root: MappingNode, started: MappingNode | None, s
         return
     own, before = settings_of(to_data(root)), settings_of(to_data(started))
     paths = sorted(path for path in own.keys() | before.keys() if own.get(path) != before.get(path))
-    foreign = [path for path in paths if not _is_in_parts(path, step.parts)]
+    foreign = [path for path in paths if not is_in_parts(path, step.parts)]
     names = sorted({path.split(".")[0] for path in foreign})
     if names:
         listed = ", ".join(f"`{name}`" for name in names[:5])
         yield f"changes of {listed} in {file} have no effect on the marks"
 
 
-def _is_in_parts(path: str, parts: tuple[str, ...]) -> bool:
+def is_in_parts(path: str, parts: tuple[str, ...]) -> bool:
+    """Return whether a dotted path is, contains or is within one of the parts."""
     return any(path == part or path.startswith(f"{part}.") or part.startswith(f"{path}.") for part in parts)
 
 
@@ -331,3 +334,19 @@ def write_parts(step_file: StepFile, step: Step, own: Path, folder: Path) -> Non
         if content is None:
             raise HandInError(f"there is no {name}")
         (folder / HANDED_IN / name).write_bytes(content)
+
+
+def trained_task(step_file: StepFile, step: Step, start: Path) -> dict[str, Any]:
+    """Return the file of the step that the student started from, with the parts that were handed in: the task
+    in which a policy is to be trained."""
+    data = data_of(start)
+    for path in step.parts:
+        *above, last = path.split(".")
+        section = data
+        for key in above:
+            section[key] = section.get(key) or {}
+            section = section[key]
+        section.pop(last, None)
+        if path in step_file.parts:
+            section[last] = to_data(step_file.parts[path])
+    return data

@@ -114,6 +114,7 @@ class Step(_Part):
         files: Files that the task takes beside them, such as `robot.urdf`; of at most 1 MiB.
         only: The keys that may stand directly in the parts; all, if empty.
         sensors: The types of sensors that the parts may have; None allows all.
+        teacher: Whether the run may have learned from a teacher, a recording or another policy.
         forbidden: Names that no expression of the parts may use, such as the position that the robot cannot
             know.
         checks: What is marked.
@@ -125,6 +126,7 @@ class Step(_Part):
     files: tuple[Annotated[str, Field(pattern=_FILE)], ...] = ()
     only: tuple[str, ...] = ()
     sensors: tuple[str, ...] | None = None
+    teacher: bool = False
     forbidden: tuple[str, ...] = ()
     checks: tuple[Check, ...] = Field(min_length=1)
     hints: tuple[Text, ...] = ()
@@ -205,6 +207,13 @@ def read_mapping(path: Path, display: str | None = None) -> tuple[MappingNode | 
     source, is_readable = files.decode(files.read(path), display or path.name, findings)
     node = parse(source, findings) if is_readable else None
     return (node if isinstance(node, MappingNode) else None), findings
+
+
+def data_of(path: Path) -> dict[str, Any]:
+    """Return a YAML file as data without its `include`s; empty if it is not a mapping."""
+    node, _ = read_mapping(path)
+    data: Any = {} if node is None else to_data(node)
+    return dict(data)
 
 
 def read_lesson(folder: Path) -> Lesson:

@@ -9,14 +9,22 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deepbots_cli import api
-from deepbots_cli.course.hand_ins import HandInError, read_step, write_parts
+from deepbots_cli import __version__, api
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.course.copies import Weights, weights_of
+from deepbots_cli.course.hand_ins import (
+    HandInError,
+    StepFile,
+    is_in_parts,
+    read_step,
+    trained_task,
+    write_parts,
+)
 from deepbots_cli.course.lessons import (
     ANSWERS_NAME,
     CHECKS,
@@ -25,16 +33,18 @@ from deepbots_cli.course.lessons import (
     Check,
     Lesson,
     Step,
+    data_of,
     rate_or_return,
     read_mapping,
+    settings_of,
 )
-from deepbots_cli.document import ScalarNode, to_data
+from deepbots_cli.document import ScalarNode
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import DeepbotsError, ScenarioError
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.records import dataclass
-from deepbots_cli.words import beside, number_text, rate_text
+from deepbots_cli.words import beside, number_text, rate_text, sentence_list
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -48,18 +58,24 @@ _YES_OR_NO = {"true": "yes", "false": "no"}
 _MISSING_TEST = "the task has no such test; tell your teacher"
 _Quantity = tuple[float, Dimension]
 """A number in SI units, and its dimension."""
-_WEIGHTS = "policy.pth"
-"""The file of a model of Stable-Baselines3 with its weights."""
+_UNTRAINED = ("deepbots", "evaluation", "name", "role", "scripts", "solved", "summary", "tests", "train")
+"""The sections that a student may change without training in another task, unless they are parts of it."""
 
 
 @dataclass(frozen=True)
 class CheckMark:
-    """The points for one check, of `of`; `reason` says why some are missing, or what was measured."""
+    """The points for one check, of `of`; `reason` says why some are missing, or what was measured. One that is
+    open was not marked, and is to be marked again."""
 
     says: str
     points: int
     of: int
     reason: str = ""
+    is_open: bool = False
+
+    @property
+    def score(self) -> str:
+        return f"{'?' if self.is_open else self.points}/{self.of}"
 
 
 @dataclass(frozen=True)
@@ -70,15 +86,33 @@ class StepMark:
         step: The name of the step.
         checks: A mark for each check.
         remarks: What the marker saw beside the checks, such as changed sections that have no effect.
-        weights: The digest of the policy that was handed in; empty without one.
+        policy: The weights of the policy that was judged; None without one.
+        models: The weights of all models that were handed in for the step.
         parts: The digest of the parts that were handed in; empty if they cannot be read.
+        engine: The engine of the task; empty if nothing was measured.
     """
 
     step: str
     checks: tuple[CheckMark, ...]
     remarks: tuple[str, ...] = ()
-    weights: str = ""
+    policy: Weights | None = None
+    models: tuple[Weights, ...] = ()
     parts: str = ""
+    engine: str = ""
+
+    @property
+    def is_open(self) -> bool:
+        return any(check.is_open for check in self.checks)
+
+    @property
+    def score(self) -> str:
+        return "not marked" if self.is_open else f"{self.points} of {self.of}"
+
+    @property
+    def common_reason(self) -> str:
+        """The reason of all checks, if it is one."""
+        reasons = {check.reason for check in self.checks}
+        return reasons.pop() if len(reasons) == 1 else ""
 
     @property
     def points(self) -> int:
@@ -89,12 +123,14 @@ class StepMark:
         return sum(check.of for check in self.checks)
 
 
-def nothing(name: str, step: Step, reason: str, remarks: Sequence[str] = ()) -> StepMark:
-    """Return the marks of a step that cannot be marked."""
+def unfinished(
+    name: str, step: Step, reason: str, finished: Sequence[CheckMark] = (), *, is_open: bool = False
+) -> StepMark:
+    """Return the marks of a step of which only some checks were finished; `reason` says why the others were
+    not. Open ones may be marked again, and the others earn nothing."""
     short = " ".join(reason.split())[:_MAX_REASON]
-    return StepMark(
-        name, tuple(CheckMark(check.says, 0, check.points, short) for check in step.checks), tuple(remarks)
-    )
+    rest = [CheckMark(check.says, 0, check.points, short, is_open) for check in step.checks[len(finished) :]]
+    return StepMark(name, _guarded(step, [*finished, *rest]))
 
 
 @dataclass
@@ -108,6 +144,7 @@ class Marker:
         seed: The root seed of evaluations, which students do not know.
         train: Whether to train a policy where a check needs one, in place of the one that was handed in.
         takes_unchanged: Whether to mark also what was not changed.
+        on_check: Called after each check with the marks of the step so far.
     """
 
     lesson: Lesson
@@ -116,6 +153,7 @@ class Marker:
     seed: int = 0
     train: bool = False
     takes_unchanged: bool = False
+    on_check: Callable[[Sequence[CheckMark]], object] = lambda checks: None
     remarks: list[str] = field(default_factory=list)
 
     def mark(self, name: str) -> StepMark:
@@ -133,7 +171,7 @@ class Marker:
                 errors = [finding for finding in error.findings if finding.severity == "error"]
                 own = [error for error in errors if HANDED_IN in Path(error.span.source.name).parts]
                 reason = self._finding(name, (own or errors)[0])
-        marks = zip(nothing(name, step, reason).checks, step.checks, strict=True)
+        marks = zip(unfinished(name, step, reason).checks, step.checks, strict=True)
         checks = (self._answered(check, answers) if check.kind == "answer" else mark for mark, check in marks)
         return StepMark(name, tuple(checks), tuple(self.remarks))
 
@@ -156,7 +194,7 @@ class Marker:
         task = project / CHECKS / f"{name}.yaml"
         compiled = api.compile(_with_tests(task, ()))
         tests = self._tests(name, task, step)
-        policy = _Policy(self, name, compiled)
+        policy = _Policy(self, name, compiled, written)
         marks = []
         for check in step.checks:
             try:
@@ -172,7 +210,10 @@ class Marker:
             except DeepbotsError as error:
                 reason = str(error).replace(f"{self.folder}/", "").replace(f"{self.work}/", "")
                 marks.append(CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON]))
-        return StepMark(name, _guarded(step, marks), tuple(self.remarks), policy.weights, written.digest)
+            self.on_check(marks)
+        checks, remarks = _guarded(step, marks), tuple(self.remarks)
+        engine = chosen(compiled.program.engine)
+        return StepMark(name, checks, remarks, policy.weights, tuple(policy.models), written.digest, engine)
 
     def _finding(self, name: str, finding: Finding) -> str:
         position = finding.span.start_position
@@ -243,7 +284,9 @@ def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
     pairs = [*zip(step.checks, marks, strict=True)]
     if any(mark.points and not check.guard and check.kind != "answer" for check, mark in pairs):
         return tuple(marks)
-    reason = "it counts only together with another check of this step"
+    reason = "this is right, and counts once another check of this step earns points"
+    if step.needs_policy:
+        reason += ": train longer, or change what the policy learns from"
     return tuple(
         replace(mark, points=0, reason=mark.reason or reason) if check.guard else mark
         for check, mark in pairs
@@ -252,8 +295,7 @@ def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
 
 def _with_tests(task: Path, names: Sequence[str]) -> Path:
     """Write a task with only these of its tests beside it; JSON is YAML. Returns its path."""
-    node, _ = read_mapping(task)
-    data: Any = {} if node is None else to_data(node)
+    data = data_of(task)
     tests = {name: test for name, test in (data.pop("tests", None) or {}).items() if name in names}
     path = task.with_name("-".join((task.stem, "only", *names)) + ".yaml")
     path.write_text(json.dumps(data | ({"tests": tests} if tests else {})), encoding="utf-8")
@@ -297,8 +339,10 @@ class _Policy:
     marker: Marker
     name: str
     compiled: Compiled
-    weights: str = ""
+    written: StepFile
     run: Run | None = None
+    weights: Weights | None = None
+    models: list[Weights] = field(default_factory=list)
 
     def mark(self, check: Check) -> CheckMark:
         """Return the marks for a policy: an equal share of the points for each bar that it reaches."""
@@ -320,50 +364,93 @@ class _Policy:
         reached = sum(measured >= bar for bar in bars)
         points = check.points * reached // len(bars)
         next_bar = next((bar for bar in bars if measured < bar), bars[-1])
+        form = rate_text if is_rate else number_text
         if is_rate:
-            low, high = result.success_interval
-            text = (
-                f"{beside(100 * measured, 100 * next_bar, 3)[0]} % of {result.episodes} episodes succeed"
-                f" (95 % interval {rate_text(low)} .. {rate_text(high)})"
-            )
+            text = f"{beside(100 * measured, 100 * next_bar, 3)[0]} % of {result.episodes} episodes succeed"
         else:
             text = f"the mean return of {result.episodes} episodes is {beside(measured, next_bar)[0]}"
-        if reached < len(bars):
-            text += f"; the next points are for {rate_text(next_bar) if is_rate else number_text(next_bar)}"
-        self._compare_claim(measured, is_rate=is_rate, case=check.case)
+        text += f"; points from {sentence_list([form(bar) for bar in bars])}"
+        interval = result.success_interval if is_rate else result.return_interval
+        if interval is not None:
+            between = f"{form(interval[0])} .. {form(interval[1])}"
+            text += f"; 95 % interval {between}"
+            for bar in bars:
+                if interval[0] <= bar <= interval[1]:
+                    near = f"near the bar of {form(bar)}"
+                    text += f", {near}"
+                    self.marker.remarks.append(
+                        f"{self.name}: {near}: {between}; another seed may give other points"
+                    )
         return CheckMark(check.says, points, check.points, text)
 
     def _handed_in(self) -> Run:
+        """Return the newest run of the step.
+
+        Raises:
+            HandInError: There is none, or it was trained in another way than the lesson asks for.
+        """
         from deepbots_cli.learning.runs.run import Run
 
-        folders = [path for path in (self.marker.folder / "runs").glob(f"{self.name}-*") if path.is_dir()]
-        numbered = sorted(
-            folders, key=lambda path: [int(number) for number in re.findall(r"\d{1,9}", path.name)]
-        )
-        if not numbered:
-            raise HandInError(
-                f"there is no run of it in the folder runs: train it with `deepbots train {self.name}.yaml`"
-            )
+        folder = self.marker.folder / "runs"
+        folders = [path for path in folder.glob(f"{self.name}-*") if path.is_dir() and not path.is_symlink()]
+        folders.sort(key=lambda path: [int(number) for number in re.findall(r"\d{1,9}", path.name)])
+        command = f"`deepbots train {self.name}.yaml`"
+        if not folders:
+            raise HandInError(f"there is no run of it in the folder runs: train it with {command}")
+        files = [file for path in reversed(folders) for file in sorted(path.glob("models/*/*.zip"))]
+        self.models = weights_of(folder, files)
+        newest = folders[-1]
         try:
-            run = Run.open(numbered[-1])
+            run = Run.open(newest)
         except DeepbotsError:
-            self.marker.remarks.append(
-                f"{numbered[-1].name} is not a run that this version of deepbots wrote"
-            )
+            self.marker.remarks.append(f"{newest.name} is not a run that this version of deepbots wrote")
             raise
-        if not run.record.is_finished:
+        record = run.record
+        if not record.is_finished:
             self.marker.remarks.append(
-                f"the training of {numbered[-1].name} is not finished: its best policy so far is judged"
+                f"the training of {newest.name} is not finished: its best policy so far is judged"
             )
-        self.weights = weights_digest(run.model("best"))
+        if record.deepbots == __version__ and record.digest != run.digest:
+            raise HandInError(f"the scenario in {newest.name} was changed after the training")
+        if changed := self._changed(run):
+            listed = ", ".join(f"`{path}`" for path in changed[:5])
+            raise HandInError(
+                f"{newest.name} was trained in another task than this step:"
+                f" {listed} {'differs' if len(changed) == 1 else 'differ'};"
+                f" train what you hand in with {command}"
+            )
+        source = record.task.teacher or record.initialized_from
+        if source is not None and not self.marker.lesson.steps[self.name].teacher:
+            raise HandInError(
+                f"{newest.name} learned from `{source}`, which this step does not allow; train it with {command}"
+            )
+        place = f"{newest.name}/best.zip"
+        self.weights = next((model for model in self.models if model.place == place), None)
+        return run
+
+    def _changed(self, run: Run) -> list[str]:
+        """Return the paths in which the scenario of a run differs from the files of the lesson with the parts
+        of the student."""
         from deepbots_cli.program.identity import task_digest
 
-        if task_digest(run.program) != task_digest(self.compiled.program):
-            self.marker.remarks.append(
-                f"{numbered[-1].name} was trained in another task than that of the lesson,"
-                " in which it is judged"
-            )
-        return run
+        step, project = self.marker.lesson.steps[self.name], self.marker.work / self.name
+        start, run_file = project / START / f"{self.name}.yaml", run.path / RESOLVED_NAME
+        own, resolved = start.with_name("own.yaml"), start.with_name("resolved.yaml")
+        own.write_text(json.dumps(trained_task(self.written, step, start)), encoding="utf-8")
+        for name in step.files:
+            shutil.copyfile(project / CHECKS / HANDED_IN / name, start.with_name(name))
+        expected = api.compile(own)
+        resolved.write_text(expected.resolved, encoding="utf-8")
+        trained, asked = (settings_of(data_of(path)) for path in (run_file, resolved))
+        is_same = task_digest(run.program) == task_digest(expected.program)
+        unseen = ("curriculum", *_UNTRAINED)  # by the digest of the task
+        return sorted(
+            path
+            for path in trained.keys() | asked.keys()
+            if trained.get(path) != asked.get(path)
+            and (path.split(".")[0] not in _UNTRAINED or is_in_parts(path, step.parts))
+            and not (is_same and path.split(".")[0] not in unseen)
+        )
 
     def _trained(self) -> Run:
         from deepbots_cli.learning import train
@@ -373,55 +460,3 @@ class _Policy:
         folder = self.marker.work / "runs" / self.name
         train(compiled, run=folder, seed=self.marker.seed)
         return Run.open(folder)
-
-    def _compare_claim(self, measured: float, *, is_rate: bool, case: str | None) -> None:
-        """Remark a record that claims far more than was measured: it was edited, or made in an easier task."""
-        quoted = None if self.run is None or self.marker.train else self.run.record.quoted
-        claimed = getattr(quoted, "success_rate", None)
-        if is_rate and case is None and isinstance(claimed, float) and claimed > measured + 0.3:
-            self.marker.remarks.append(
-                f"the record of the run claims {rate_text(claimed)} of success,"
-                f" and {rate_text(measured)} was measured"
-            )
-
-
-def weights_digest(model: Path) -> str:
-    """Return the digest of the weights in a model, which is the same for copies under other names."""
-    try:
-        with zipfile.ZipFile(model) as archive:
-            weights = archive.getinfo(_WEIGHTS)
-            return f"{weights.CRC:08x}-{weights.file_size}"
-    except (OSError, KeyError, zipfile.BadZipFile):
-        return ""
-
-
-def as_data(mark: StepMark) -> dict[str, Any]:
-    """Return marks as JSON; `from_data` reads it."""
-    return {
-        "step": mark.step,
-        "points": mark.points,
-        "of": mark.of,
-        "checks": [vars(check) for check in mark.checks],
-        "remarks": list(mark.remarks),
-        "weights": mark.weights,
-        "parts": mark.parts,
-    }
-
-
-def from_data(data: dict[str, Any]) -> StepMark:
-    return StepMark(
-        data["step"],
-        tuple(CheckMark(**check) for check in data["checks"]),
-        tuple(data["remarks"]),
-        data["weights"],
-        data["parts"],
-    )
-
-
-def without_policy(mark: StepMark, step: Step, reason: str) -> StepMark:
-    """Return marks in which the policy earns nothing."""
-    checks: Iterator[CheckMark] = (
-        replace(earned, points=0, reason=reason) if check.kind == "policy" else earned
-        for earned, check in zip(mark.checks, step.checks, strict=True)
-    )
-    return replace(mark, checks=tuple(checks))

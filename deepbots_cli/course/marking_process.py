@@ -3,8 +3,9 @@
     echo '{"lesson": ..., "folder": ..., "work": ..., "step": "mend", "seed": 0, "train": false}' |
     python -m deepbots_cli.course.marking_process CPU MEMORY FILE
 
-It limits its CPU time, memory, and the size of each file before it reads anything of the student, and answers
-with one line: the marks as JSON.
+It limits its CPU time, memory, and the size of each file before it reads anything of the student. It answers
+with lines of JSON: the seconds of CPU time that it has used, each second; the checks so far, after each; and
+the marks.
 """
 
 from __future__ import annotations
@@ -12,7 +13,11 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
+import time
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from deepbots_cli.processes import limit, line_of, message_streams
 
@@ -24,17 +29,30 @@ def main(cpu_s: int, memory_mib: int, file_mib: int) -> None:
     work = Path(request["work"])
     os.chdir(work)
     from deepbots_cli.course.lessons import read_lesson
-    from deepbots_cli.course.marking import Marker, as_data
+    from deepbots_cli.course.marking import Marker
 
+    is_done = threading.Event()
+
+    def tell(message: dict[str, Any]) -> None:
+        out.write(json.dumps(message).encode() + b"\n")
+        out.flush()
+
+    def beat() -> None:
+        while not is_done.wait(1.0):
+            tell({"cpu": time.process_time()})
+
+    threading.Thread(target=beat, daemon=True).start()
     marker = Marker(
         read_lesson(Path(request["lesson"])),
         Path(request["folder"]),
         work,
         seed=request["seed"],
         train=request["train"],
+        on_check=lambda checks: tell({"checks": [vars(check) for check in checks]}),
     )
-    out.write(json.dumps(as_data(marker.mark(request["step"]))).encode() + b"\n")
-    out.flush()
+    mark = marker.mark(request["step"])
+    is_done.set()
+    tell({**asdict(mark), "cpu": time.process_time()})
 
 
 if __name__ == "__main__":

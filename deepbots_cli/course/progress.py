@@ -10,7 +10,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from deepbots_cli.course.grading import Marks, grade
-from deepbots_cli.course.lessons import START, Lesson, course_folder, lesson_named
+from deepbots_cli.course.lessons import SOLUTION, START, Lesson, course_folder, lesson_named
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_folder, read_at_most
 from deepbots_cli.records import dataclass
@@ -88,12 +88,21 @@ def started_in(folder: Path) -> Started | None:
         return None
 
 
-def start(lesson: Lesson, folder: Path) -> None:
-    """Write the files of a lesson for a student into a new folder.
+def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
+    """Write the files of a lesson for a student into a new folder, perhaps with those of a solution.
+
+    Args:
+        lesson: The lesson.
+        folder: The new folder.
+        solution: The folder of the solution in that of the lesson, such as `half/1-range`.
 
     Raises:
-        UsageError: The folder is not empty, is within that of a lesson, or cannot be written.
+        UsageError: The folder is not empty, is within that of a lesson, or cannot be written; there is no such
+            solution.
     """
+    solved = lesson.folder / (solution or START)
+    if not solved.is_dir():
+        raise UsageError(f"{lesson.folder} has no folder '{solution}'; write `--with {SOLUTION}`")
     check_folder(folder)
     if started_in(folder.resolve().parent) is not None:
         raise UsageError(f"{folder} would be in the folder of another lesson; run `cd ..` first")
@@ -101,7 +110,8 @@ def start(lesson: Lesson, folder: Path) -> None:
         raise UsageError(
             f"{folder} is not empty; name another folder, or go on there with `deepbots course check`"
         )
-    shutil.copytree(lesson.folder / START, folder, dirs_exist_ok=True)
+    for files in (lesson.folder / START, solved):
+        shutil.copytree(files, folder, dirs_exist_ok=True)
     if text := lesson.text("text.md"):
         (folder / "README.md").write_text(text, encoding="utf-8")
     for picture in sorted(lesson.folder.glob("*.png")):

@@ -48,14 +48,6 @@ def _replaced(old: str, new: str) -> Cheat:
     return cheat
 
 
-def _whole(text: str) -> Cheat:
-    def cheat(folder: Path) -> None:
-        for path in _steps(folder):
-            path.write_text(text, encoding="utf-8")
-
-    return cheat
-
-
 def _world(text: str) -> Cheat:
     """Return a cheat that adds lines to the files that the steps extend."""
 
@@ -124,10 +116,16 @@ CHEATS: Mapping[str, Cheat] = {
     "marks and checks of its own": _marks,
     "a run whose record is written by hand": _run,
 }
-"""Twenty cheats that need no knowledge of a lesson."""
+"""Cheats that need no knowledge of a lesson."""
 
 
-def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[Proven]:
+def prove(
+    lesson: Lesson,
+    *,
+    train: bool = True,
+    workers: int = 1,
+    on_marks: Callable[[Marks, int], object] = lambda marks, done: None,
+) -> Iterator[Proven]:
     """Yield what each starter, solution, half solution and cheat earns.
 
     Args:
@@ -135,18 +133,21 @@ def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[P
         train: Whether to train a policy where the solution and the half solutions need one; without it, these
             checks earn nothing, and are not expected to.
         workers: The number of hand-ins to mark at a time.
+        on_marks: Called with the marks of each hand-in, and the number of hand-ins so far.
     """
     policy = 0 if train else _policy_points(lesson)
+    without = "" if train else " that need no policy"
     full = lesson.points - policy
     halves = sorted(path for path in (lesson.folder / HALF).glob("*") if path.is_dir())
     folders = [(START, lesson.folder / START), (SOLUTION, lesson.folder / SOLUTION)]
     folders += [(f"{HALF}/{path.name}", path) for path in halves]
-    marks = dict(
-        zip((name for name, _ in folders), grade(lesson, folders, train=train, workers=workers), strict=True)
-    )
+    graded = grade(lesson, folders, train=train, workers=workers, on_marks=on_marks)
+    marks = dict(zip((name for name, _ in folders), graded, strict=True))
     yield _proven(START, marks[START], marks[START].points == 0, "nothing")
     yield from _guards(lesson)
-    yield _proven(SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}")
+    yield _proven(
+        SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}{without}"
+    )
     before = 0
     for name, _ in folders[2:]:
         points = marks[name].points
@@ -155,10 +156,12 @@ def prove(lesson: Lesson, *, train: bool = True, workers: int = 1) -> Iterator[P
         yield _proven(name, marks[name], least <= points <= most, f"{least} to {most}")
         before = max(before, points)
     base = halves[-1] if halves else lesson.folder / START
-    yield from _cheats(lesson, base, workers)
+    yield from _cheats(lesson, base, workers, lambda marks, done: on_marks(marks, len(folders) + done))
 
 
-def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
+def _cheats(
+    lesson: Lesson, base: Path, workers: int, on_marks: Callable[[Marks, int], object]
+) -> Iterator[Proven]:
     """Yield what each cheat that changes anything earns on top of a half solution without a policy."""
     with tempfile.TemporaryDirectory(prefix="deepbots-proof-") as name:
         folders = [("", base)]
@@ -170,7 +173,7 @@ def _cheats(lesson: Lesson, base: Path, workers: int) -> Iterator[Proven]:
             cheat(folder)
             if _contents(folder) != before:
                 folders.append((title, folder))
-        honest, *cheats = grade(lesson, folders, workers=workers)
+        honest, *cheats = grade(lesson, folders, workers=workers, on_marks=on_marks)
         for marks in cheats:
             # A run is read only for a step that was changed.
             is_named = bool(marks.all_remarks) or _reasons(marks) != _reasons(honest)
@@ -203,8 +206,14 @@ def _reasons(marks: Marks) -> list[str]:
 
 
 def _policy_points(lesson: Lesson) -> int:
-    checks = (check for step in lesson.steps.values() for check in step.checks)
-    return sum(check.points for check in checks if check.kind == "policy")
+    """Return the points of policies, and of guards that have no other check beside them."""
+    points = 0
+    for step in lesson.steps.values():
+        own = [check for check in step.checks if check.kind != "answer" and not check.guard]
+        policies = [check for check in step.checks if check.kind == "policy"]
+        guards = [check for check in step.checks if check.guard and check not in policies]
+        points += sum(check.points for check in (policies + guards if own == policies else policies))
+    return points
 
 
 def _proven(tried: str, marks: Marks, is_right: bool, expected: str) -> Proven:

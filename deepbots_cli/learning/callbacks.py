@@ -210,9 +210,12 @@ class Confirmations:
             return False
         if self._postponed != number:
             self._postponed = number
+            begins = math.ceil(self.steps / share)
+            is_late = begins > self._active.run.record.total_timesteps
+            when = "no further confirmation begins in this training"
             self._active.reporter.note(
-                "an evaluation meets `solved`, but no confirmation begins before"
-                f" {math.ceil(self.steps / share):,} steps:"
+                "an evaluation meets `solved`, but"
+                f" {when if is_late else f'no confirmation begins before {begins:,} steps'}:"
                 f" those that fail may take at most {share:.0%} of the steps"
             )
         return True

@@ -11,7 +11,6 @@ from deepbots_cli.course.progress import started_in
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.studio.layout import ICONS, text_with_code
 from deepbots_cli.studio.session import Session
-from deepbots_cli.words import counted
 
 _TYPED_S = 0.6
 """The time in s after which the text that was typed last has arrived from the browser."""
@@ -76,23 +75,22 @@ class LessonTab:
             self._show(marks)
 
     def _show(self, marks: Marks) -> None:
-        self._points.set_text(f"{marks.points} of {counted(marks.of, 'point')}")
+        self._points.set_text(f"{marks.score} points")
         self._steps.clear()
         with self._steps:
             for step in marks.steps:
-                self._heading(step.step, f"{step.points} of {step.of}")
-                reasons = {check.reason for check in step.checks}
+                self._heading(step.step, step.score)
                 for check in step.checks:
                     is_full = check.points == check.of
                     with ui.element("div").classes(
                         "studio-lesson-check" + (" studio-solved" if is_full else "")
                     ):
-                        ui.label(f"{check.points}/{check.of}")
+                        ui.label(check.score)
                         text_with_code(check.says)
-                    if check.reason and len(reasons) > 1:
+                    if check.reason and not step.common_reason:
                         ui.label(check.reason).classes("studio-lesson-reason")
-                if len(reasons) == 1 and (shared := reasons.pop()):
-                    ui.label(shared).classes("studio-lesson-reason")
+                if step.common_reason:
+                    ui.label(step.common_reason).classes("studio-lesson-reason")
                 if step.points < step.of:
                     ui.button("Hint", on_click=lambda _, name=step.step: self._hint(name)).props(
                         "dense flat no-caps"

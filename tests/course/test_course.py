@@ -5,9 +5,13 @@ import io
 import json
 import os
 import shutil
+import signal
 import stat
+import subprocess
+import time
 import zipfile
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,13 +19,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli.course.grading import Limits, Marks, as_csv, grade, hand_ins_of
-from deepbots_cli.course.grading import _without_copies as without_copies
+from deepbots_cli import api
+from deepbots_cli.course.copies import Weights, without_copies
+from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of
 from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
 from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right
 from deepbots_cli.course.proof import CHEATS, prove
+from deepbots_cli.course.proof import _policy_points as points_of_policies
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import train
+from deepbots_cli.processes import python_command, python_environment
 from tests.commands import Deepbots
 
 LESSON = """
@@ -291,37 +299,199 @@ def test_students_are_named_by_their_files(lesson: Lesson, tmp_path: Path) -> No
     assert [name for name, _ in hand_ins_of(lesson, [handed_in / "ada"])] == ["ada"]
 
 
-def test_a_step_beyond_its_limits_costs_that_student_that_step(lesson: Lesson, tmp_path: Path) -> None:
-    endless = task(sensors="{include: handed_in/robots.cart.sensors.yaml}")
-    shutil.copytree(lesson.folder, tmp_path / "2-endless")
-    put(
-        tmp_path / "2-endless" / "checks",
-        sense=endless.replace("actions: [forward, forward]", "driver: random, episodes: 1000"),
-    )
-    slow = read_lesson(tmp_path / "2-endless")
-    hand_ins = [("slow", lesson.folder / "solution"), ("gone", tmp_path / "gone")]
+@pytest.fixture(scope="module")
+def slow(lesson: Lesson, tmp_path_factory: pytest.TempPathFactory) -> Lesson:
+    """Return the lesson with a second check in its second step that takes minutes."""
+    folder = tmp_path_factory.mktemp("lessons") / "2-slow"
+    shutil.copytree(lesson.folder, folder)
+    end_of_checks = '(cart.angle)}"}}'
+    more = end_of_checks + ", {test: endless, points: 3, says: it takes long}"
+    put(folder, lesson=LESSON.replace(end_of_checks, more))
+    text = task(sensors="{include: handed_in/robots.cart.sensors.yaml}")
+    endless = "  endless: {driver: random, episodes: 1000, expect: {mean_return: 0.001 .. 1e9}}\n"
+    put(folder / "checks", sense=text + endless)
+    return read_lesson(folder)
+
+
+def test_a_step_beyond_its_limits_keeps_the_checks_that_were_finished(slow: Lesson, tmp_path: Path) -> None:
+    hand_ins = [("slow", slow.folder / "solution"), ("gone", tmp_path / "gone")]
     marks = grade(slow, hand_ins, limits=Limits(cpu=4))
-    assert [[step.points for step in one.steps] for one in marks] == [[3, 0, 2], [0, 0, 0]]
-    assert marks[0].steps[1].checks[0].reason == "it took more than 4 s of CPU time"
+    assert [[step.points for step in one.steps] for one in marks] == [[3, 2, 2], [0, 0, 0]]
+    assert marks[0].steps[1].checks[1].reason == "it took more than 4 s of CPU time"
     assert marks[1].refused == "not marked: it does not exist"
 
 
-def given_marks(student: str, weights: str, remark: str = "", parts: str = "") -> Marks:
-    step = lesson_named("reward").steps["complete"]
-    checks = tuple(CheckMark(check.says, check.points, check.points) for check in step.checks)
-    mark = StepMark("complete", checks, (), weights, parts)
-    return Marks(student, "reward", (mark,), (remark,) if remark else ())
+def test_a_step_that_a_busy_machine_did_not_mark_is_no_zero(slow: Lesson) -> None:
+    (marks,) = grade(slow, [("ada", slow.folder / "solution")], limits=Limits(clock=0.0))
+    assert (marks.is_open, marks.data()["points"]) == (True, None)
+    assert list(csv.reader(io.StringIO(as_csv([marks]))))[1][:5] == ["ada", "", "10", "", ""]
+    assert "not marked: no CPU time for 0 s" in as_page(slow, marks, 0)
 
 
-def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_differ() -> None:
-    handed_in = [("ada", "1", "p"), ("bob", "1", "q"), ("eve", "2", "r"), ("kim", "2", "r"), ("joe", "", "")]
-    marks = [given_marks(name, weights, parts=parts) for name, weights, parts in handed_in]
-    judged = without_copies(lesson_named("reward"), marks)
-    assert [one.points for one in judged] == [3, 3, 5, 5, 5]
-    assert judged[0].all_remarks == (
-        "complete: the same policy as that of bob with other parts: ask who trained it",
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
+def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(slow: Lesson, tmp_path: Path) -> None:
+    handed_in = tmp_path / "handed_in"
+    put(handed_in / "ada", answers="length: 0.35 m\nfair: no\n")
+    shutil.copytree(slow.folder / "solution", handed_in / "bob")
+    arguments = ["grade", str(slow.folder), str(handed_in), "--csv", "marks.csv", "--workers", "1"]
+    process = subprocess.Popen(
+        python_command("deepbots_cli", *arguments),
+        env=python_environment(),
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
-    assert judged[2].all_remarks == ("complete: the same policy as that of kim",)
+    table = tmp_path / "marks.csv"
+    for _ in range(600):
+        if table.is_file():
+            break
+        time.sleep(0.2)
+    assert table.read_text().splitlines()[1].startswith("ada,2,10,")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted: 1 of 2 hand-ins are marked" in err
+    assert "not marked" in next(line for line in out.splitlines() if "bob" in line)
+    assert [line[:4] for line in table.read_text().splitlines()[1:]] == ["ada,", "bob,"]
+
+
+def given_marks(
+    student: str,
+    policy: float | None = None,
+    parts: str = "",
+    step: str = "complete",
+    extra: float | None = None,
+) -> Marks:
+    """Return full marks for a step, with a policy and another model whose weights are these numbers."""
+    checks = tuple(
+        CheckMark(check.says, check.points, check.points)
+        for check in lesson_named("reward").steps[step].checks
+    )
+    judged, other = (
+        None if number is None else Weights(f"{step}-0-1/{name}.zip", 8, (number, 1.0))
+        for name, number in (("best", policy), ("step", extra))
+    )
+    models = tuple(model for model in (judged, other) if model is not None)
+    return Marks(student, "reward", (StepMark(step, checks, (), judged, models, parts),))
+
+
+def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_or_steps_differ() -> None:
+    class_marks = [
+        given_marks("ada", 1.0, "p"),
+        given_marks("bob", 1.001, "q"),  # a copy with weights that were changed a little
+        given_marks("eve", 2.0, "r"),
+        given_marks("kim", 2.0, "r", extra=5.0),
+        given_marks("lea", 3.0, "s"),
+        given_marks("max", 3.0, "s", "invent"),
+        given_marks("zoe", 5.0, "t"),
+        given_marks("joe"),
+    ]
+    judged = without_copies(lesson_named("reward"), class_marks)
+    assert [one.points for one in judged] == [3, 3, 5, 5, 3, 1, 5, 5]
+    assert [one.all_remarks[0] for one in judged[:3]] == [
+        "complete: the same policy as complete-0-1/best.zip of bob, handed in for another reward or task: ask who"
+        " trained it",
+        "complete: the same policy as complete-0-1/best.zip of ada, handed in for another reward or task: ask who"
+        " trained it",
+        "complete: the same policy as complete-0-1/best.zip of kim",
+    ]
+    assert judged[6].all_remarks == ("complete: the same policy as complete-0-1/step.zip of kim",)
+
+
+POLICY_LESSON = """
+title: Trained
+summary: A cart.
+steps:
+  drive: &step
+    goal: Choose a reward, and train.
+    parts: [reward]
+    checks:
+      - {policy: [-1e6], points: 2, episodes: 2, says: the policy}
+      - {test: free, guard: true, points: 1, says: standing is free}
+  hurry: *step
+  helped:
+    goal: Learn from a teacher.
+    parts: [reward]
+    teacher: true
+    checks: [{policy: [-1e6], points: 3, episodes: 2, says: the policy}]
+"""
+DRIVE = "deepbots: 1\nextends: cartpole\nname: Drive\nreward: {alive: %s}\ntruncation: {max_steps: %s}\n"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a lesson, with a hand-in beside it whose run was trained for its first step."""
+    folder = tmp_path_factory.mktemp("trained")
+    tests = "tests: {free: {driver: zero, episodes: 1, expect: {mean_return: -1e9 .. 1e9}}}\n"
+    for name, reward, limit in (("drive", 1, 20), ("hurry", 1, 10), ("helped", 1, 20)):
+        put(folder / "lesson" / "start", **{name: DRIVE % (0, limit)})
+        task = DRIVE % (0, limit)
+        own = task.replace("reward: {alive: 0}", "remove: [reward]\nreward: {include: handed_in/reward.yaml}")
+        put(folder / "lesson" / "checks", **{name: own + tests})
+        put(folder / "own", **{name: DRIVE % (reward, limit)})
+    put(folder / "lesson", lesson=POLICY_LESSON)
+    compiled = api.compile(folder / "own" / "drive.yaml")
+    train(compiled, run=folder / "own" / "runs" / "drive-0-1", total_timesteps=64)
+    return folder
+
+
+def handed_in(trained: Path, into: Path, step: str = "drive", teacher: str | None = None) -> StepMark:
+    """Return the marks of a step for a copy of the run of the first one."""
+    shutil.copytree(trained / "own", into, dirs_exist_ok=True)
+    if step != "drive":
+        (into / "runs" / "drive-0-1").rename(into / "runs" / f"{step}-0-1")
+    record = into / "runs" / f"{step}-0-1" / "run.json"
+    content = json.loads(record.read_text())
+    content["task"]["teacher"] = teacher
+    record.write_text(json.dumps(content))
+    return Marker(read_lesson(trained / "lesson"), into, into.parent / "work").mark(step)
+
+
+def test_a_run_earns_points_if_it_was_trained_with_what_is_handed_in(trained: Path, tmp_path: Path) -> None:
+    mark = handed_in(trained, tmp_path / "own")
+    assert mark.points == 3, mark
+    assert [model.place for model in mark.models if mark.policy and mark.policy.is_near(model)]
+    put(tmp_path / "own", drive=DRIVE % (2, 20))
+    changed = Marker(read_lesson(trained / "lesson"), tmp_path / "own", tmp_path / "again").mark("drive")
+    assert changed.points == 0
+    assert changed.checks[0].reason.startswith(
+        "drive-0-1 was trained in another task than this step: `reward.alive` differs"
+    )
+
+
+def test_a_run_of_another_step_earns_nothing(trained: Path, tmp_path: Path) -> None:
+    mark = handed_in(trained, tmp_path / "own", "hurry")
+    assert mark.points == 0
+    assert "in another task than this step: `truncation.max_steps` differs" in mark.checks[0].reason
+
+
+def test_a_teacher_earns_nothing_unless_the_lesson_allows_it(trained: Path, tmp_path: Path) -> None:
+    refused = handed_in(trained, tmp_path / "own", teacher="balance")
+    assert refused.points == 0
+    assert refused.checks[0].reason.startswith(
+        "drive-0-1 learned from `balance`, which this step does not allow"
+    )
+    assert handed_in(trained, tmp_path / "helped", "helped", teacher="balance").points == 3
+
+
+def test_a_bar_within_the_interval_is_named_and_a_guard_says_what_is_right(
+    trained: Path, tmp_path: Path
+) -> None:
+    def marked(name: str, bar: str) -> StepMark:
+        shutil.copytree(trained / "lesson", tmp_path / name)
+        put(tmp_path / name, lesson=POLICY_LESSON.replace("-1e6", bar))
+        return Marker(read_lesson(tmp_path / name), trained / "own", tmp_path / f"{name}-work").mark("drive")
+
+    assert (
+        marked("near", "20").remarks[0].startswith("drive: near the bar of 20: ")
+    )  # an episode has 20 steps
+    far = marked("far", "1e6")
+    assert far.remarks == ()
+    assert far.checks[1].reason == (
+        "this is right, and counts once another check of this step earns points: train longer, or change what the"
+        " policy learns from"
+    )
 
 
 def test_a_check_that_the_starter_passes_counts_only_beside_another_one(
@@ -350,11 +520,9 @@ def test_what_is_no_file_is_refused_and_the_others_are_marked(lesson: Lesson, tm
 
 @given(st.text(max_size=30), st.text(max_size=30))
 def test_no_cell_of_a_class_is_a_formula(student: str, remark: str) -> None:
-    rows = list(csv.reader(io.StringIO(as_csv([given_marks(student, "", remark)]))))
+    rows = list(csv.reader(io.StringIO(as_csv([replace(given_marks(student), remarks=(remark,))]))))
     assert all(cell.lstrip()[:1] not in ("=", "+", "-", "@") for row in rows for cell in row if cell.strip())
-    assert (
-        rows[1][0].removeprefix("'") == student.replace("\r\n", "\r\n") or "\r" in student or "\n" in student
-    )
+    assert rows[1][0] in (student, f"'{student}") or "\r" in student or "\n" in student
 
 
 def test_a_lesson_that_is_none_is_refused_with_its_mistake(tmp_path: Path) -> None:
@@ -390,6 +558,8 @@ def test_a_lesson_is_started_checked_and_hinted_at(
 ) -> None:
     own = tmp_path / "own"
     deepbots("course", "start", lesson.folder, own)
+    deepbots("course", "start", lesson.folder, tmp_path / "solved", "--with", "solution")
+    assert (tmp_path / "solved" / "mend.yaml").read_text() == STEP % "1"
     assert "is not empty" in deepbots("course", "start", lesson.folder, own, code=2).err
     assert "run `cd ..` first" in deepbots("course", "start", lesson.folder, own / "inner", code=2).err
     put(own, mend=STEP % "1", answers="length: 35 cm\nfair: maybe\n")
@@ -407,6 +577,10 @@ def test_a_shipped_lesson_is_proven(number: int) -> None:
     proven = list(prove(lesson_named(str(number)), train=False, workers=2))
     assert [one for one in proven if not one.is_right] == []
     assert len(CHEATS) == 20
+
+
+def test_a_guard_beside_nothing_but_a_policy_is_not_expected_without_trainings() -> None:
+    assert points_of_policies(lesson_named("reward")) == 5
 
 
 def test_a_lesson_to_change_is_the_third(deepbots: Deepbots, tmp_path: Path) -> None:

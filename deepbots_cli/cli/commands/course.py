@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from shlex import quote
@@ -12,7 +13,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import available_cores
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Force, Json, Workers, integer, option
-from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
@@ -54,6 +55,14 @@ def command(
     step: Annotated[
         str | None, option("--step NAME", "For hint: the step, by default the first that lacks points.")
     ] = None,
+    solution: Annotated[
+        str | None,
+        option(
+            "--with NAME",
+            "For start: add the files of a solution, such as `solution` or `half/1-way`.",
+            ADVANCED,
+        ),
+    ] = None,
     quick: Annotated[
         bool, option("--no-train", "For verify: leave out the checks that train a policy.", ADVANCED)
     ] = False,
@@ -67,7 +76,7 @@ def command(
         case Action.START:
             if what is None:
                 raise UsageError("name a lesson, such as `deepbots course start 1`")
-            _start(what, folder)
+            _start(what, folder, solution)
         case Action.CHECK:
             _check(Path(what or "."), workers or 1, as_json=as_json)
         case Action.HINT:
@@ -110,13 +119,13 @@ def _is_full(row: Row) -> bool:
     return points == of
 
 
-def _start(name: str, folder: Path | None) -> None:
+def _start(name: str, folder: Path | None, solution: str | None = None) -> None:
     from deepbots_cli.course.lessons import lesson_named
     from deepbots_cli.course.progress import start
 
     lesson = lesson_named(name)
     folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
-    start(lesson, folder)
+    start(lesson, folder, solution)
     rows = [
         {"step": step_name, "points": step.points, "goal": step.goal}
         for step_name, step in lesson.steps.items()
@@ -155,19 +164,15 @@ def _check(folder: Path, workers: int, *, as_json: bool) -> None:
 
 def _lines(lesson: Lesson, marks: Marks) -> list[str]:
     """Return the marks of a student as text: each check with its points, and the reason for missing ones."""
-    lines = [f"lesson {lesson.label}: {marks.points} of {counted(marks.of, 'point')}"]
+    lines = [f"lesson {lesson.label}: {marks.score if marks.is_open else f'{marks.score} points'}"]
     for step in marks.steps:
-        lines += ["", f"  {step.step}  {step.points} of {step.of}"]
-        reasons = {check.reason for check in step.checks if check.reason}
-        shared = reasons.pop() if len(reasons) == 1 and all(check.reason for check in step.checks) else ""
+        lines += ["", f"  {step.step}  {step.score}"]
         for check in step.checks:
-            lines.append(
-                f"    {'+' if check.points == check.of else '-'} {check.points}/{check.of}  {check.says}"
-            )
-            if check.reason and not shared:
+            lines.append(f"    {'+' if check.points == check.of else '-'} {check.score}  {check.says}")
+            if check.reason and not step.common_reason:
                 lines.append(f"           {check.reason}")
-        if shared:
-            lines.append(f"           {shared}")
+        if step.common_reason:
+            lines.append(f"           {step.common_reason}")
     lines += ["", *(f"  note: {remark}" for remark in marks.all_remarks)] if marks.all_remarks else []
     return lines
 
@@ -200,12 +205,16 @@ def _next(folder: Path, into: Path | None) -> None:
 
 
 def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
-    from deepbots_cli.course.lessons import lesson_named, read_lesson
-    from deepbots_cli.course.proof import prove
+    from deepbots_cli.course.lessons import HALF, lesson_named, read_lesson
+    from deepbots_cli.course.proof import CHEATS, prove
 
     lesson = read_lesson(Path(name)) if Path(name).is_dir() else lesson_named(name)
-    with terminal.transient_line("marking the starter, the solutions and the cheats ..."):
-        proven = list(prove(lesson, train=train, workers=workers))
+    total = (
+        len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
+    )  # start, solution, and one to cheat with
+    with terminal.progress("hand-ins", always=False) as show:
+        marked = prove(lesson, train=train, workers=workers, on_marks=lambda _, done: show(done, total))
+        proven = list(marked)
     rows = [
         {
             "hand-in": one.tried,
@@ -218,6 +227,7 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
     ]
     wrong = sum(not one.is_right for one in proven)
     verdict = "the lesson is proven" if not wrong else f"{counted(wrong, 'hand-in')} earned the wrong points"
+    verdict += f"; {sum(os.times()[:4]):.0f} s of CPU time"
     terminal.show([vars(one) for one in proven], table(rows, is_prose=True), "", verdict, as_json=as_json)
     if wrong:
         raise typer.Exit(FAILED)
@@ -253,7 +263,15 @@ def command_grade(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Mark what students handed in."""
-    from deepbots_cli.course.grading import as_csv, as_page, grade, hand_ins_of, row_of
+    from deepbots_cli.course.grading import (
+        Interrupted,
+        as_csv,
+        as_page,
+        grade,
+        hand_ins_of,
+        heading,
+        row_of,
+    )
     from deepbots_cli.course.lessons import lesson_named
 
     lesson = lesson_named(lesson_name)
@@ -263,28 +281,43 @@ def command_grade(
         if html.exists() and any(html.iterdir()) and not force:
             raise UsageError(f"{html} is not empty; name another folder, or add --force")
     students = hand_ins_of(lesson, hand_ins)
+    finished: list[Marks] = []
+
+    def save(marks: list[Marks]) -> None:
+        if csv is not None and marks:
+            with atomic_write(csv) as draft:
+                draft.write_text(as_csv(marks), encoding="utf-8")
+
     with terminal.progress("hand-ins", always=False) as show:
-        marks = grade(
-            lesson,
-            students,
-            seed=seed,
-            train=train,
-            workers=workers or available_cores(),
-            on_marks=lambda _, done: show(done, len(students)),
-        )
-    if len(marks) == 1 and not as_json:
-        lines = _lines(lesson, marks[0])
-    else:
-        lines = [
-            f"lesson {lesson.label}, {counted(lesson.points, 'point')}",
-            table([row_of(one) for one in marks], is_prose=True),
-        ]
+
+        def keep(marks: Marks, done: int) -> None:
+            show(done, len(students))
+            finished.append(marks)
+            save(finished)
+
+        try:
+            marks = grade(
+                lesson,
+                students,
+                seed=seed,
+                train=train,
+                workers=workers or available_cores(),
+                on_marks=keep,
+            )
+            is_complete = True
+        except Interrupted as interruption:
+            marks, is_complete = interruption.marks, False
+    lines = [heading(lesson, marks, seed)]
+    lines += (
+        _lines(lesson, marks[0])[1:] if len(marks) == 1 else [table([*map(row_of, marks)], is_prose=True)]
+    )
     terminal.show([one.data() for one in marks], *lines, as_json=as_json)
-    if csv is not None:
-        with atomic_write(csv) as draft:
-            draft.write_text(as_csv(marks), encoding="utf-8")
+    save(marks)
     if html is not None:
         html.mkdir(parents=True, exist_ok=True)
         for number, one in enumerate(marks, 1):
             name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in one.student)[:60]
-            (html / f"{number:02} {name}.html").write_text(as_page(lesson, one), encoding="utf-8")
+            (html / f"{number:02} {name}.html").write_text(as_page(lesson, one, seed), encoding="utf-8")
+    if not is_complete:
+        terminal.note(f"interrupted: {len(finished)} of {counted(len(students), 'hand-in')} are marked")
+        raise typer.Exit(INTERRUPTED)

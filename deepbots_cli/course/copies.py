@@ -1,0 +1,130 @@
+"""Policies that two students of a class handed in, also under the names of other steps or with weights that
+were changed a little.
+
+The weights are read as numbers, without the pickle beside them. A policy is compared with every model of the
+other students by a sketch of its weights, 64 sums with random signs: the distance of two sketches is that of
+the weights, to about a fifth (M. Charikar et al., Theor. Comput. Sci. 312, 2004, p. 3).
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepbots_cli.course.lessons import Lesson, Step
+from deepbots_cli.records import dataclass
+from deepbots_cli.words import sentence_list
+
+if TYPE_CHECKING:
+    from deepbots_cli.course.grading import Marks
+    from deepbots_cli.course.marking import StepMark
+
+_POLICY = "policy.pth"
+"""The file of a model of Stable-Baselines3 with its weights."""
+_STORAGE = re.compile(r"[^/]+/data/(\d{1,6})")
+"""The numbers of a tensor in a file of PyTorch."""
+_MAX_MODELS = 200
+_MAX_BYTES = 50 * 2**20
+_SUMS = 64
+_NEAR = 0.01
+"""The relative distance up to which two policies count as one."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The weights of a model. `place` is the name of its run with its file, `size` is in bytes, and `sketch`
+    are sums of weights with random signs."""
+
+    place: str
+    size: int
+    sketch: tuple[float, ...]
+
+    def is_near(self, other: Weights) -> bool:
+        distance = math.dist(self.sketch, other.sketch)
+        return self.size == other.size and distance <= _NEAR * math.hypot(*self.sketch)
+
+
+def weights_of(folder: Path, models: Sequence[Path]) -> list[Weights]:
+    """Return the weights of models in the folder of runs; those of damaged files are left out."""
+    found = ((path, _sketch(path)) for path in models[:_MAX_MODELS])
+    return [
+        Weights(path.relative_to(folder).as_posix().replace("/models/agent/", "/"), *sketch)
+        for path, sketch in found
+        if sketch is not None
+    ]
+
+
+def _sketch(model: Path) -> tuple[int, tuple[float, ...]] | None:
+    """Return the size of the weights of a model in bytes and their sketch; None for a damaged file."""
+    import numpy as np
+
+    from deepbots_cli.learning.runs.run import opened_archive
+
+    try:
+        size = model.stat().st_size
+        if size > _MAX_BYTES:
+            return None
+        with opened_archive(model, size) as archive:
+            content = archive.read(_POLICY)
+        with opened_archive(io.BytesIO(content), len(content)) as inner:
+            storages = {
+                int(match[1]): name for name in inner.namelist() if (match := _STORAGE.fullmatch(name))
+            }
+            numbers = b"".join(inner.read(storages[number]) for number in sorted(storages))
+    except (OSError, KeyError, ValueError, NotImplementedError, RuntimeError, zipfile.BadZipFile):
+        return None
+    weights = np.frombuffer(numbers[: len(numbers) // 4 * 4], "<f4").astype(float)
+    signs = np.random.default_rng(0).integers(0, 2, weights.size) * 2 - 1
+    signed = np.resize(np.nan_to_num(weights) * signs, (-(-weights.size // _SUMS), _SUMS))
+    return len(numbers), tuple(signed.sum(axis=0).tolist())
+
+
+def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
+    """Name every policy that is also a model of another student. Two that were handed in for other parts or
+    other steps earn nothing: one of them was not trained as its run says. Equal parts give equal policies,
+    since a training repeats itself."""
+    return [_judged(lesson, one, marks) for one in marks]
+
+
+def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
+    steps, remarks = [], [*own.remarks]
+    for step in own.steps:
+        same = [*_same_elsewhere(step, own, marks)]
+        if same:
+            reason = f"the same policy as {sentence_list(list(dict.fromkeys(text for text, _ in same)))}"
+            if any(is_other for _, is_other in same):
+                reason += ", handed in for another reward or task: ask who trained it"
+                step = _without_policy(step, lesson.steps[step.step], reason)
+            remarks.append(f"{step.step}: {reason}")
+        steps.append(step)
+    return replace(own, steps=tuple(steps), remarks=tuple(remarks))
+
+
+def _same_elsewhere(step: StepMark, own: Marks, marks: Sequence[Marks]) -> Iterator[tuple[str, bool]]:
+    """Yield the models of other students that are the policy of a step, and whether that student has points
+    for it as the policy of another step or of other parts."""
+    if step.policy is None:
+        return
+    for student in marks:
+        if student is not own:
+            for theirs in student.steps:
+                is_judged = theirs.policy is not None and step.policy.is_near(theirs.policy)
+                is_same_task = (theirs.step, theirs.parts) == (step.step, step.parts)
+                place = next((model.place for model in theirs.models if step.policy.is_near(model)), "")
+                if is_judged or place:
+                    yield f"{place} of {student.student}", is_judged and not is_same_task
+
+
+def _without_policy(mark: StepMark, step: Step, reason: str) -> StepMark:
+    """Return marks in which the policy earns nothing."""
+    checks = (
+        replace(earned, points=0, reason=reason) if check.kind == "policy" else earned
+        for earned, check in zip(mark.checks, step.checks, strict=True)
+    )
+    return replace(mark, checks=tuple(checks))
