@@ -95,7 +95,7 @@ def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
 def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
     steps, remarks = [], [*own.remarks]
     for step in own.steps:
-        same = [*_same_elsewhere(step, own, marks)]
+        same = [*_same_elsewhere(lesson, step, own, marks)]
         if same:
             reason = f"the same policy as {sentence_list(list(dict.fromkeys(text for text, _ in same)))}"
             if any(is_other for _, is_other in same):
@@ -106,19 +106,21 @@ def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
     return replace(own, steps=tuple(steps), remarks=tuple(remarks))
 
 
-def _same_elsewhere(step: StepMark, own: Marks, marks: Sequence[Marks]) -> Iterator[tuple[str, bool]]:
+def _same_elsewhere(
+    lesson: Lesson, step: StepMark, own: Marks, marks: Sequence[Marks]
+) -> Iterator[tuple[str, bool]]:
     """Yield the models of other students that are the policy of a step, and whether that student has points
-    for it as the policy of another step or of other parts."""
+    for it in another step or with other parts."""
     if step.policy is None:
         return
-    for student in marks:
-        if student is not own:
-            for theirs in student.steps:
-                is_judged = theirs.policy is not None and step.policy.is_near(theirs.policy)
-                is_same_task = (theirs.step, theirs.parts) == (step.step, step.parts)
-                place = next((model.place for model in theirs.models if step.policy.is_near(model)), "")
-                if is_judged or place:
-                    yield f"{place} of {student.student}", is_judged and not is_same_task
+    for theirs, student in ((theirs, one.student) for one in marks if one is not own for theirs in one.steps):
+        place = next((model.place for model in theirs.models if step.policy.is_near(model)), None)
+        if place is not None:
+            is_handed_in = theirs.policy is not None and step.policy.is_near(theirs.policy)
+            pairs = zip(theirs.checks, lesson.steps[theirs.step].checks, strict=True)
+            has_points = any(mark.points and check.kind == "policy" for mark, check in pairs)
+            is_same_task = (theirs.step, theirs.parts) == (step.step, step.parts)
+            yield f"{place} of {student}", is_handed_in and has_points and not is_same_task
 
 
 def _without_policy(mark: StepMark, step: Step, reason: str) -> StepMark:

@@ -86,7 +86,7 @@ class StepMark:
         step: The name of the step.
         checks: A mark for each check.
         remarks: What the marker saw beside the checks, such as changed sections that have no effect.
-        policy: The weights of the policy that was judged; None without one.
+        policy: The weights of the policy that was handed in; None without one.
         models: The weights of all models that were handed in for the step.
         parts: The digest of the parts that were handed in; empty if they cannot be read.
         engine: The engine of the task; empty if nothing was measured.
@@ -400,6 +400,8 @@ class _Policy:
         files = [file for path in reversed(folders) for file in sorted(path.glob("models/*/*.zip"))]
         self.models = weights_of(folder, files)
         newest = folders[-1]
+        place = f"{newest.name}/best.zip"
+        self.weights = next((model for model in self.models if model.place == place), None)
         try:
             run = Run.open(newest)
         except DeepbotsError:
@@ -424,8 +426,6 @@ class _Policy:
             raise HandInError(
                 f"{newest.name} learned from `{source}`, which this step does not allow; train it with {command}"
             )
-        place = f"{newest.name}/best.zip"
-        self.weights = next((model for model in self.models if model.place == place), None)
         return run
 
     def _changed(self, run: Run) -> list[str]:

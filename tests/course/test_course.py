@@ -396,6 +396,10 @@ def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_o
         " trained it",
         "complete: the same policy as complete-0-1/best.zip of kim",
     ]
+    step = class_marks[0].steps[0]
+    refused = replace(step, checks=tuple(replace(check, points=0) for check in step.checks))
+    copied = [replace(class_marks[0], steps=(refused,)), class_marks[1]]
+    assert [one.points for one in without_copies(lesson_named("reward"), copied)] == [0, 5]
     assert judged[6].all_remarks == ("complete: the same policy as complete-0-1/step.zip of kim",)
 
 
