@@ -197,9 +197,8 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
             ("mujoco",),
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC,"
-            " several agents as an environment of PettingZoo, self-play, the page of view and play, the studio,"
-            " policies as ONNX,"
-            " --cluster, searches by tune",
+            " several agents as an environment of PettingZoo, self-play, the page of view and play, videos of"
+            " Gymnasium, the studio, policies as ONNX, --cluster, searches by tune",
         ),
     ],
 )

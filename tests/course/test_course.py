@@ -12,6 +12,7 @@ import time
 import zipfile
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -324,7 +325,8 @@ def test_a_step_beyond_its_limits_keeps_the_checks_that_were_finished(slow: Less
 def test_a_step_that_a_busy_machine_did_not_mark_is_no_zero(slow: Lesson) -> None:
     (marks,) = grade(slow, [("ada", slow.folder / "solution")], limits=Limits(clock=0.0))
     assert (marks.is_open, marks.data()["points"]) == (True, None)
-    assert list(csv.reader(io.StringIO(as_csv([marks]))))[1][:5] == ["ada", "", "10", "", ""]
+    student, points, of, _, sense, *_ = [*csv.reader(io.StringIO(as_csv([marks])))][1]
+    assert (student, points, of, sense) == ("ada", "", "10", "")
     assert "not marked: no CPU time for 0 s" in as_page(slow, marks, 0)
 
 
@@ -341,6 +343,8 @@ def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(slow: Les
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell ignores the signal in the background, and so would the process.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
     table = tmp_path / "marks.csv"
     for _ in range(600):

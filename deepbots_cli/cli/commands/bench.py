@@ -249,6 +249,7 @@ _EXTRAS = {
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
     "agents": "several agents as an environment of PettingZoo, self-play",
     "view": "the page of view and play",
+    "video": "videos of Gymnasium",
     "editor": "the language server",
     "studio": "the studio",
     "export": "policies as ONNX",
