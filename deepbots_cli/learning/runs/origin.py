@@ -108,8 +108,8 @@ def _commit_of_deepbots() -> Commit | None:
 
 @cache
 def _packages() -> dict[str, str]:
-    found = {each.metadata["Name"]: each.version for each in distributions()}
-    return {name: found[name] for name in sorted(filter(None, found), key=str.lower)}
+    versions = {each.metadata["Name"]: each.version for each in distributions()}
+    return {name: versions[name] for name in sorted(filter(None, versions), key=str.lower)}
 
 
 @cache
