@@ -46,8 +46,8 @@ class Weights:
     sketch: tuple[float, ...]
 
     def is_near(self, other: Weights) -> bool:
-        distance = math.dist(self.sketch, other.sketch)
-        return self.size == other.size and distance <= _NEAR * math.hypot(*self.sketch)
+        norm, distance = math.hypot(*self.sketch), math.dist(self.sketch, other.sketch)
+        return self.size == other.size and norm > 0 and distance <= _NEAR * norm
 
 
 def weights_of(folder: Path, models: Sequence[Path]) -> list[Weights]:

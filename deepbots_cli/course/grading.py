@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import date
 from itertools import count, islice
 from pathlib import Path
@@ -25,11 +25,7 @@ from pydantic import TypeAdapter
 from deepbots_cli.course.copies import without_copies
 from deepbots_cli.course.hand_ins import HandInError, collect
 from deepbots_cli.course.lessons import Lesson
-from deepbots_cli.course.marking import (
-    CheckMark,
-    StepMark,
-    unfinished,
-)
+from deepbots_cli.course.marking import CheckMark, StepMark, guarded, unfinished
 from deepbots_cli.files import csv_text
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.records import dataclass
@@ -186,8 +182,17 @@ def grade(
             begun = [future for future in futures if not future.cancel()]
             if not isinstance(error, KeyboardInterrupt):
                 raise
-            raise Interrupted(without_copies(lesson, [future.result() for future in begun])) from None
-    return without_copies(lesson, marks)
+            raise Interrupted(_together(lesson, [future.result() for future in begun])) from None
+    return _together(lesson, marks)
+
+
+def _together(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
+    """Return the marks of a class: a policy that was copied earns nothing, nor do guards beside it alone."""
+    judged = []
+    for one in without_copies(lesson, marks):
+        steps = (replace(step, checks=guarded(lesson.steps[step.step], step.checks)) for step in one.steps)
+        judged.append(replace(one, steps=tuple(steps)))
+    return judged
 
 
 def _mark_one(

@@ -130,7 +130,7 @@ def unfinished(
     not. Open ones may be marked again, and the others earn nothing."""
     short = " ".join(reason.split())[:_MAX_REASON]
     rest = [CheckMark(check.says, 0, check.points, short, is_open) for check in step.checks[len(finished) :]]
-    return StepMark(name, _guarded(step, [*finished, *rest]))
+    return StepMark(name, guarded(step, [*finished, *rest]))
 
 
 @dataclass
@@ -211,7 +211,7 @@ class Marker:
                 reason = str(error).replace(f"{self.folder}/", "").replace(f"{self.work}/", "")
                 marks.append(CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON]))
             self.on_check(marks)
-        checks, remarks = _guarded(step, marks), tuple(self.remarks)
+        checks, remarks = guarded(step, marks), tuple(self.remarks)
         engine = chosen(compiled.program.engine)
         return StepMark(name, checks, remarks, policy.weights, tuple(policy.models), written.digest, engine)
 
@@ -279,7 +279,7 @@ class Marker:
         return CheckMark(check.says, 0, check.points, reason)
 
 
-def _guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
+def guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
     """Return the marks of a step, in which guards count only together with another check of the task."""
     pairs = [*zip(step.checks, marks, strict=True)]
     if any(mark.points and not check.guard and check.kind != "answer" for check, mark in pairs):

@@ -38,7 +38,7 @@ class Commit(BaseModel):
         commit = _git(folder, "rev-parse", "--verify", "HEAD")
         if not commit:
             return None
-        filters = (_git(folder, "config", "--name-only", "--get-regexp", r"^filter\.") or "").split()
+        filters = (_git(folder, "config", "--name-only", "--get-regexp", r"^filter\.") or "").splitlines()
         without_filters = [word for name in filters for word in ("-c", f"{name}=")]
         changes = _git(
             folder, *without_filters, "status", "--porcelain", "--untracked-files=no", "--ignore-submodules"
